@@ -112,7 +112,7 @@ def first_sentence(name: str) -> str:
 
 def trained() -> list[str]:
     """Environments that a controller is shipped for."""
-    from diffsim.learn.trained import trained_names
+    from diffsim.learn.kept_files import trained_names
 
     return trained_names()
 

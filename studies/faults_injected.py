@@ -118,14 +118,14 @@ def cases(
         if group.known != () or (only and group.label not in only):
             continue
         others = learned.without(group.label)
-        as_it_is = judged_group(group, others, given.keys, given.sets, 0)
+        as_it_is = judged_group(group, others, given.keys, given.sets, 0, study.channels)
         yield Case(group.label, "", 0.0, 0.0, as_it_is)
         visible = as_it_is.smallest_visible
         for cause in causes:
             for level in levels:
                 size = min(visible[cause] * level / VISIBLE, 9.0 * typical[cause])
                 made = with_cause(others, group, cause, size)
-                said = judged_group(made, others, given.keys, given.sets, 0)
+                said = judged_group(made, others, given.keys, given.sets, 0, study.channels)
                 yield Case(group.label, cause, size, level, said)
 
 
@@ -148,7 +148,7 @@ def held(study: Study, size: float, causes: Sequence[str]) -> Iterator[tuple[str
         for cause in (c for c in causes if c not in group.known):
             made = with_cause(others, group, cause, size)
             right = (*group.known, cause)
-            said = judged_group(made, others, given.keys, [right], 0)
+            said = judged_group(made, others, given.keys, [right], 0, study.channels)
             case = Case(group.label, cause, size, np.nan, said)
             yield group.label, cause, bool(case.holds)
 

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from diffsim import envs
-from diffsim.core.schema import MOST, Part, fill_in
+from diffsim.core.schema import MAX_WHOLE_NUMBER, Part, fill_in
 from diffsim.data import load_study
 from diffsim.data.formats import parts_of, read_columns
 from diffsim.systems.registry import setup_of
@@ -86,8 +86,8 @@ def test_every_whole_number_has_a_bound():
         names: dict[str, tuple[int, ...]] | None = None
         width: float | int | None = None
 
-    Inner(names={"a": (MOST,)}, width=1e30)
-    for wrong in ({"names": {"a": (1, MOST + 1)}}, {"width": -HUGE}):
+    Inner(names={"a": (MAX_WHOLE_NUMBER,)}, width=1e30)
+    for wrong in ({"names": {"a": (1, MAX_WHOLE_NUMBER + 1)}}, {"width": -HUGE}):
         with pytest.raises(ValueError, match="must be at most 1,000,000, got"):
             Inner(**wrong)
 

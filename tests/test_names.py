@@ -1,4 +1,7 @@
-"""Functions are called by what they do, classes by what they are: neither is a bare participle."""
+"""Names and nouns: functions are called by what they do, classes by what they are.
+
+Neither is a bare participle; a constant says of what it is, a docstring more than a unit.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +27,11 @@ PARTICIPLES = frozenset(IRREGULAR.split())
 PUBLIC = frozenset(("Chosen", "Ground", "Identified", "Run", "Trained"))
 NO_PARTICIPLES = frozenset(("embed", "exceed", "feed", "need", "proceed", "seed", "speed"))
 VERBS_TOO = frozenset(("split", "spread"))
+# each had up to six meanings: MAX_PIECES and WRONG_SHEET_SD say of what
+VAGUE = frozenset(("FAR", "MOST", "WIDE", "FEW", "NEAR", "SETTLED", "FEWEST"))
+STILL = frozenset(("FEW", "MOST", "FEWEST"))  # record/signals, judge/gain, bench/run_zeros
+# a line such as "mass: (num_parts,) [kg]."
+ONLY_UNIT = re.compile(r"^ {4,}\w+: (?:\([^)]*\),? ?)?(?:float64|int64|bool)? ?\[[^\]]+\]\.?$")
 
 
 def is_participle(word: str) -> bool:
@@ -86,3 +94,34 @@ def test_no_private_function_is_one_bare_participle():
 def test_no_class_is_one_bare_participle():
     found = names_of(is_bare_class)
     assert [name for name in found if name.split()[-1] not in PUBLIC] == []
+
+
+def docstrings():
+    """Every docstring of the package, with its place."""
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    for path in sorted(FOLDER.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, documented) and (text := ast.get_docstring(node, clean=False)):
+                yield f"{path.relative_to(FOLDER)} {getattr(node, 'name', '')}", text
+
+
+def has_only_units(text: str) -> list[str]:
+    return [line.strip() for line in text.splitlines() if ONLY_UNIT.match(line)]
+
+
+def test_a_noun_stands_beside_every_unit():
+    found = {place: lines for place, text in docstrings() if (lines := has_only_units(text))}
+    assert found == {}
+    assert has_only_units("    mass: (num_parts,) [kg].") == ["mass: (num_parts,) [kg]."]
+    assert has_only_units("    mass: Mass of each part, (num_parts,) [kg].") == []
+
+
+def test_constants_say_of_what_they_are():
+    """Constants of modules; three are left, and none may be new."""
+    named = []
+    for path in sorted(FOLDER.rglob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            targets = node.targets if isinstance(node, ast.Assign) else []
+            named += [t.id for t in targets if isinstance(t, ast.Name) and t.id in VAGUE]
+    assert len(set(named)) == len(named)
+    assert set(named) <= STILL

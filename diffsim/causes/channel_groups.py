@@ -17,7 +17,7 @@ from diffsim.core.check import did_you_mean
 from diffsim.data.study import Channel
 from diffsim.data.study_check import Problem
 
-FEW = 4  # channels of a kind, up to which each is tried alone
+MAX_SINGLE_CHANNELS = 4  # channels of a kind, up to which each is tried alone
 CLOCK = ("sensor_delay", "sensor_lag")
 ZERO = ("sensor_offset", "sensor_drift")  # one size for each channel anyway
 READING = ("sensor_scale", "sensor_backlash")
@@ -146,7 +146,7 @@ def _by_kind(channels: Sequence[Channel]) -> list[ChannelGroup]:
     kinds = _group_by_name(channels, [c.kind for c in channels])
     out = [ChannelGroup(kind, _names(own)) for kind, own in kinds.items()]
     for own in kinds.values():
-        if 1 < len(own) <= FEW:
+        if 1 < len(own) <= MAX_SINGLE_CHANNELS:
             for channel in own:
                 name = channel.name if channel.name not in kinds else f"channel_{channel.name}"
                 out.append(ChannelGroup(name, (channel.name,), (*CLOCK, *READING)))

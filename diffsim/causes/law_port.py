@@ -1,8 +1,8 @@
 """Where a law that nobody listed may enter a system that offers ports to causes of a user.
 
-No system has code of its own for this: an entry is a port, and a law that was found is a row as a
-user could have written it. Numbers stay the same over a run, so that their laws are of what differs
-from run to run. A force knows position and speed of its place.
+An entry is a port, and a law that was found is a row as a user could have written it. Systems of
+formulas have more entries, in ``systems/ode/law_port``. Numbers stay the same over a run, so that
+their laws are of what differs from run to run. A force knows position and speed of its place.
 """
 
 from __future__ import annotations

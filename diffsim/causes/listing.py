@@ -14,15 +14,16 @@ from itertools import groupby
 from diffsim.causes.catalogue import rows_in_order
 from diffsim.causes.channel_groups import channel_groups
 from diffsim.causes.commands import CommandGroup, cause_of_commands
-from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
+from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant, Store
 from diffsim.causes.ports import on_commands, on_numbers, on_numbers_between
 from diffsim.causes.readings import cause_of_readings, instrument_of, pace, with_ending
 from diffsim.causes.row import Row, spell_plainly
+from diffsim.core.units import NO_UNIT, powers_of
 from diffsim.identify.effect import Effect
 
 RECORD = "record"  # what rows of the whole record are each of
 _INERTIA = "F s^2/X"
-_OF_SHARES = {"X/s": "1/s", "(X)^0.5/s": "1/s"}  # units where levels are shares
+_POWERS = {"X/s": 1.0, "1/s": 0.0, "(X)^0.5/s": 0.5}  # of the level in units of flows
 
 
 def list_causes(plant: Plant) -> tuple[Effect, ...]:
@@ -167,15 +168,28 @@ def _list_of_stores(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:
     for name, store in plant.stores.items():
         for row in found:
             assert plant.flow is not None
-            plain = _OF_SHARES.get(row.unit, row.unit) if store.unit == "-" else row.unit
             yield row.effect(
                 plant.flow(row.model_copy(update={"name": row.name + store.ending}), name),
                 store.magnitudes,
                 system=plant.kind,
                 ending=store.ending,
-                unit=plain.replace("X", store.unit),
+                unit=_unit_in_store(row.unit, store),
                 masks=row.said("masks", plant.kind),
             )
+
+
+def _unit_in_store(pattern: str, store: Store) -> str:
+    """A unit with that of the level in place of X; of a flow times the area that divides it."""
+    if pattern not in _POWERS or store.area is None:
+        is_flow = pattern in _POWERS and store.unit == NO_UNIT
+        return "1/s" if is_flow else pattern.replace("X", store.unit)
+    if store.area == NO_UNIT:
+        return NO_UNIT
+    powers = dict(powers_of(store.area))
+    for name, power in powers_of(store.unit).items() if store.unit != NO_UNIT else ():
+        powers[name] = powers.get(name, 0.0) + _POWERS[pattern] * power
+    said = (n if p == 1 else f"{n}^{p:g}" for n, p in powers.items() if p)
+    return f"{' '.join(said)}/s"
 
 
 def _list_of_parts(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:

@@ -54,11 +54,13 @@ class Store:
         magnitudes: Usual magnitudes by the names that rows of stores use: ``flow`` and ``level``.
         unit: Unit of the level.
         ending: What names of its causes end with, such as "_of_upper".
+        area: Unit of what a flow is divided by to give the level's rate; None: a flow is that rate.
     """
 
     magnitudes: Mapping[str, float]
     unit: str = "-"
     ending: str = ""
+    area: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from difflib import get_close_matches
 from pathlib import Path
 
 from diffsim.cli.arguments import DIAGNOSES, FULL, QUICK, fact, names, positive
@@ -60,6 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser, common: argparse.ArgumentPars
         made[name].add_argument(
             "--out", type=Path, help=f"folder of the results (default: {DIAGNOSES}/STUDY)"
         )
+    made["export"].add_argument(
+        "--to",
+        choices=("mujoco", "bam", "urdf", "yaml"),
+        help="write the whole answer for a program, say what it carries, and fly it on your runs",
+    )
     for name in ("command", "worth"):
         made[name].add_argument(
             "--task", type=Path, required=True, metavar="FILE", help="task.yaml: what is wanted"
@@ -225,10 +231,28 @@ def _refuse_early(args: argparse.Namespace) -> None:
 
         require_target(args.folder, args.out, force=args.force)
     given = getattr(args, "study", None)
-    if given is not None and (os.sep in given or given.endswith((".yaml", ".yml"))):
-        path = Path(given)
+    if given is None:
+        return
+    path = Path(given)
+    if os.sep in given or given.endswith((".yaml", ".yml")):
         file = path / "study.yaml" if path.is_dir() else path
         if not file.is_file():
             raise FileNotFoundError(
                 f"{file}: no such study; give study.yaml or the folder that has it"
             )
+    elif not path.exists() and given not in (names := _published_names()):
+        close = get_close_matches(given, names, n=2)
+        hint = f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
+        raise FileNotFoundError(
+            f"{given} is no file or folder of a study, and STUDY must be one of {names}, got "
+            f"{given!r}{hint}"
+        )
+    for file in (file for files in getattr(args, "new", ()) for file in files):
+        if not file.is_file():
+            raise FileNotFoundError(f"{file}: no such file of a new run")
+
+
+def _published_names() -> list[str]:
+    """Names of the published data sets; their package would load PyTorch."""
+    folder = Path(__file__).parent.parent / "systems" / "published"
+    return sorted(path.stem for path in folder.glob("*.yaml"))

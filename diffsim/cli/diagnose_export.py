@@ -6,17 +6,22 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.data.study import Study
+from diffsim.data.study import Run, Study
+from diffsim.diagnose.judge.records import Interval
+from diffsim.diagnose.say.wording import ends
 from diffsim.identify.effect import effect_coordinates
 from diffsim.identify.model_file import SavedModel
 from diffsim.identify.ranges import Range, range_of
 from diffsim.systems.description import quantities_of
+from diffsim.systems.ode.place_effects import STRIBECK
 from diffsim.systems.registry import description_of, setup_of
 
 EXPORT_FILE = "export.json"  # values with their intervals; programs read the files of values
@@ -78,22 +83,86 @@ def constants_of(study: Study, saved: SavedModel) -> list[ProgramConstants]:
         )
     known, out = _ModelNumbers.of(study, saved), []
     for program, formulas in study.export.items():
-        texts = {name: text[1:-1] for name, text in formulas.items() if _is_text(text)}
+        texts = {name: text[1:-1] for name, text in formulas.items() if is_text(text)}
         parsed = {n: parse_expression(text) for n, text in formulas.items() if n not in texts}
         for name, formula in parsed.items():
             known.require(f"export.{program}.{name}", formula)
+        # what names facts of runs is each run's own: ``flown_constants``
+        parsed = {n: f for n, f in parsed.items() if not known.of_run & set(f.names)}
+        texts = _with_model(texts, {n: known.range_of(f, {}).value for n, f in parsed.items()})
         for group in _groups(study, known.facts_of(parsed.values())):
             constants = {name: known.range_of(formula, group) for name, formula in parsed.items()}
             out.append(ProgramConstants(program, group, constants, texts))
     return out
 
 
+def flown_constants(study: Study, saved: SavedModel, program: str, run: Run) -> dict[str, float]:
+    """Constants of a program in a run, by name; facts of the run are numbers, too.
+
+    Args:
+        study: The study with its `export`.
+        saved: Its answer.
+        program: Name of the program.
+        run: The run.
+    """
+    known = _ModelNumbers.of(study, saved)
+    facts = {n: float(v) for n, v in run.setup.items() if _is_number(v)}
+    group = {str(n): str(v) for n, v in run.setup.items()}
+    out = {}
+    for name, text in study.export.get(program, {}).items():
+        if not is_text(text):
+            out[name] = known.value_of(parse_expression(text), group, facts, run.name)
+    return out
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+#: BAM's models of friction by what they add to Coulomb and viscous friction
+_BAM_ADDS = (("friction_stribeck",), ("load_friction_motor", "load_friction_external"))
+
+
+def _with_model(texts: dict[str, str], values: Mapping[str, float]) -> dict[str, str]:
+    """The smallest of BAM's models m1 to m5 that has all that is named."""
+    if texts.get("model") != "m1":
+        return texts
+    fresh, loaded = (any(values.get(n, 0.0) for n in names) for names in _BAM_ADDS)
+    apart = values.get("load_friction_motor") != values.get("load_friction_external")
+    kind = (
+        "m5"
+        if loaded and apart
+        else {(0, 0): "m1", (1, 0): "m2", (0, 1): "m3", (1, 1): "m4"}[int(fresh), int(loaded)]
+    )
+    return {**texts, "model": kind}
+
+
+MANY = 4.0  # times: an end that is so far off bounds a number no more
+
+
+def say_interval(found: Range) -> str:
+    """The interval of a constant in brackets, with a word where an end of it says nothing."""
+    value, low, high = found
+    if low == high:
+        return ""
+    if low <= 0.0 < value and high <= MANY * value:
+        return f" (at most {high:.2g})"
+    if value > 0.0 and high > MANY * value:
+        if low <= 0.0 or value > MANY * low:
+            return " (the runs do not bound it)"
+        return f" (at least {low:.2g}; the runs do not bound it above)"
+    if low > 0.0 and value > MANY * low:
+        return f" (at most {high:.2g}; the runs do not bound it below)"
+    return f" ({ends(Interval(*found))})"
+
+
 def notes_of(study: Study, saved: SavedModel) -> list[str]:
     """What a user must know of the constants, a sentence each."""
     known = _ModelNumbers.of(study, saved)
     texts = chain.from_iterable(formulas.values() for formulas in study.export.values())
-    formulas = [parse_expression(text) for text in texts if not _is_text(text)]
+    formulas = [parse_expression(text) for text in texts if not is_text(text)]
     names = list(dict.fromkeys(name for formula in formulas for name in formula.names))
+    names = [name for name in names if name not in known.of_run]
     out = []
     if not saved.ranges:
         out.append(
@@ -108,8 +177,8 @@ def notes_of(study: Study, saved: SavedModel) -> list[str]:
     return out
 
 
-def _is_text(formula: str) -> bool:
-    """Whether it is a text in quotes, which goes to the program as it is."""
+def is_text(formula: str) -> bool:
+    """Whether a formula is a text in quotes, which goes to the program as it is."""
     return len(formula) > 1 and formula[0] == formula[-1] == "'"
 
 
@@ -125,21 +194,30 @@ class _ModelNumbers:
         saved: The answer.
         stated: Values that are known, and stated ones of those that are not fitted.
         absent: Causes that the study may have and the answer may lack.
+        of_run: Facts that are numbers in each run, and no numbers of the model.
     """
 
     saved: SavedModel
     stated: Mapping[str, float]
     absent: frozenset[str]
+    of_run: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, study: Study, saved: SavedModel) -> _ModelNumbers:
         described = description_of(study)
         stated = {**quantities_of(described), **getattr(described, "parameters", {})}
-        causes = [*effect_coordinates(setup_of(study).effects), *described.effects.without]
+        setup = setup_of(saved.framed(study))
+        causes = [*effect_coordinates(setup.effects), *described.effects.without]
         causes += [name.partition(".")[0] for name in causes if f".{ALL}" in name]
         sizes = dict.fromkeys(causes, 0.0)
         values = {name: float(quantity.value) for name, quantity in stated.items()}
-        return cls(saved, sizes | values, frozenset(sizes) - frozenset(values))
+        speeds = _list_stribeck_speeds(setup.model.frame)
+        facts = set.intersection(
+            *({str(n) for n, v in run.setup.items() if _is_number(v)} for run in study.runs)
+        )
+        known = sizes | values | speeds
+        absent = frozenset(sizes) - frozenset(values)
+        return cls(saved, known, absent, frozenset(facts) - {*known, *saved.values})
 
     def require(self, where: str, formula: Expression) -> None:
         """Refuse a formula with a name that there is not.
@@ -147,7 +225,7 @@ class _ModelNumbers:
         Raises:
             ValueError: it has one; the message names the closest.
         """
-        names = {**self.stated, **self.saved.values}
+        names = {**self.stated, **self.saved.values, **dict.fromkeys(self.of_run)}
         for name in formula.names:
             if name not in names:
                 raise ValueError(f"{where}: no number {name!r}{did_you_mean(name, list(names))}")
@@ -181,12 +259,37 @@ class _ModelNumbers:
 
         return range_of(at, list(chain.from_iterable(parts.values())), self.saved)
 
+    def value_of(
+        self, formula: Expression, group: Mapping[str, str], facts: Mapping[str, float], run: str
+    ) -> float:
+        """Value of a formula in a run, whose facts are numbers."""
+        numbers = {}
+        for name in formula.names:
+            own = [*self._coordinates(name, group)]
+            own += [c for c in (f"{name}@{run}",) if c in self.saved.values]
+            if own:
+                value = sum(self.saved.values[c] for c in own)
+            else:
+                value = self.stated[name] if name in self.stated else facts[name]
+            numbers[name] = torch.tensor(value, dtype=torch.float64)
+        return float(formula(numbers))
+
     def _coordinates(self, name: str, group: Mapping[str, str]) -> list[str]:
         """Saved numbers whose sum a name means for a device; none: it is known, or not there."""
         labels = [f"[{fact}={label}]" for fact, label in group.items()]
         wanted = [name, f"{name}.{ALL}"]
         wanted += [f"{name}{dot}{label}" for label in labels for dot in ("", ".")]
         return [c for c in wanted if c in self.saved.values]
+
+
+def _list_stribeck_speeds(frame: Mapping[str, Any]) -> dict[str, float]:
+    """Speed above which Stribeck friction at a place has gone, as its cause has it."""
+    plain = frame.get(SCALES, {}).get("plain", {})
+    return {
+        f"stribeck_speed_at_{place}": STRIBECK * float(scale["velocity"])
+        for place, scale in plain.items()
+        if isinstance(scale, Mapping) and "velocity" in scale
+    }
 
 
 def _groups(study: Study, facts: Sequence[str]) -> list[dict[str, str]]:

@@ -153,6 +153,8 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
     else:
         least = sorted(verdict.smallest_visible.items(), key=lambda item: item[1])[:4]
         out.append("  smallest visible: " + ", ".join(f"{c} {v:.2g}" for c, v in least))
+    if verdict.set_aside:
+        out.append(f"  set aside: {'; '.join(verdict.set_aside)}")
     return out
 
 

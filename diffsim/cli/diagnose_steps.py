@@ -1,4 +1,4 @@
-"""The steps of ``diffsim diagnose init|check|fit|explain|extend|judge|faults|next STUDY``."""
+"""The steps of ``diffsim diagnose STEP STUDY``; those about a task are in ``diagnose_task``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_check import certain_faults, check, not_used, require_ready
-from diffsim.cli.diagnose_export import EXPORT_FILE, constants_of, notes_of
+from diffsim.cli.diagnose_export import EXPORT_FILE, constants_of, notes_of, say_interval
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_files import (
     INPUTS_FILE,
@@ -28,6 +28,7 @@ from diffsim.cli.diagnose_judged import write_judged
 from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
 from diffsim.cli.diagnose_task import command, worth
+from diffsim.cli.export_targets import export_to, only_target
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -40,13 +41,12 @@ from diffsim.diagnose.judge.apart import apart_words
 from diffsim.diagnose.judge.described import require_same_kind
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.own_values import OwnRow, own_words
-from diffsim.diagnose.judge.records import Interval, OutsideRow, band_words, no_skill_words
+from diffsim.diagnose.judge.records import OutsideRow, band_words, no_skill_words
 from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
 from diffsim.diagnose.say.report import Report
-from diffsim.diagnose.say.wording import ends
 from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended
 from diffsim.identify.numerics import Numerics
 
@@ -356,6 +356,9 @@ def _tell_outside(name: str, rows: Sequence[OutsideRow]) -> None:
 def _faults(args: argparse.Namespace) -> None:
     """Verdict on every group of runs, new ones included."""
     study = with_new(args.study, args.new, dict(args.fact))
+    if not args.accept_record and (faults := certain_faults(study)):
+        _blame_record(study, faults, args.out or Path(DIAGNOSES) / study.name)
+        return
     require_ready(study, args.study, plan=False, accept_record=args.accept_record)
     out = args.out or Path(DIAGNOSES) / study.name
     groups = args.groups or new_labels(len(args.new))
@@ -379,19 +382,20 @@ def _export(args: argparse.Namespace) -> None:
     study = read_study(args.study)
     out = args.out or Path(DIAGNOSES) / study.name
     saved = read_extended(args.saved or out)
-    found = constants_of(study, saved)
+    chosen = study if args.to is None else only_target(study, args.to)
+    found = constants_of(chosen, saved) if args.to is None or chosen.export else []
     print(f"verdict: {saved.verdict}; value (90 % interval)")
     for exported in found:
         print(f"{exported.title}:")
         for name, constant in exported.constants.items():
-            is_known = constant.low == constant.high
-            interval = "" if is_known else f" ({ends(Interval(*constant))})"
-            print(f"  {name:<24} {constant.value:>12.6g}{interval}")
+            print(f"  {name:<24} {constant.value:>12.6g}{say_interval(constant)}")
         print(f"wrote {write_json_atomic(out / f'{exported.stem}.json', exported.values())}")
-    for note in notes_of(study, saved):
+    for note in notes_of(chosen, saved):
         print(note)
     ranges = {exported.stem: exported.ranges() for exported in found}
     print(f"wrote {write_json_atomic(out / EXPORT_FILE, ranges)}")
+    if args.to is not None:
+        export_to(args.to, study, saved, out)
 
 
 def _next(args: argparse.Namespace) -> None:

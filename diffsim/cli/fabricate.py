@@ -25,16 +25,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def command(args: argparse.Namespace) -> None:
-    """Plan the fabrication, write its page and files, print the sums."""
+    """Plan the fabrication, write its files and, where pictures can be drawn, its page."""
     from diffsim.copter import load_design
     from diffsim.copter.fabrication import Printer, plan
-    from diffsim.core.optional import ask_for
-    from diffsim.viz.fabrication_page import write_fabrication
+    from diffsim.copter.fabrication.files import write_plan
+    from diffsim.core.optional import advice, present
 
-    ask_for(["matplotlib", "jinja2"], purpose="the page of a fabrication")
     design = load_design(args.design)
     made = plan(design, stock=args.stock, kerf=args.kerf, printer=Printer(bed=tuple(args.bed)))
-    page = write_fabrication(made, args.out or Path("runs/fabricate") / design.name)
+    folder = args.out or Path("runs/fabricate") / design.name
+    lacks = [name for name in ("matplotlib", "jinja2") if not present(name)]
+    if lacks:
+        write_plan(made, folder)
+    else:
+        from diffsim.viz.fabrication_page import write_fabrication
+
+        write_fabrication(made, folder)
     prints = sum(len(p.names) for p in made.printed if p.process == "print")
     print(
         f"{design.name}: {1e3 * made.mass:.0f} g, {made.price:.0f} EUR, "
@@ -42,4 +48,6 @@ def command(args: argparse.Namespace) -> None:
     )
     for problem in made.problems:
         print(f"problem: {problem}")
-    print(f"page: {page}")
+    print(f"plan: {folder}" if lacks else f"page: {folder / 'index.html'}")
+    if lacks:
+        print(f"no page with pictures: {advice(lacks)}")

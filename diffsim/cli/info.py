@@ -16,11 +16,17 @@ HELP = "versions, extras, processor, data folder"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Take no arguments."""
+    """Arguments of ``diffsim info``."""
+    parser.add_argument(
+        "--skill", action="store_true", help="print SKILL.md: how a language model works with this"
+    )
 
 
-def command(_args: argparse.Namespace) -> None:
-    """Print versions, the compiled core in use, and where data is looked for."""
+def command(args: argparse.Namespace) -> None:
+    """Print versions, the compiled core in use, and where data is looked for; or the skill."""
+    if args.skill:
+        print((Path(__file__).parents[1] / "SKILL.md").read_text("utf-8"), end="")
+        return
     rows = [("diffsim", __version__), ("python", platform.python_version())]
     for name in ("torch", "numpy", "scipy"):
         try:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from diffsim.cli import (
     convert,
+    data_sets,
     demo,
     devices,
     diagnose,
@@ -48,6 +49,7 @@ COMMANDS = {
     "fabricate": fabricate,
     "track": track,
     "convert": convert,
+    "data": data_sets,
     "devices": devices,
     "serve": serve,
     "fit-rotors": fit_rotors,

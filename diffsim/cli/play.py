@@ -41,15 +41,17 @@ def command(args: argparse.Namespace) -> None:
         ImportError: a package is missing; the message says how to install it.
         ValueError: no controller of this name.
     """
+    if args.name is None and args.file is None:
+        from diffsim.learn.kept_files import about, trained_names
+
+        for name in trained_names():
+            said = about(name)
+            print(f"{name:<14} reward {said['reward']:.3f} a step; {said['made_by']}")
+        return
     film = [] if args.no_film else ["matplotlib"]  # which brings Pillow
     ask_for(["gymnasium", *film], purpose="diffsim play")
-    from diffsim.learn.trained import load_trained, read_trained, trained_names
+    from diffsim.learn.trained import load_trained, read_trained
 
-    if args.name is None and args.file is None:
-        for name in trained_names():
-            kept = load_trained(name)
-            print(f"{name:<14} reward {kept.reward:.3f} a step; {kept.made_by}")
-        return
     kept = load_trained(args.name) if args.file is None else read_trained(args.file)
     folder = args.out / kept.label
     folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written costs no episode

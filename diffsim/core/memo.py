@@ -65,7 +65,7 @@ def memo_field(most: int = MOST_KEPT) -> Any:
     return field(default_factory=partial(Memo, most), init=False, repr=False, compare=False)
 
 
-class LaidAside:
+class SpilledArray:
     """An array that is read from a file each time it is asked for, to the same bits.
 
     It stays in memory where no file can be written.
@@ -110,7 +110,7 @@ class LaidAside:
         mapped = np.load(self._path, mmap_mode="r", allow_pickle=False)
         return np.array(mapped[rows], order="K")
 
-    def __reduce__(self) -> tuple[type[LaidAside], tuple[Array]]:
+    def __reduce__(self) -> tuple[type[SpilledArray], tuple[Array]]:
         return type(self), (self.array(),)  # another process, or a copy, has a file of its own
 
 
@@ -121,9 +121,9 @@ def _give_back() -> None:
         trim(0)
 
 
-def laid_aside(array: Array) -> Array | LaidAside:
+def spill(array: Array) -> Array | SpilledArray:
     """A large array in a file, a small one as it is."""
-    return array if array.nbytes < LARGE else LaidAside(array)
+    return array if array.nbytes < LARGE else SpilledArray(array)
 
 
 class Aside:
@@ -136,11 +136,11 @@ class Aside:
         if instance is None:
             raise AttributeError(self._place)  # to a dataclass: there is no default
         value = instance.__dict__[self._place]
-        return value.array() if isinstance(value, LaidAside) else value
+        return value.array() if isinstance(value, SpilledArray) else value
 
     def __set__(self, instance: Any, value: Any) -> None:
         dense = isinstance(value, np.ndarray)
-        instance.__dict__[self._place] = laid_aside(value) if dense else value
+        instance.__dict__[self._place] = spill(value) if dense else value
 
 
 _at_hand: Memo[Array] = Memo(AT_HAND)

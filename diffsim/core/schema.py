@@ -38,13 +38,14 @@ class KindWords:
     words: str
 
 
-MOST = 1_000_000  # of a whole number for which its key states no other bound
+MAX_WHOLE_NUMBER = 1_000_000  # of a whole number for which its key states no other bound
 
 
 class Part(BaseModel):
     """A block of a file: immutable, and a key that it does not know is an error.
 
-    Whole numbers are counts of something that is made: beyond ``MOST`` they are refused.
+    Whole numbers are counts of something that is made: beyond ``MAX_WHOLE_NUMBER`` they are
+    refused.
     """
 
     model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
@@ -66,8 +67,8 @@ class Part(BaseModel):
     def _bounded_counts(self) -> Part:
         for name in _counts_without_bound(type(self)):
             for count in _whole_numbers(getattr(self, name)):
-                if abs(count) > MOST:
-                    raise ValueError(f"{name} must be at most {MOST:,}, got {count:,}")
+                if abs(count) > MAX_WHOLE_NUMBER:
+                    raise ValueError(f"{name} must be at most {MAX_WHOLE_NUMBER:,}, got {count:,}")
         return self
 
 
@@ -99,8 +100,8 @@ def _whole_numbers(value: Any) -> Iterator[int]:
 
 
 def _few_cells(counts: Any) -> Any:
-    if math.prod(counts) > MOST:
-        raise ValueError(f"at most {MOST:,} cells, got {' x '.join(map(str, counts))}")
+    if math.prod(counts) > MAX_WHOLE_NUMBER:
+        raise ValueError(f"at most {MAX_WHOLE_NUMBER:,} cells, got {' x '.join(map(str, counts))}")
     return counts
 
 

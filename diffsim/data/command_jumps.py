@@ -17,11 +17,11 @@ from diffsim.data.steps import rest_and_jump
 
 Array = NDArray[np.float64]
 WIDTH = 5  # samples whose median is compared with: what lasts longer than two is no outlier
-FAR = 6.0  # robust sd of what others are off by, and usual changes from sample to sample
+JUMP_SD = 6.0  # robust sd of what others are off by, and usual changes from sample to sample
 LEAST = 0.02  # of the command's range
 ALONE = 6.0  # times the changes on either side of a lasting jump
 GAP = 1.5  # usual time steps
-MOST = 0.03  # share of the samples; more are how the command is
+MAX_JUMP_SHARE = 0.03  # share of the samples; more are how the command is
 
 
 class Jumps(NamedTuple):
@@ -58,16 +58,16 @@ def jumps_of(
     usual = max(1.4826 * float(np.median(away)), float(np.median(change)), noise)
     if not usual > 0.0:  # it rests but for what was commanded
         return Jumps([], [], 0.0)
-    back = np.flatnonzero(away > max(FAR * usual, least))
+    back = np.flatnonzero(away > max(JUMP_SD * usual, least))
     lasting = np.empty(0, dtype=np.int64)
     if is_measured:
-        lasting = _lasting(change, max(FAR * float(np.median(change)), least))
+        lasting = _lasting(change, max(JUMP_SD * float(np.median(change)), least))
         if times is not None:
             step = np.diff(np.asarray(times)[valid])
             lasting = lasting[step[lasting - 1] < GAP * np.median(step)]
         near = np.abs(lasting[:, None] - back[None, :]).min(axis=1, initial=len(seen)) > 1
         lasting = lasting[near]
-    if len(back) + len(lasting) > MOST * len(seen):
+    if len(back) + len(lasting) > MAX_JUMP_SHARE * len(seen):
         return Jumps([], [], 0.0)
     sizes = [*away[back], *change[lasting - 1]]
     return Jumps(valid[back].tolist(), valid[lasting].tolist(), float(max(sizes, default=0.0)))

@@ -46,7 +46,8 @@ class FaultKeys(Part):
 
     per: str = Field(
         "group",
-        description="Fact of the runs: runs with one value of it had the same fault on one day",
+        description="Fact of the runs: runs with one value of it had the same fault on one day; "
+        "`run`: each run for itself",
     )
     state: str | None = Field(
         None,
@@ -61,9 +62,18 @@ class FaultKeys(Part):
     )
     known: KnownFaults = Field(description="Groups that are sound, or changed in a known way")
     together: tuple[str, ...] = Field(
-        (), description="Causes that may come together; each other cause comes alone"
+        (),
+        description="Causes that may come together; each other cause comes alone. Default: none "
+        "may, or all where `max_causes` is stated",
     )
-    max_causes: int = Field(2, ge=1, le=20, description="Most causes in one group")
+    max_causes: int | None = Field(
+        None, ge=1, le=20, description="Most causes in one group; default: 2 of those in `together`"
+    )
+    sizes: dict[str, float] = Field(
+        {},
+        description="Causes whose size is known, in their unit: {stuck: 1} of what is stuck or is "
+        "not. They are judged at this size alone",
+    )
     sound: float = Field(
         0.5, gt=0, lt=1, description="Probability that a group is sound, before it is seen"
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from itertools import starmap
 
 import numpy as np
@@ -23,7 +24,7 @@ WINDOW, DEGREE = 11, 3  # samples and degree of the smooth motion
 SHORTEST, LONGEST = 0.3, 2.5  # periods that are looked for, in usual steps between samples
 FINE = 4.0  # beats that are tried per one over a record's duration
 TINY = 1e-300  # keeps ratios of nothing finite
-MOST = 4  # records in which the period is looked for: those that move most
+MAX_PERIOD_RECORDS = 4  # records in which the period is looked for: those that move most
 CANDIDATES = 3  # beats whose sawteeth are tried
 PHASES = 24  # that are tried of a record
 PART = 800  # samples of a record that are looked at first
@@ -38,7 +39,7 @@ class _Lags:
     """How readings differ from a smooth motion.
 
     Attributes:
-        times: (num_samples,) [s].
+        times: Times of the samples, (num_samples,) [s].
         velocity: Of the smooth motion [reading/s].
         off: Readings less the smooth motion.
     """
@@ -85,9 +86,24 @@ class _Lags:
 
 def _smooth(values: Array, derivative: int = 0) -> Array:
     """Local cubics through evenly spaced values, (..., num_samples), or their slopes per sample."""
+    from scipy.ndimage import correlate1d  # dear to load
+
+    within = _smoother(derivative)
+    half = WINDOW // 2
+    out = np.asarray(correlate1d(values, within[half], axis=-1))
+    out[..., :half] = values[..., :WINDOW] @ within[:half].T
+    out[..., -half:] = values[..., -WINDOW:] @ within[-half:].T
+    return out
+
+
+@cache
+def _smoother(derivative: int) -> Array:
+    """What ``WINDOW`` values make of each of them: the middle row holds anywhere, those before and
+    after it at the ends of a record. A filter made for each call fits the ends anew each time."""
     from scipy.signal import savgol_filter  # dear to load
 
-    return np.asarray(savgol_filter(values, WINDOW, DEGREE, deriv=derivative))
+    made = savgol_filter(np.eye(WINDOW), WINDOW, DEGREE, deriv=derivative, axis=0)
+    return np.asarray(made)
 
 
 def age(times: Array, period: float, phase: float | Array) -> Array:
@@ -146,7 +162,7 @@ def _best_period(records: Iterable[tuple[Array, Array]]) -> tuple[float, float] 
     found = sorted(
         (lags for lags in starmap(_Lags.of, records) if lags is not None and lags.moves > 0.0),
         key=lambda lags: -lags.moves,
-    )[:MOST]
+    )[:MAX_PERIOD_RECORDS]
     if not found:
         return None
     step = float(np.mean(np.diff(found[0].times)))

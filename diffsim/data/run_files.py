@@ -205,9 +205,11 @@ class RunReader:
         raw: dict[str, tuple[str, Array]] = {}
         channels = [self._values(c, entry, samples, raw) for c in self.study.channels]
         measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))
-        if entry.missing_if is not None:
-            measured[samples.formula(entry.missing_if) != 0.0] = np.nan
         command = {c.name: self._values(c, entry, samples, raw) for c in self.study.commands}
+        if entry.missing_if is not None:
+            named = {c.name: v for c, v in zip(self.study.channels, channels, strict=True)}
+            stated = {name: partial(np.copy, v) for name, v in {**named, **command}.items()}
+            measured[samples.formula(entry.missing_if, stated) != 0.0] = np.nan
         columns = {
             name: values
             for name, values in numeric_columns(samples).items()
@@ -377,7 +379,7 @@ def _use_of(stated: str | Mapping[str, Sequence[str]], piece: Piece, where: str)
     uses = [use for use, given in stated.items() if any(_is_meant(v, piece.labels) for v in given)]
     if len(uses) > 1:
         raise ValueError(f"{where}.use: run {piece.run.name} is both {' and '.join(uses)}")
-    return uses[0] if uses else "fit"
+    return uses[0] if uses else "test" if "fit" in stated else "fit"
 
 
 def _place_runs(

@@ -42,7 +42,7 @@ def rounding_sd(readings: Array) -> float:
 
 RESTS = 0.5  # share of steps without a change from which on a column is one that rests
 ISOLATED = 0.8  # share of changes that stand alone: jumps, no ramps
-FEWEST = 3  # samples
+MIN_STEP_SAMPLES = 3  # samples
 
 
 def rest_and_jump(columns: Iterable[ArrayLike]) -> bool:
@@ -85,12 +85,12 @@ def moves_on(runs: Iterable[Run], commands: Sequence[str]) -> bool:
     """
     seen = [run.command for run in runs if run.use in ("fit", "select")]
     columns = [np.asarray(c[name]) for c in seen for name in commands if name in c]
-    return any(len(c) >= FEWEST and np.mean(np.diff(c) != 0.0) > RESTS for c in columns)
+    return any(len(c) >= MIN_STEP_SAMPLES and np.mean(np.diff(c) != 0.0) > RESTS for c in columns)
 
 
 def _changes(column: NDArray[np.float64]) -> tuple[int, int]:
     """Number of changes of a column that rests, and how many of them stand alone."""
-    if len(column) < FEWEST:
+    if len(column) < MIN_STEP_SAMPLES:
         return 0, 0
     changed = np.diff(column) != 0.0
     if 1.0 - changed.mean() < RESTS:

@@ -143,7 +143,8 @@ def _root(path: Path, stated: StudyFile) -> Path:
     if found is None:
         raise FileNotFoundError(
             f"{path}: data: no folder {stated.data} beside the study, and no published data set "
-            "of that name is on this machine; set DIFFSIM_DATA to the folder that holds it"
+            "of that name is on this machine; `diffsim data get "
+            f"{stated.data}` says from where, or set DIFFSIM_DATA to the folder that holds it"
         )
     return found
 

@@ -310,8 +310,8 @@ class RunKeys(Part):
     use: UseOfRuns = Field(
         "fit",
         description="fit, select (chooses between causes) or test (touched once, at the end); or "
-        "a mapping of uses to values of `split` or names of runs, others are fit: "
-        "{test: [7, 9], select: [3]}",
+        "a mapping of uses to values of `split` or names of runs; others are fit, or test where "
+        "those to fit are listed: {test: [7, 9], select: [3]}, {fit: [1, 2]}",
     )
     setup: dict[str, Any] = Field(
         {},
@@ -342,7 +342,9 @@ class RunKeys(Part):
     )
     average: bool = Field(False, description="Whether `every` n samples are averaged into one")
     missing_if: Formula | None = Field(
-        None, description="Where this formula is true, nothing was measured"
+        None,
+        description="Where this formula is true, nothing was measured; of columns, facts, and "
+        "channels and commands in SI units",
     )
     duplicates: Duplicates | None = Field(
         None,

@@ -7,19 +7,21 @@ order:
    and causes: ``cli/diagnose_inputs``.
 2. What is fitted: ``identify/model``, ``effect``, ``sizes``, ``problem``, ``jacobian``,
    ``linearization``, ``fitting``, ``unknown``.
-3. The pipeline, in the order of its steps: ``diagnose/diagnosis``. Each of the four folders below
+3. The pipeline, in the order of its steps: ``diagnose/diagnosis``. Each of the five folders below
    imports only from those before it.
 4. ``checks``: ``gates`` (data), ``numerics`` (steps, mesh, tolerance), ``gradients``, ``noise``
    (the noise floor and its whitening).
 5. ``search``: ``fit``, ``gauss_newton`` (the plain model, by Gauss-Newton in a trust region),
    ``evidence``, ``optimum``, ``simulations``, ``fitted_sets``, ``search``, ``scan`` (Laplace
    evidence of sets of effects, and what was simulated for it).
-6. ``judge``: ``judge`` (one verdict; unknown causes face the repeats, ``crosscheck``, names face
+6. ``discover``: ``stage``, ``screen``, ``forms`` (a law that nobody listed, where the answer leaves
+   room for one).
+7. ``judge``: ``judge`` (one verdict; unknown causes face the repeats, ``crosscheck``, names face
    runs that were not fitted, ``gain`` and ``left_out``), ``averaging``, ``stand_ins``,
    ``data_sheet``, ``preconditions`` (of "certain"), ``ranges`` (what is saved), ``apart`` (of
    devices). The answer is frozen here. Test runs are looked at once: ``unseen``; new runs later:
    ``frozen``.
-7. ``say``: ``causes`` (a verdict per cause), ``headline``, ``wording``, ``tables``, ``assemble``,
+8. ``say``: ``causes`` (a verdict per cause), ``headline``, ``wording``, ``tables``, ``assemble``,
    ``report``, ``force_map``: the answer as it is read and saved.
 
 ``faults`` is a way of its own through the same parts: groups of runs with a fault each.

@@ -28,7 +28,7 @@ from diffsim.diagnose.checks.gates import (
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
-from diffsim.diagnose.discover.answer import with_laws_said
+from diffsim.diagnose.discover.answer import in_words, with_laws_said
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
@@ -57,7 +57,7 @@ from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.linearization import residuals_by_run
+from diffsim.identify.linearization import linearization_at, residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import PredictionError
 from diffsim.identify.setup import LawPort
@@ -127,8 +127,10 @@ def diagnose(
             answer = _with_laws(asked, answer, laws, found, budget)
     frozen = answer.frozen
     # only now test runs are looked at, once
-    report = tested(frozen, study, seed)
-    return report if found is None else with_laws_said(report, found)
+    if found is None:
+        return tested(frozen, study, seed)
+    names = {law.name for law in found.laws}
+    return with_laws_said(tested(in_words(frozen, found), study, seed, names), found)
 
 
 def diagnosed(
@@ -417,7 +419,7 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
             break
         case = replace(null.case, correction=new)
         if case.store is not None:
-            case = replace(case, store=case.store.beside(f"renewed{round_}"))
+            case = replace(case, store=case.store.sibling(f"renewed{round_}"))
         at = replace(null.at, record=null.at.record + change)
         ended = gauss_newton(case.problem(null.noise.whitener), at)
         null = Null(case, null.noise, *ended, null.num_spikes, null.num_misread)
@@ -513,7 +515,13 @@ def _check_null(
         case = replace(case, store=Store(cache, _key(case), case.model.simulations))
     null = replace(null, case=case)
     simulations = Simulations(null.wide, case.store).under(null)
-    at, simulations = simulations.screen(NONE, None)
+    try:
+        at, simulations = simulations.screen(NONE, None)
+    except PredictionError:
+        null = _without_unsimulable(null)
+        case = null.case
+        simulations = Simulations(null.wide, case.store).under(null)
+        at, simulations = simulations.screen(NONE, None)
     center = simulations.center(NONE, at, 1)
     spent = case.model.simulations.since(case.begun).steps
     share = GRADIENT_SHARE if once == 0.0 else FIRST_SHARE * GRADIENT_SHARE
@@ -525,6 +533,24 @@ def _check_null(
     )
     case.progress("checks", 0.25, "gradients are checked")
     return null, Checks(gates, changes, center), simulations
+
+
+def _without_unsimulable(null: Null) -> Null:
+    """Without candidates that cannot be moved at all at the plain fit: the others can be judged.
+
+    Their usual sizes come of the plain model's motion at its data sheet, which a fit may have made
+    several times as large.
+    """
+    kept, unmet = [], dict(null.case.unmet)
+    for effect in null.case.effects:
+        problem = replace(null.fit.problem, effects=(effect,))
+        x = np.concatenate([null.at.x, np.zeros(len(effect.components))])
+        try:
+            linearization_at(problem, x, problem.columns_of(effect), screen=True)
+            kept.append(effect)
+        except PredictionError:
+            unmet[effect.name] = "at the plain fit not even a small size of it can be simulated"
+    return replace(null, case=replace(null.case, effects=tuple(kept), unmet=unmet))
 
 
 def _judge_search(

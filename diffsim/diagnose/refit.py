@@ -36,7 +36,7 @@ from diffsim.identify.numerics import Numerics
 Array = NDArray[np.float64]
 CORRELATED = 0.8
 EXTEND_FILE = "extend.json"  # beside the model that it writes
-SETTLED = ("none", "data_sheet", "named", DESCRIBED)  # verdicts that may leave nothing open
+CLOSED_VERDICTS = ("none", "data_sheet", "named", DESCRIBED)  # verdicts that may leave nothing open
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +245,7 @@ def advise_narrowing(
         None where there is no bank of runs, nothing to narrow, or something is open.
     """
     setup, named = inputs.setup, report["named"]
-    if report["verdict"] not in SETTLED or not setup.bank:
+    if report["verdict"] not in CLOSED_VERDICTS or not setup.bank:
         return None
     by_name = {e.name: e for e in setup.effects}
     effects = [by_name[require_choice("effect", name, by_name)] for name in named]

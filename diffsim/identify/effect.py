@@ -133,7 +133,7 @@ class Effect:
 
         Args:
             scene: What the model's ``build`` made for the run.
-            size: (..., num_components) [unit].
+            size: Size of the effect, (..., num_components) [unit].
             run: Run that is simulated.
             values: Values of the base parameters by name, (...) each.
         """

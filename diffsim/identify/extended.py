@@ -122,7 +122,9 @@ def extended_model(fit: Fit) -> ExtendedModel:
         A model whose base parameters are the old ones, then the sizes ("wind.x").
     """
     problem = fit.problem
-    return extended_at(problem.model, problem.effects, fit.values, fit.sd, problem.stands_for)
+    return extended_at(
+        problem.model, problem.effects, fit.values, fit.sd, problem.reference_numerics
+    )
 
 
 def extended_at(

@@ -171,7 +171,11 @@ def save_extended(
         "model": problem.model.name,
         "study": study.name,
         "verdict": verdict,
-        **({} if problem.stands_for is None else {"numerics": asdict(problem.stands_for)}),
+        **(
+            {}
+            if problem.reference_numerics is None
+            else {"numerics": asdict(problem.reference_numerics)}
+        ),
         "prepared_at": None
         if prepared is None
         else dict(zip(problem.names, prepared.tolist(), strict=False)),

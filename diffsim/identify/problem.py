@@ -159,7 +159,7 @@ class Problem(Coordinates, WhitenedRuns):
     memo: Memo[Any] = memo_field(_MOST_KEPT)
 
     @property
-    def stands_for(self) -> Numerics | None:
+    def reference_numerics(self) -> Numerics | None:
         """Numerical settings that the records stand for: those of the simulations, or the finer
         ones that these are corrected by; None: the model's own."""
         return self.numerics if self.correction is None else self.correction.finest

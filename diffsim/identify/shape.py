@@ -32,7 +32,7 @@ class MovingShape:
 
         Args:
             places_m: Their centers, z up, (num_samples, num_balls, 3) [m].
-            radii_m: (num_balls,) [m].
+            radii_m: Radius of each ball, (num_balls,) [m].
         """
         import trimesh  # takes longer to load than all of this room
 

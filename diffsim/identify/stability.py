@@ -11,7 +11,7 @@ from diffsim.data.study import Run
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 
-FAR = 1e6  # times what was measured: no guess is that wrong
+MAX_GUESS_RATIO = 1e6  # times what was measured: no guess is that wrong
 
 
 def runs_away(model: SimModel, runs: Iterable[Run], numerics: Numerics | None = None) -> bool:
@@ -26,7 +26,7 @@ def runs_away(model: SimModel, runs: Iterable[Run], numerics: Numerics | None = 
         with torch.no_grad():
             predicted = model.predict(run, model.at_prior(), numerics=numerics)
         seen = np.nanmax(np.abs(run.measured), axis=0, initial=0.0)
-        most = torch.from_numpy(np.where(seen > 0.0, FAR * seen, np.inf))
+        most = torch.from_numpy(np.where(seen > 0.0, MAX_GUESS_RATIO * seen, np.inf))
         if not bool((torch.isfinite(predicted) & (predicted.abs() <= most)).all()):
             return True
     return False

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from diffsim.learn import open_loop
     from diffsim.learn.cma_es import CmaLearner, CmaOptions
     from diffsim.learn.gradient import GradientLearner, GradientOptions
+    from diffsim.learn.kept_files import trained_names
     from diffsim.learn.methods import METHODS, Plan, make_learner
     from diffsim.learn.mixed import MixedLearner, MixedOptions
     from diffsim.learn.options import main_training
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from diffsim.learn.setup import Setup
     from diffsim.learn.shac import ShacLearner, ShacOptions
     from diffsim.learn.tqc import TqcLearner, TqcOptions
-    from diffsim.learn.trained import Trained, load_trained, read_trained, trained_names
+    from diffsim.learn.trained import Trained, load_trained, read_trained
 
 _WHERE = {
     "CmaLearner": "cma_es",
@@ -63,7 +64,7 @@ _WHERE = {
     "read_trained": "trained",
     "recipe": "recipes",
     "train": "run",
-    "trained_names": "trained",
+    "trained_names": "kept_files",
 }
 if not TYPE_CHECKING:  # to a type checker, any name would be one
     __getattr__, __dir__ = offered(__name__, {n: f"{__name__}.{m}" for n, m in _WHERE.items()})

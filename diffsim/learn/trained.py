@@ -11,7 +11,6 @@ import io
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,10 +25,10 @@ from diffsim.core.files import to_plain, write_bytes_atomic
 from diffsim.envs.registry import make_task
 from diffsim.envs.task import Task, TaskState
 from diffsim.envs.task_file import require_unchanged, task_label
+from diffsim.learn.kept_files import ABOUT, FOLDER, trained_names
 from diffsim.learn.setup import EVALUATION_SEED
 
-FOLDER = Path(str(files("diffsim.learn").joinpath("controllers")))
-_ABOUT, _WHOLE = "about", ("normalizer.count",)
+_WHOLE = ("normalizer.count",)
 
 
 @dataclass(frozen=True)
@@ -125,11 +124,6 @@ def replay(trained: Trained, task: Task) -> Replay:
     return Replay(states, torch.stack(commands), torch.stack(rewards))
 
 
-def trained_names() -> list[str]:
-    """Names of the controllers that come with the package."""
-    return sorted(path.stem for path in FOLDER.glob("*.npz"))
-
-
 def load_trained(name: str) -> Trained:
     """A controller that comes with the package.
 
@@ -154,8 +148,8 @@ def read_trained(path: str | Path) -> Trained:
     """
     try:
         with np.load(path, allow_pickle=False) as content:
-            about = json.loads(str(content[_ABOUT]))
-            state = {name: content[name] for name in content.files if name != _ABOUT}
+            about = json.loads(str(content[ABOUT]))
+            state = {name: content[name] for name in content.files if name != ABOUT}
         return Trained(state=state, folder=Path(path).parent, **about)
     except OSError:
         raise
@@ -171,7 +165,7 @@ def write_trained(path: str | Path, trained: Trained) -> Path:
     aside = ("state", "folder")
     about = {name: value for name, value in asdict(trained).items() if name not in aside}
     content = io.BytesIO()
-    arrays: dict[str, Any] = {_ABOUT: np.array(json.dumps(to_plain(about))), **trained.state}
+    arrays: dict[str, Any] = {ABOUT: np.array(json.dumps(to_plain(about))), **trained.state}
     np.savez_compressed(content, **arrays)
     return write_bytes_atomic(Path(path), content.getvalue())
 

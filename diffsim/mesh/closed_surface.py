@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from diffsim.core.errors import MeshError
+from diffsim.mesh.crossings import crossing_triangles
 from diffsim.mesh.reference import Array, IntArray
+from diffsim.mesh.surface_bodies import enclosed_volume, refuse_crossings
 from diffsim.mesh.surface_check import check_indices
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
     Raises:
         TypeError: neither a trimesh nor a path.
         MeshError: faces of vertices that there are not, open edges, edges of more than two
-            triangles, inconsistent orientation, no volume.
+            triangles, inconsistent orientation, no volume, triangles that cross.
     """
     import trimesh
 
@@ -50,10 +52,14 @@ def closed_surface(surface: SurfaceLike) -> tuple[Array, IntArray]:
     faces = inverse.reshape(-1)[np.asarray(surface.faces, np.int64)]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     _check_closed(faces, len(x))
-    volume = np.linalg.det(x[faces] - x.mean(axis=0)).sum() / 6.0
+    volume = enclosed_volume(x, faces)
     extent = x.max(axis=0) - x.min(axis=0)
     if abs(volume) <= 1e-12 * float(extent.max()) ** 3:
-        raise MeshError(f"the surface encloses no volume ({volume:.3g} m^3)")
+        raise MeshError(
+            f"the surface encloses no volume ({volume:.3g} m^3): it is flat, or parts that are "
+            "turned against each other cancel"
+        )
+    refuse_crossings(x, faces, crossing_triangles(x, faces))
     return x, faces if volume > 0 else faces[:, ::-1]
 
 

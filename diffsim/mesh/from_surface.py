@@ -4,43 +4,52 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
+from typing import TypeVar
 
 import numpy as np
 import torch
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.errors import MeshError
 from diffsim.core.optional import optional
 from diffsim.core.record import warn
 from diffsim.mesh.closed_surface import SurfaceLike, closed_surface
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance
 from diffsim.mesh.inside import grid_inside
+from diffsim.mesh.measure import total_volume
 from diffsim.mesh.reference import Array, IntArray
 from diffsim.mesh.repair import flip_inverted, remove_degenerate
 from diffsim.mesh.stuffing import fill
+from diffsim.mesh.surface_bodies import count_bodies, enclosed_volume
 from diffsim.mesh.voxels import ask_for_unit, grid, hex_from_mask
 
+Filled = TypeVar("Filled", HexMesh, TetMesh)
+VOLUME_ERROR = 0.01  # of a mesh, above which it is said: mass and stiffness follow
 FINEST = 1e-4  # spacing over the diagonal: some 1e12 elements, more than a memory holds
 
 
-def voxelize(surface: SurfaceLike, spacing: float, keep: str = "largest") -> HexMesh:
+def voxelize(surface: SurfaceLike, spacing: float, keep: str | None = None) -> HexMesh:
     """Cubes whose center lies inside a closed surface.
 
     Args:
         surface: A watertight `trimesh.Trimesh`, or the path of a surface file in meters.
         spacing: Edge length of the cubes [m]; the grid is centered on the bounding box.
         keep: "largest": only the largest part that hangs together through faces; "all". Cubes
-            that hang on by a mere edge or node are dropped either way.
+            that hang on by a mere edge or node are dropped either way. Not given: as "largest"
+            of one body; several are refused.
 
     Raises:
-        MeshError: the surface is not closed, or no center is inside.
+        MeshError: the surface is not closed, crosses itself, encloses several bodies without
+            ``keep``, or no center is inside.
     """
     spacing = require_number("spacing", spacing, above=0.0)
     x, faces = closed_surface(surface)
+    keep = _choose_bodies(x, faces, keep)
     _, counts = grid([x.min(axis=0).tolist(), x.max(axis=0).tolist()], spacing)
     low = 0.5 * (x.min(axis=0) + x.max(axis=0)) - 0.5 * spacing * counts
     inside = grid_inside(x, faces, low + 0.5 * spacing, spacing, counts)
-    return hex_from_mask(inside, low, spacing, keep)
+    return _warn_of_volume(hex_from_mask(inside, low, spacing, keep), x, faces)
 
 
 def tetrahedralize(
@@ -49,6 +58,7 @@ def tetrahedralize(
     *,
     method: str = "auto",
     tolerance: float | None = None,
+    keep: str | None = None,
 ) -> TetMesh:
     """Tetrahedra that fill a closed surface.
 
@@ -62,10 +72,12 @@ def tetrahedralize(
             is installed and otherwise warns and takes the second.
         tolerance: How far fTetWild may depart from the surface [m]; 1e-3 of the diagonal of the
             bounding box when not given. "stuffing" has no such bound and takes none.
+        keep: "largest" or "all" of several bodies, as in ``voxelize``; fTetWild keeps all.
 
     Raises:
         ImportError: "ftetwild" was asked for and is not installed.
-        MeshError: the surface is not closed.
+        MeshError: the surface is not closed, crosses itself, or encloses several bodies without
+            ``keep``.
         ValueError: "ftetwild" with a spacing above the diagonal of the bounding box, or below 1e-4
             of it.
     """
@@ -86,7 +98,10 @@ def tetrahedralize(
             )
             method = "stuffing"
     if method == "ftetwild":
-        return _ftetwild(*closed_surface(surface), spacing, tolerance)
+        x, faces = closed_surface(surface)
+        if _choose_bodies(x, faces, keep) == "largest" and keep is not None:
+            raise ValueError("keep='largest' is for method='stuffing'; 'ftetwild' keeps all bodies")
+        return _warn_of_volume(_ftetwild(x, faces, spacing, tolerance), x, faces)
     if tolerance is not None:
         raise ValueError(
             "tolerance is for method='ftetwild'; 'stuffing' has no bound, leave it out"
@@ -97,7 +112,34 @@ def tetrahedralize(
     def inside(first: Array, counts: IntArray) -> np.ndarray:
         return grid_inside(distance.x, distance.faces, first, spacing, counts)
 
-    return fill(lambda p: distance(p.numpy()), bounds, spacing, "largest", inside)
+    keep = _choose_bodies(distance.x, distance.faces, keep)
+    filled = fill(lambda p: distance(p.numpy()), bounds, spacing, keep, inside)
+    return _warn_of_volume(filled, distance.x, distance.faces)
+
+
+def _warn_of_volume(mesh: Filled, x: Array, faces: IntArray) -> Filled:
+    """The mesh; a warning where it does not weigh what the surface encloses."""
+    more = float(total_volume(mesh)) / enclosed_volume(x, faces) - 1.0
+    if abs(more) > VOLUME_ERROR:
+        warn(
+            f"the mesh has {100.0 * abs(more):.2g} % {'more' if more > 0 else 'less'} volume, and "
+            "so mass, than its surface encloses; a smaller spacing brings them together",
+            stacklevel=3,
+        )
+    return mesh
+
+
+def _choose_bodies(x: Array, faces: IntArray, keep: str | None) -> str:
+    """Which bodies are filled; several need a choice, so that none is lost in silence."""
+    bodies = count_bodies(x, faces)
+    if keep is not None:
+        return require_choice("keep", keep, ["largest", "all"])
+    if bodies > 1:
+        raise MeshError(
+            f"the surface encloses {bodies} bodies apart from each other: give keep='all' or "
+            "keep='largest', or take one of surface.split()"
+        )
+    return "largest"
 
 
 def _pytetwild() -> ModuleType:

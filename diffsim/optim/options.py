@@ -85,7 +85,7 @@ class Options:
     """Budget, tolerances and failure wall of a search.
 
     Attributes:
-        budget: Largest number of evaluations, iterations and time.
+        budget: Largest number of evaluations and iterations.
         tolerances: Tolerances at which the search has converged.
         wall: Exceptions and values that count as a failed evaluation; None: every exception ends
             the search.

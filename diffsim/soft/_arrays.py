@@ -127,7 +127,7 @@ class EnergyArrays(Arrays):
         weights: Of the solid, (num_weights, num_elements) [Pa], see
             :mod:`diffsim.soft.materials`. These, ``fiber_stiffness``, ``damp_mu`` and
             ``damp_lambda`` may all lead with a batch axis.
-        fiber_stiffness: (num_fibers,) [Pa].
+        fiber_stiffness: Stiffness of each fiber, (num_fibers,) [Pa].
         activation: Target stretch of each fiber, (batch, num_fibers) [-].
         damp_mu, damp_lambda: Weights of damping, (num_elements,) [Pa].
         x_frame: Positions of the frame that damping refers to, (batch, num_nodes, 3) [m].
@@ -161,11 +161,11 @@ class StepArrays(EnergyArrays):
 
     Attributes:
         y: Inertial positions, (batch, num_nodes, 3) [m].
-        force: (batch, num_nodes, 3) [N].
+        force: Force on each node, (batch, num_nodes, 3) [N].
         target: Positions of Dirichlet nodes, (batch, num_nodes, 3) [m].
         guess: Start of the iteration, (batch, num_nodes, 3) [m]; its gradient is zero but in
             linearly implicit steps.
-        inertia: (num_nodes,) [N/m].
+        inertia: Mass over the squared time step of each node, (num_nodes,) [N/m].
     """
 
     y: Tensor = field(metadata=_spec(*NODAL))
@@ -180,10 +180,10 @@ class ContactArrays(Arrays):
     """Half spaces of the nodes that may touch, see :class:`diffsim.contact.ContactPlanes`.
 
     Attributes:
-        normal: (batch, num_contacts, 3) [-].
-        reference: (batch, num_contacts, 3) [m].
-        offset: (batch, num_contacts) [m].
-        friction: (batch, num_contacts) [-].
+        normal: Normal of each contact, (batch, num_contacts, 3) [-].
+        reference: Place that sticking holds each node at, (batch, num_contacts, 3) [m].
+        offset: Least normal displacement of each contact, (batch, num_contacts) [m].
+        friction: Friction coefficient of each contact, (batch, num_contacts) [-].
         force_guess: Contact forces to start from, (batch, num_contacts, 3) [N]; no gradient.
     """
 

@@ -20,7 +20,7 @@ from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError, InvertedElementError
 from diffsim.core.ops import Call
 from diffsim.soft._arrays import StepArrays
-from diffsim.soft.materials import UPRIGHT, small_strain_moduli
+from diffsim.soft.materials import NEEDS_POSITIVE_J, small_strain_moduli
 
 _CACHED_SYSTEMS = 4
 PRECONDITIONERS = ("auto", "constant", "multigrid")
@@ -230,7 +230,7 @@ def require_magnitude(name: str, values: Tensor, bounds: tuple[float, float]) ->
 
 def require_upright(ctx: SoftContext, energy: Tensor, x: Tensor) -> None:
     """Refuse positions (batch, V, 3) [m] at which the energy of an upright material is infinite."""
-    if ctx.material not in UPRIGHT or bool(torch.isfinite(energy).all()):
+    if ctx.material not in NEEDS_POSITIVE_J or bool(torch.isfinite(energy).all()):
         return
     item = int(torch.nonzero(~torch.isfinite(energy))[0, 0])
     count = core.count_inverted(ctx.pattern, x[item].contiguous().data_ptr())

@@ -39,7 +39,7 @@ from diffsim.core.checked import checked
 from diffsim.soft.parameters import Value
 
 MATERIALS = ("pd", "corotated", "stable_neo_hookean", "neo_hookean", "mooney_rivlin", "stvk")
-UPRIGHT = ("neo_hookean", "mooney_rivlin")
+NEEDS_POSITIVE_J = ("neo_hookean", "mooney_rivlin")
 """Materials whose energy is infinite where an element is inverted."""
 CONSTANTS: Mapping[str, tuple[str, ...]] = {"mooney_rivlin": ("second_share",)}
 """What a law reads besides E and nu: fields of :class:`Material` and names that ``body.physics``
@@ -153,7 +153,7 @@ def small_strain_moduli(law: str, weights: Tensor) -> SmallStrain:
 
     Args:
         law: One of ``MATERIALS``.
-        weights: (..., num_weights, num_elements) [Pa].
+        weights: Weights of each element, (..., num_weights, num_elements) [Pa].
 
     Returns:
         2 mu and lambda, (..., num_elements) [Pa]; linear in the weights.

@@ -85,7 +85,7 @@ class PreparedBody:
         weight: Force of gravity, (num_nodes, 3) [N].
         weights: Parameters of the solid as kernels read them, (num_weights, num_elements) [Pa].
         fiber_stiffness: Of each fiber, (num_fibers,) [Pa]; None: it depends on the activation.
-        no_pressure: (num_chambers,) [Pa].
+        no_pressure: Zeros, for chambers without pressure, (num_chambers,) [Pa].
     """
 
     def __init__(self, body: Solid, physics: Physics | None):

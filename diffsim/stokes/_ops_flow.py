@@ -30,7 +30,7 @@ class FlowInputs(NamedTuple):
 
     Attributes:
         phi: Level set, (num_nodes,), > 0 in the fluid.
-        viscosity: (1,) [Pa s].
+        viscosity: Viscosity, (1,) [Pa s].
         prescribed: Velocities, (cases, num_nodes, dim), read at prescribed components [m/s].
         wall_velocity: Velocity of the embedded wall, (1 or cases, num_nodes, dim) [m/s]; empty
             at rest.
@@ -55,8 +55,8 @@ class FlowOutputs(NamedTuple):
     """A solved flow.
 
     Attributes:
-        velocity: (cases, num_nodes, dim) [m/s].
-        pressure: (cases, num_cells) [Pa].
+        velocity: Velocity at each node, (cases, num_nodes, dim) [m/s].
+        pressure: Pressure of each cell, (cases, num_cells) [Pa].
         fraction: Fluid share of every cell, (num_cells,) [-].
         stats: ``STATS`` of every case, (cases, len(STATS)); no gradient.
     """

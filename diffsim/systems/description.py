@@ -160,9 +160,10 @@ def quantities_of(part: Part, prefix: str = "") -> dict[str, Quantity]:
 class EffectChoice(Part):
     """Which candidate causes are judged."""
 
-    only: tuple[str, ...] = Field(
-        (),
-        description="Judge only these of the library, and your own; empty: all of the library",
+    only: tuple[str, ...] | None = Field(
+        None,
+        description="Judge only these of the library, and your own; []: none but your own; "
+        "default: all of the library",
     )
     without: tuple[str, ...] = Field((), description="Leave these out")
     typical: dict[str, float] = Field(
@@ -181,7 +182,7 @@ class EffectChoice(Part):
         return self._with_more(tuple(OwnRow.model_validate(dict(b)) for b in blocks))
 
     def _with_more(self, more: tuple[Any, ...]) -> Self:
-        only = (*self.only, *(b.name for b in more)) if self.only else ()
+        only = (*self.only, *(b.name for b in more)) if self.only is not None else None
         return self.model_copy(update={"own": (*self.own, *more), "only": only})
 
 
@@ -406,15 +407,14 @@ def chosen_effects(
         raise ValueError(
             f"effects.own: there is a cause {repeated[0]!r} already; give yours another name"
         )
-    for key, names in (("only", choice.only), ("without", choice.without)):
+    for key, names in (("only", choice.only or ()), ("without", choice.without)):
         for name in names:
             _require_known(f"effects.{key}", name, known)
     for name in choice.typical:
         _require_known("effects.typical", name, known)
-    asked = {*choice.only, *(row.name for row in choice.own)}
-    kept = [
-        e for e in library if (not choice.only or e.name in asked) and e.name not in choice.without
-    ]
+    is_open = choice.only is None
+    asked = {*(choice.only or ()), *(row.name for row in choice.own)}
+    kept = [e for e in library if (is_open or e.name in asked) and e.name not in choice.without]
     return tuple(
         replace(e, typical=choice.typical[e.name]) if e.name in choice.typical else e for e in kept
     )

@@ -56,7 +56,7 @@ MEANINGS = {
     "unrepeatable": "repeats scatter far beyond the sensor's noise",
     "numerical": "time step, mesh or tolerance still move the record",
 }
-"""Verdicts in words, as ``docs/diagnose.md`` has them."""
+"""Verdicts in words, as ``docs/diagnose_reading.md`` has them."""
 LIKELY_ONLY = {
     "named": "one or more causes are likely, none is certain",
     DESCRIBED: "a law that is not in the library; likely, not certain",

@@ -53,10 +53,10 @@ def page(
     lines = [
         "# Thresholds, halved and doubled",
         "",
-        f"{len(first)} cases of [`labs.rates`](rates.md) ({_domains(first)}), commit "
-        f"{commit[:10]}. Each threshold that decides verdicts is followed through the first answer "
-        "to each case, at half its value, at its value and at double. Where it is not read, or "
-        "every comparison falls on one side at all three, it cannot change the answer. Where it "
+        f"{len(first)} cases of [`labs.rates`](rates.md) ({_domains(first)}), "
+        f"commit {commit[:10]}. Each threshold that decides verdicts is followed through the first "
+        "answer to each case, at half its value, at its value and at double. Where it is not read, "
+        "or every comparison falls on one side at all three, it cannot change the answer. Where it "
         f"may, the first {options['again']} cases are answered again with it. {whole} cases could "
         "be followed; the others count as asked by all.",
         "",
@@ -85,7 +85,7 @@ def _command(options: Mapping[str, Any]) -> str:
     return (
         f"python -m labs.calibration --domain {','.join(options['domain'])} --n {n} "
         f"--again {options['again']} --master {options['master']} --effort {options['effort']} "
-        "--out FOLDER --page docs/measured/thresholds.md"
+        "--out FOLDER --page studies/records/thresholds.md"
     )
 
 

@@ -41,7 +41,7 @@ def arguments() -> argparse.ArgumentParser:
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of the run; resumes there")
     parser.add_argument(
-        "--page", type=Path, help="write the page there, too (docs/measured/rates.md)"
+        "--page", type=Path, help="write the page there, too (studies/records/rates.md)"
     )
     add_executor(parser, "cases")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")

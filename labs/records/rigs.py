@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from labs.records.rig import KINDS, RUNS, Array, Folder, course, followed, study_of
+from labs.records.rig import KINDS, RUNS, Array, Folder, Tables, course, followed, study_of
 
 Rng = np.random.Generator
 
@@ -405,10 +405,39 @@ def kicked(rng: Rng) -> Folder:
     return made.changed(tables, name="kicked")
 
 
+def goals(rng: Rng) -> Folder:
+    """Two servos that get a goal every two seconds, and rest there to the count until the next;
+    one moves longer, one misses a goal. The clock of the goals is recorded as a command."""
+    tables: Tables = {}
+    t = 0.1 * np.arange(80)
+    at = np.minimum((t + 0.95) // 2.0, 4.0).astype(int)
+    for k, run in enumerate(RUNS):
+        table = {"time_s": t, "told_s": 1.6e9 + 1e4 * k + 2.0 * at}
+        for axis, lasts in (("a", 0.4), ("b", 1.8)):
+            told = np.round(rng.uniform(300.0, 700.0, 6))
+            taken = told + np.round(rng.normal(0.0, 4.0, 6))
+            if axis == "a":
+                taken[3] = taken[2]
+            share = np.clip((t + 0.95 - 2.0 * at) / lasts, 0.0, 1.0)
+            table[f"goal_{axis}"] = told[at + 1]
+            table[f"servo_{axis}"] = np.round(taken[at] + share * (taken[at + 1] - taken[at]))
+        tables[run] = table
+    model = {
+        "parameters": {"lag": {"value": 0.1, "percent": 30}},
+        "states": {"a": "first_servo_a", "b": "first_servo_b"},
+        "rates": {"a": "(goal_a - a)/lag", "b": "(goal_b - b)/lag"},
+        "readings": {"servo_a": "a", "servo_b": "b"},
+    }
+    channels = [{"name": f"servo_{axis}", "unit": "-", "sd": 1.0} for axis in "ab"]
+    commands = [{"name": name, "unit": "-"} for name in ("goal_a", "goal_b", "told_s")]
+    study = study_of("goals", channels, commands, model)
+    return Folder("goals", study, tables, {"told_s": "%.10g"})
+
+
 SOUND: tuple[Callable[[Rng], Folder], ...] = (
     servo, servo_at_zero, joint, wheel, press, plate, pendulum, stage, arm, bench,
 )  # fmt: skip
 ALIKE: tuple[Callable[[Rng], Folder], ...] = (
     bounce, unsigned_torque, at_rest, stick_slip, full_scale, turns, end_stop, coarse, rounded,
-    paused, kicked,
+    paused, kicked, goals,
 )  # fmt: skip

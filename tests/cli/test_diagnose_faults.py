@@ -159,3 +159,16 @@ def test_check_finds_names_that_there_are_not(folder, capsys):
     (folder / "study.yaml").write_text(STUDY.replace("[[gain_1, gain_2]]", "[[gain_1, gain_3]]"))
     assert main(["diagnose", "check", str(folder)]) != 0
     assert "faults.scatter[0]: no fitted quantity 'gain_3'" in capsys.readouterr().out
+
+
+def test_a_faulty_record_is_blamed_before_any_group(folder, capsys):
+    for path in folder.glob("sound*.csv"):
+        header, *lines = path.read_text().splitlines()
+        lines[3] = lines[3].rsplit(",", 1)[0] + ",-16000"
+        path.write_text("\n".join([header, *lines]) + "\n")
+    study = folder / "study.yaml"
+    assert main(["diagnose", "faults", str(study), "--out", str(folder / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "verdict: record" in said and "weak" not in said
+    report = json.loads((folder / "out" / "report.json").read_text())
+    assert report["verdict"] == "record" and not (folder / "out" / "faults.json").exists()

@@ -82,7 +82,9 @@ def test_a_new_study_is_judged_and_nothing_is_fitted(model_folder, new_folder, t
     assert rows["position"]["num_fitted"] == 2  # its offset and its gain, as declared
     assert found["gain"]["low"] > 0.5 and found["gains"]["fresh"] == found["gain"]
     assert (model_folder / "extended_model.yaml").read_bytes() == before
-    assert found["headline"].startswith("The extended model takes the error on unseen runs from")
+    assert found["headline"].startswith(
+        "With the extended model the error on unseen runs falls from"
+    )
     assert found["headline"] in (tmp_path / "judge.html").read_text("utf-8")
     lines = (tmp_path / "judged" / "fresh.csv").read_text().splitlines()
     names, table = lines[0].split(","), np.genfromtxt(lines[1:], delimiter=",")

@@ -143,6 +143,20 @@ def test_a_closed_pipe_is_no_error_message():
     assert done.stderr == ""
 
 
+def test_what_is_not_there_is_refused_before_a_simulator_is_loaded():
+    code = """
+import sys
+from diffsim import cli
+for argv in (["check", "starfsh"], ["faults", "crazypad", "--new", "nowhere.csv"]):
+    assert cli.main(["diagnose", *argv]) == 2
+sys.exit("torch" in sys.modules or "scipy" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "did you mean 'starfish'" in done.stderr
+    assert "nowhere.csv: no such file of a new run" in done.stderr
+
+
 def test_diagnose_names_a_missing_study(capsys):
     assert cli.main(["diagnose", "check", "nowhere.yaml"]) == 2
     assert (

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from diffsim.core import memo
-from diffsim.core.memo import LARGE, Aside, LaidAside, laid_aside
+from diffsim.core.memo import LARGE, Aside, SpilledArray, spill
 from diffsim.identify.linearization import Linearization
 from tests.test_attacks import full_disk
 
@@ -38,14 +38,14 @@ def forgotten(monkeypatch):
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_the_same_bits_and_layout_come_back(forgotten, order):
     array = large(order)
-    found = LaidAside(array).array()
+    found = SpilledArray(array).array()
     assert found is not array and np.array_equal(found, array)
     assert found.flags.f_contiguous == array.flags.f_contiguous
 
 
 def test_rows_are_read_without_the_others(forgotten):
     array = large()
-    place = LaidAside(array)
+    place = SpilledArray(array)
     assert len(place) == len(array) and place.shape == array.shape
     assert np.array_equal(place[13:20], array[13:20]) and np.array_equal(
         place[690:900], array[690:]
@@ -65,7 +65,7 @@ def test_fields_of_records_are_laid_aside(forgotten):
 
 
 def test_what_nobody_holds_leaves_no_file(forgotten):
-    place = LaidAside(large())
+    place = SpilledArray(large())
     path = Path(place._path)
     assert path.exists()
     del place
@@ -74,7 +74,7 @@ def test_what_nobody_holds_leaves_no_file(forgotten):
 
 
 def test_what_was_asked_for_last_is_at_hand():
-    places = [LaidAside(large()) for _ in range(memo.AT_HAND + 1)]
+    places = [SpilledArray(large()) for _ in range(memo.AT_HAND + 1)]
     first = places[0].array()
     assert first is places[0].array()
     for place in places[1:]:
@@ -84,9 +84,9 @@ def test_what_was_asked_for_last_is_at_hand():
 
 def test_small_ones_and_those_of_a_full_disk_stay_in_memory(forgotten):
     small, array = np.arange(9.0), large()
-    assert laid_aside(small) is small and Slopes("few", small).columns is small
+    assert spill(small) is small and Slopes("few", small).columns is small
     with full_disk(4_096):
-        place = LaidAside(array)
+        place = SpilledArray(array)
     assert place.array() is array and np.array_equal(place[3:5], array[3:5])
 
 

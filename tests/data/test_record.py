@@ -1,5 +1,6 @@
 """Faults of a record are named, with the keys that mend them, before any physics is asked."""
 
+import json
 import re
 
 import numpy as np
@@ -116,6 +117,11 @@ def test_a_fault_of_the_record_stops_before_physics(tmp_path, capsys, monkeypatc
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert first.startswith("The record is at fault") and "`decode: {wrap: 2048}`" in first
     assert second == "verdict: record"
+    told = json.loads(next(tmp_path.rglob("report.json")).read_text())
+    *others, way = told["sentences"]
+    assert told["faults"][0]["message"] in told["headline"] and "--accept-record" in way
+    assert len(others) == len(told["faults"]) - 1
+    assert all(f["message"] in said for f, said in zip(told["faults"][1:], others, strict=True))
     for step in ("check", "fit"):
         assert main(["diagnose", step, folder]) == 2
         assert "--accept-record" in capsys.readouterr().err

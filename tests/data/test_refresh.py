@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 
+from diffsim.data import refresh
 from diffsim.data.refresh import age, phase_of, refresh_period
 
 PERIOD = 0.008  # s, hidden
@@ -57,3 +59,10 @@ def test_records_that_rest_or_are_short_say_nothing():
     assert refresh_period([(times, np.ones(500)), (times[:20], times[:20])]) is None
     assert refresh_period([]) is None
     assert phase_of(times[:20], times[:20], PERIOD) == 0.0
+
+
+@pytest.mark.parametrize("derivative", [0, 1])
+def test_smooth_motion_is_that_of_local_cubics(derivative):
+    values = np.random.default_rng(derivative).standard_normal((3, 4 * refresh.WINDOW))
+    wanted = savgol_filter(values, refresh.WINDOW, refresh.DEGREE, deriv=derivative)
+    np.testing.assert_allclose(refresh._smooth(values, derivative), wanted, atol=1e-13)

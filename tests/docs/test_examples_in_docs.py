@@ -71,13 +71,14 @@ def test_its_python_runs_in_short(page, tmp_path, monkeypatch):
 
 @pytest.mark.example
 @pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.story)])
-def test_a_diagnosis_from_the_page_alone(whole, tmp_path, monkeypatch, capsys):
-    """Python, ``study.yaml`` and commands in the order of the page, in an empty folder.
+def test_a_diagnosis_from_its_pages_alone(whole, tmp_path, monkeypatch, capsys):
+    """Python, ``study.yaml`` and commands of a first answer, then of its use, in an empty folder.
 
     In short: all but the commands that simulate.
     """
     monkeypatch.chdir(tmp_path)
-    page = (ROOT / "docs/diagnose.md").read_text(encoding="utf-8")
+    pages = [ROOT / "docs" / name for name in ("diagnose.md", "diagnose_using.md")]
+    page = "".join(path.read_text(encoding="utf-8") for path in pages)
     names = {"__name__": "__main__"}
     for kind, text in re.findall(r"```(python|yaml|sh)\n(.*?)```", page, re.S):
         if kind == "python":
@@ -94,7 +95,7 @@ def test_a_diagnosis_from_the_page_alone(whole, tmp_path, monkeypatch, capsys):
     if not whole:
         return
     said = _words(capsys.readouterr().out)
-    shown = re.search(r"after ten seconds:(.*?)## Recordings in other formats", page, re.S).group(1)
+    shown = re.search(r"after ten seconds:(.*)", page, re.S).group(1)
     blocks = re.findall(r"```text\n(.*?)```", shown, re.S)
     assert len(blocks) == 3  # of explain, judge and next
     for line in "".join(blocks).splitlines():

@@ -143,6 +143,26 @@ def test_slopes_at_a_bound_are_those_within(method, side):
         np.testing.assert_allclose(slope(**{side: bound}), free, atol=1e-5 * np.abs(free).max())
 
 
+def test_differences_go_no_farther_than_a_parameter_says():
+    """An edge of the record that moves with the value is closer than a prior's width."""
+    asked = []
+
+    def build(values, run, numerics):
+        asked.append(np.atleast_1d(values["omega"].detach().numpy()))
+        return Decay(values, run)
+
+    base = [
+        replace(p, log=False, sd=2.0, step=1e-4 if p.name == "omega" else np.inf)
+        for p in decay_model().base
+    ]
+    jacobian = Jacobian(method="differences", step=0.1)
+    model = SimModel(build, base, batched=True)
+    problem = Problem(model, decay_runs(), WhiteNoise(CHANNEL), (), jacobian)
+    problem.linearize(np.zeros(4))
+    reach = np.abs(np.concatenate(asked) - 6.0)
+    assert reach.max() == pytest.approx(1e-4, rel=1e-6)
+
+
 def test_bound_is_kept_and_stated():
     found = fit(decay_model(rate_upper=0.6), decay_runs(), CHANNEL)
     assert found.values["rate"] <= 0.6

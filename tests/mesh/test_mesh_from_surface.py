@@ -10,6 +10,7 @@ import torch
 
 from diffsim import mesh as m
 from diffsim.core.errors import MeshError
+from diffsim.mesh.crossings import crossing_triangles
 from diffsim.mesh.inside import grid_inside
 
 
@@ -107,7 +108,90 @@ def test_without_ftetwild(monkeypatch):
         m.tetrahedralize(ball(), 0.05)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        m.tetrahedralize(ball(), 0.05, method="stuffing")
+        m.tetrahedralize(ball(), 0.015, method="stuffing")
+
+
+def joined(*parts):
+    import trimesh
+
+    return trimesh.util.concatenate(parts)
+
+
+def cube(place, edge=0.1, *, inwards=False):
+    import trimesh
+
+    out = trimesh.creation.box((edge,) * 3, trimesh.transformations.translation_matrix(place))
+    if inwards:
+        out.invert()
+    return out
+
+
+@pytest.mark.parametrize("fill", [m.voxelize, partial(m.tetrahedralize, method="stuffing")])
+def test_no_body_is_lost_in_silence(fill):
+    two = joined(cube((0.0, 0.0, 0.0)), cube((0.3, 0.0, 0.0)))
+    with pytest.raises(MeshError, match=r"encloses 2 bodies apart.*keep='all' or keep='largest'"):
+        fill(two, 0.02)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert m.total_volume(fill(two, 0.02, keep="all")) == pytest.approx(2e-3, rel=0.01)
+    with pytest.warns(UserWarning, match="50 % less volume"):
+        assert m.total_volume(fill(two, 0.02, keep="largest")) == pytest.approx(1e-3, rel=0.01)
+    with pytest.warns(UserWarning, match="% (less|more) volume, and so mass"):
+        fill(ball(), 0.06)
+
+
+def test_cavities_are_turned_inwards():
+    cavity = joined(cube((0.0, 0.0, 0.0)), cube((0.0, 0.0, 0.0), 0.06, inwards=True))
+    mesh = m.voxelize(cavity, 0.02)
+    assert m.total_volume(mesh) == pytest.approx(0.1**3 - 0.06**3, rel=1e-9)
+    kept = joined(cavity, cube((0.0, 0.0, 0.0), 0.02))  # a body in the cavity
+    assert m.total_volume(m.voxelize(kept, 0.02, keep="all")) == pytest.approx(
+        0.1**3 - 0.06**3 + 0.02**3, rel=1e-9
+    )
+    with pytest.raises(MeshError, match=r"triangle 12, near \(.*lies within another one"):
+        m.voxelize(joined(cube((0.0, 0.0, 0.0)), cube((0.0, 0.0, 0.0), 0.06)), 0.02)
+    with pytest.raises(MeshError, match=r"triangle 12, .*is turned inside out"):
+        m.voxelize(joined(cube((0.0, 0.0, 0.0)), cube((0.3, 0.0, 0.0), 0.06, inwards=True)), 0.02)
+
+
+def test_surfaces_that_cross_themselves_are_named():
+    """Against a brute force over edges and triangles, in lengths along the edges."""
+    rng = np.random.default_rng(3)
+    surface = ball()
+    bent = surface.vertices.copy()
+    top = bent[:, 2] > 0.08
+    bent[top, 2] -= 0.22  # through the other side
+    overlap = joined(surface, cube((0.099, 0.013, 0.007)))
+    for x, faces in ((bent, surface.faces), (overlap.vertices, overlap.faces)):
+        x = x + 1e-6 * rng.normal(size=x.shape)
+        found = {tuple(sorted(p)) for p in crossing_triangles(x, faces, 10**6).tolist()}
+        assert found and found == crossed_one_by_one(x, np.asarray(faces))
+    # of a symmetric surface edges run through edges
+    assert len(crossing_triangles(bent, surface.faces)) > 10
+    with pytest.raises(MeshError, match=r"crosses itself: triangles \d+ and \d+,.*near \(") as e:
+        m.voxelize(overlap, 0.02)
+    assert {k >= len(surface.faces) for k in e.value.indices} == {True, False}
+    touching = joined(cube((0.0, 0.0, 0.0)), cube((0.05, 0.03, 0.1)))
+    for sound in (surface, touching, surface.subdivide()):
+        assert len(crossing_triangles(sound.vertices, sound.faces)) == 0
+
+
+def crossed_one_by_one(x, faces):
+    out = set()
+    for i, one in enumerate(faces):
+        for k in range(3):
+            start, end = x[one[k]], x[one[(k + 1) % 3]]
+            a, b, c = x[faces.T]
+            # start + t (end - start) = a + u (b - a) + v (c - a)
+            way = np.broadcast_to(start - end, a.shape)
+            matrix = np.stack([b - a, c - a, way], axis=2)
+            good = np.abs(np.linalg.det(matrix)) > 1e-16
+            u, v, t = np.linalg.solve(matrix[good], (start - a[good])[..., None])[..., 0].T
+            inner = (u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)
+            for j in np.flatnonzero(good)[inner]:
+                if len(set(one) & set(faces[j])) == 0:
+                    out.add((min(i, int(j)), max(i, int(j))))
+    return out
 
 
 def test_open_and_broken_surfaces():

@@ -33,8 +33,8 @@ from tests.soft.test_step_gradients import (
 )
 
 MATERIALS = [m for m in soft.MATERIALS if m != "pd"]
-UPRIGHT = ["neo_hookean", "mooney_rivlin"]  # finite but where elements are inverted
-FINITE = [m for m in MATERIALS if m not in UPRIGHT]
+NEEDS_POSITIVE_J = ["neo_hookean", "mooney_rivlin"]  # finite but where elements are inverted
+FINITE = [m for m in MATERIALS if m not in NEEDS_POSITIVE_J]
 KINDS = ["hex", "tet"]
 MU, LAMBDA = 30.0 / 2.6, 30.0 * 0.3 / (1.3 * 0.4)  # of E = 30 Pa, nu = 0.3
 
@@ -84,7 +84,7 @@ def tet_of(F, material, **changes):
 
 def random_F(seed, material):
     F = torch.eye(3).double() + 0.9 * noise(3, 3, seed=seed)
-    if material in UPRIGHT and torch.linalg.det(F) <= 0:
+    if material in NEEDS_POSITIVE_J and torch.linalg.det(F) <= 0:
         F[:, 0] = -F[:, 0]
     return F
 
@@ -112,7 +112,7 @@ def test_energy_stress_and_tangent_are_those_of_the_formula(material):
         assert abs(body.elastic_energy(x) - expected) <= 1e-10 * (1.0 + abs(expected))
         assert (force + gradient).abs().max() <= 1e-10 * (1.0 + gradient.abs().max())
         assert (tangent - product).abs().max() <= 1e-10 * (1.0 + product.abs().max())
-    assert flipped == 0 if material in UPRIGHT else flipped > 5
+    assert flipped == 0 if material in NEEDS_POSITIVE_J else flipped > 5
 
 
 @pytest.mark.reference
@@ -307,11 +307,11 @@ def test_elastic_force_of_hard_elements(material, name):
     extra = {"three_equal": (1.2, 1.2, 1.2), "nearly_equal": (1.1, 1.1 - 1e-9, 1.1 - 2e-9)}
     stretch = {**STRETCHES, **extra}[name]
     body, x = one_tet(stretch, material=material)
-    if material in UPRIGHT and stretch[2] < 0:
+    if material in NEEDS_POSITIVE_J and stretch[2] < 0:
         with pytest.raises(InvertedElementError, match="1 of 1 elements are inverted"):
             body.elastic_force(x)
         return
-    if material in UPRIGHT and name in ("flat", "thin", "needle"):
+    if material in NEEDS_POSITIVE_J and name in ("flat", "thin", "needle"):
         pytest.skip("ln J varies faster than any difference step; see the next test")
 
     def layer(x, youngs_modulus, poissons_ratio):
@@ -394,7 +394,7 @@ def test_solvers_agree(material, kind):
 
 
 @pytest.mark.parametrize("method", ["auto", "quasi_newton", "newton_cholesky"])
-@pytest.mark.parametrize("material", UPRIGHT)
+@pytest.mark.parametrize("material", NEEDS_POSITIVE_J)
 def test_line_search_goes_on_after_a_trial_without_energy(material, method):
     """A blow that would push every full Newton step through the floor of ln J."""
     m = mesh.hex_box((2, 2, 2))
@@ -415,7 +415,7 @@ def test_line_search_goes_on_after_a_trial_without_energy(material, method):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("material", UPRIGHT)
+@pytest.mark.parametrize("material", NEEDS_POSITIVE_J)
 def test_an_inverted_start_is_refused_with_advice(material, kind):
     m = irregular_mesh(kind, (2, 1, 1))
     body = soft_body(m, material=material, fixed=torch.tensor([0, 1, 2, 3]))

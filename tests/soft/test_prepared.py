@@ -265,7 +265,7 @@ def test_what_is_kept_has_no_gradient_and_keeps_no_body():
 
 
 def test_ensembles_and_graphs_take_a_body():
-    """A stack of bodies of one mesh is its loop; a graph asks no values; shapes have no gradient."""
+    """A stack of bodies of one mesh is its loop; graphs ask no values; shapes have no gradient."""
     bodies = [forced()[0] for _ in range(2)]
     bodies[1].youngs_modulus.data *= 1.5
     start = bodies[0].rest_state()

@@ -8,7 +8,8 @@ import torch
 from scipy.integrate import solve_ivp
 
 from diffsim.systems.rigid_body.bouncing import Bounces, ThrownBall, bounced
-from diffsim.systems.rigid_body.on_ground import Laws
+from diffsim.systems.rigid_body.on_ground import Ball, Laws, impact
+from diffsim.systems.rigid_body.parts import Body
 
 G, LEVEL = 9.81, 0.03
 
@@ -101,3 +102,48 @@ def test_restitution_falls_with_speed():
     speed = np.sqrt(2.0 * G * 0.8)
     expected = 0.8 * np.exp(-0.1 * (speed - 1.0)) * speed
     assert float(high[0, :, 2].max()) == pytest.approx(expected, abs=0.03)
+
+
+def test_the_impact_of_two_balls_is_that_of_rigid_bodies():
+    """Velocities and turning of both after it, by vectors in space, while their surfaces slip."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        places, speeds = rng.normal(size=(2, 2)), rng.normal(size=(2, 2))
+        rolls, sidespin = rng.normal(size=(2, 2)), rng.normal()
+        n = np.append(places[0] - places[1], 0.0) / np.linalg.norm(places[0] - places[1])
+        up, mass, mu, e = np.array([0.0, 0.0, 1.0]), rng.uniform(0.5, 2.0), 0.01, 0.9
+        v = np.column_stack([speeds, np.zeros(2)])
+        if (v[1] - v[0]) @ n < 0.2:
+            continue
+        # turning times radius; the surfaces meet at +n of the coming ball, at -n of the other
+        w = np.cross(up, np.column_stack([rolls, np.zeros(2)]))
+        w[1] += sidespin * up
+        slip = v[1] - v[0] + np.cross(w[0] + w[1], n)
+        slip -= (slip @ n) * n
+        blow = (1.0 + e) * ((v[1] - v[0]) @ n) / (1.0 + 1.0 / mass)  # over the coming ball's mass
+        rub = -mu * blow * slip / np.linalg.norm(slip)
+        after = [v[0] + (blow * n - rub) / mass, v[1] - blow * n + rub]
+        turned = [w[0] + np.cross(n, rub) / 0.4 / mass, w[1] + np.cross(n, rub) / 0.4]
+        free = Laws(*(numbers(0.0),) * 2, torch.zeros(1, 2), *(numbers(x) for x in (0.0, 0.4, G)))
+        resting, coming = (
+            Ball(*(torch.tensor(x[i][None]) for x in (places, speeds, rolls))) for i in (0, 1)
+        )
+        values = {"restitution": e, "ball_friction": mu, "mass_ratio": mass, "sidespin": sidespin}
+        struck, came, lift = impact(
+            resting, coming, free, {k: numbers(x) for k, x in values.items()}
+        )
+        for ball, ends, turns in ((struck, after[0], turned[0]), (came, after[1], turned[1])):
+            np.testing.assert_allclose(ball.velocity[0].numpy(), ends[:2], atol=1e-5)
+            np.testing.assert_allclose(ball.rolling[0].numpy(), np.cross(turns, up)[:2], atol=1e-5)
+        np.testing.assert_allclose(lift.numpy(), [max(after[1][2], 0.0)], atol=1e-5)
+
+
+def test_air_meets_the_mean_shadow_of_a_box():
+    """Over random turns, against that of a ball: shadows add up over the faces that are lit."""
+    edges = np.array([0.2, 0.1, 0.03])
+    turns = np.random.default_rng(0).normal(size=(200_000, 3))
+    faces = np.prod(edges) / edges
+    shadow = (np.abs(turns) @ faces / np.linalg.norm(turns, axis=1)).mean()
+    volume, area = Body(name="box", box=tuple({"value": x} for x in edges)).volume_and_area()
+    assert volume == pytest.approx(np.prod(edges))
+    assert area == pytest.approx(1.0 * shadow, rel=5e-3)

@@ -16,6 +16,7 @@ from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.systems.multicopter import readings
 from diffsim.systems.multicopter.motion import FlightMotion
 from diffsim.systems.multicopter.scene import CopterScene, Flyer, flight_grid, rotor_names
+from diffsim.systems.multicopter.unknown import unknown_wrench
 from tests.systems.test_multicopter import CAUSES, quadcopter
 
 f64 = torch.float64
@@ -153,3 +154,22 @@ def test_a_late_sensor_reads_no_others_again(monkeypatch):
     assert read == [*sensors, "body_rates"]
     torch.testing.assert_close(late[..., :7], plain[..., :7], atol=0, rtol=0)
     assert float((late - plain)[..., 8].abs().min()) > 0.01
+
+
+def test_an_unknown_force_is_the_mean_over_each_step():
+    """A ramp in time, as the mean of a line over a step is its value in the middle of it."""
+    vehicle, dt, count = Fleet.of([quadcopter()]), 0.02, 40
+    scene = SimpleNamespace(vehicle=vehicle, dt=dt, num_samples=count)
+    scene.world_force = torch.zeros(1, count, 3, dtype=f64)
+    scene.changed = lambda world_force: SimpleNamespace(
+        with_command=lambda names, change: (world_force, change)
+    )
+    force = unknown_wrench(9, 0.8)
+    knots = torch.linspace(0.0, 0.8, 9, dtype=f64)
+    size = torch.cat([knots, 2.0 * knots, -knots, 3.0 * knots, 0.0 * knots, 4.0 * knots])
+    push, change = force.apply(scene, size, None)
+    middle = dt * (np.arange(count) + 0.5)
+    np.testing.assert_allclose(push[0], np.outer(middle, [1.0, 2.0, -1.0]), atol=1e-12)
+    thrusts = change(torch.zeros(1, 4, count + 1, dtype=f64), None)[0].T
+    torque = thrusts[1:] @ quadcopter().torque_matrix.T  # the first step lies before the record
+    np.testing.assert_allclose(torque, 0.02 * np.outer(middle, [3.0, 0.0, 4.0]), atol=1e-12)

@@ -473,7 +473,7 @@ def test_profile_of_a_linear_model_is_ridge_regression():
         return ((start - guess) @ tangent.T)[..., None]
 
     windows = Windows(guess, measured, tensor([0.5]))
-    shooting = windows.settled(predict)
+    shooting = windows.find_starts(predict)
     spread = np.array([0.3] * 3 + [0.2] * 3 + [1.0] * 6 + [2.0] * 4)
     normal = 4 * tangent.T.numpy() @ tangent.numpy() + np.diag(spread**-2)
     best = np.linalg.solve(normal, 4 * tangent.T.numpy() @ measured[0, :, 0].numpy())
@@ -505,24 +505,24 @@ def pulled(thrust, past=1.3):
 def test_a_past_thrust_that_wants_below_zero_is_held_at_zero():
     """The rest of the state is settled beside it, and another search finds the same."""
     windows = pulled(thrust=-3.0)
-    found = windows.settled(lagging)
+    found = windows.find_starts(lagging)
     first = found.profile(lagging)
     assert float(found.states[0, 12]) == 0.0
     # the offset is that of least squares with no thrust, prior N(0, 1) included
     offset = float(windows.measured.sum() / 0.05**2 / (6 / 0.05**2 + 1.0))
     assert float(found.states[0, 0]) == pytest.approx(offset, abs=1e-4)
-    np.testing.assert_allclose(windows.settled(lagging).profile(lagging), first, atol=1e-12)
+    np.testing.assert_allclose(windows.find_starts(lagging).profile(lagging), first, atol=1e-12)
     for start in (0.3, 4.0):
-        other = windows.settled(lagging, near=tensor([[5.0] * 12 + [start]]))
+        other = windows.find_starts(lagging, near=tensor([[5.0] * 12 + [start]]))
         np.testing.assert_allclose(other.profile(lagging), first, atol=1e-9)
 
 
 def test_a_past_thrust_at_zero_rises_again_when_the_record_asks_for_it():
     below, above = pulled(thrust=-3.0), pulled(thrust=0.8)
-    free = above.settled(lagging).profile(lagging)
-    held = below.settled(lagging).states
+    free = above.find_starts(lagging).profile(lagging)
+    held = below.find_starts(lagging).states
     assert float(held[0, 12]) == 0.0
-    rising = above.settled(lagging, near=held)
+    rising = above.find_starts(lagging, near=held)
     np.testing.assert_allclose(rising.profile(lagging), free, atol=1e-6)
 
 
@@ -541,7 +541,7 @@ def test_steps_that_shrink_slowly_are_made_longer_by_what_they_have_shown():
         alone.append(float(step.abs().max()))
         change = change + step
     assert alone[-1] > 3e-5 * SPREAD[0]
-    found = float(windows.settled(bent).change[0, 0, 0])
+    found = float(windows.find_starts(bent).change[0, 0, 0])
     place = np.linspace(-0.3, 0.0, 300_001)
     x = 0.3 + place
     cost = ((x - 0.02) ** 2 + (4 * x**2 - 0.12) ** 2) / 0.01**2 + (place / SPREAD[0]) ** 2
@@ -552,13 +552,13 @@ def test_steps_that_shrink_slowly_are_made_longer_by_what_they_have_shown():
 def test_slopes_beside_a_thrust_held_at_zero_are_those_of_the_profile():
     """The profile at a moved model, settled anew, over its step is what backward reports."""
     delay = torch.zeros((), dtype=torch.float64, requires_grad=True)
-    shooting = pulled(thrust=-3.0).settled(lagging)
+    shooting = pulled(thrust=-3.0).find_starts(lagging)
     record = shooting.profile(lambda starts: lagging(starts, delay))
     (slope,) = torch.autograd.grad(record.sum(), delay)
     ends = []
     for step in (1e-3, -1e-3):
         moved = partial(lagging, delay=step)
-        ends.append(float(pulled(thrust=-3.0).settled(moved).profile(moved).sum()))
+        ends.append(float(pulled(thrust=-3.0).find_starts(moved).profile(moved).sum()))
     assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-6)
 
 

@@ -170,7 +170,7 @@ def test_knots_are_evaluated_at_once(monkeypatch):
     once = len(calls)
     problem.linearize(acting)
     assert len(calls) <= 3 * once  # not once for each of eighteen lines
-    monkeypatch.setattr(_Knots, "beside", Force.beside)
+    monkeypatch.setattr(_Knots, "stacked_with", Force.stacked_with)
     np.testing.assert_array_equal(zero_at_once, problem.linearize(x)[1])
     columns = problem.linearize(acting)[1]
     np.testing.assert_allclose(at_once, columns, atol=1e-9 * np.abs(columns).max(), rtol=0)
@@ -179,9 +179,9 @@ def test_knots_are_evaluated_at_once(monkeypatch):
     one = effect.apply(scene, size, FREE).makers[-1]()
     other = unknown_force(3, 0.3).apply(scene, size, FREE).makers[-1]()
     monkeypatch.undo()
-    assert one.beside([one]) is not None
-    assert one.beside([other]) is None
-    assert one.beside([CAUSES["dry_friction"].apply(scene, size, FREE).makers[-1]()]) is None
+    assert one.stacked_with([one]) is not None
+    assert one.stacked_with([other]) is None
+    assert one.stacked_with([CAUSES["dry_friction"].apply(scene, size, FREE).makers[-1]()]) is None
 
 
 def test_lines_of_effects_share_one_plain_scene(monkeypatch):

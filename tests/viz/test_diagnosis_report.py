@@ -359,11 +359,12 @@ def test_the_status_says_below_which_size_and_beside_which_rivals():
 
 
 def test_the_note_of_a_likely_cause_says_why_it_is_not_certain():
-    why = ("the fit did not converge", "its gradient check failed")
+    why = ("the fit did not converge", "its derivative could not be confirmed")
     row = CauseRow("b", "b", "effect", "likely", 0.9, {}, "N", note="Force -size v.", doubts=why)
     (cells,) = tables.causes(example(causes=(row,))).rows
     assert cells[7] == (
-        "Force -size v. Likely, not certain: the fit did not converge; its gradient check failed."
+        "Force -size v. Likely, not certain: the fit did not converge; "
+        "its derivative could not be confirmed."
     )
 
 

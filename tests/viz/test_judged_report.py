@@ -69,7 +69,7 @@ def sections(page) -> dict:
 def test_all_judged_runs_are_drawn_with_errors_gain_and_distance(tmp_path):
     page = judgment_page(found(), STUDY, SAVED)
     assert page.verdict == [
-        "The extended model takes the error on unseen runs from 2.5 to 1.1 mm; 1 mm is noise."
+        "With the extended model the error on unseen runs falls from 2.5 to 1.1 mm, noise 1 mm."
     ]
     assert [n.value for n in page.numbers] == ["1.1", "90"]
     parts = sections(page)
@@ -137,6 +137,12 @@ def test_a_plain_model_has_no_gain():
 
 def test_a_judgment_praises_no_gain_that_is_not_there():
     worse = judged_headline([error("a", 3.0)], None, extended=True)
-    assert worse == "The error on unseen runs rises from 2.5 to 3 mm, noise 1 mm."
+    assert (
+        worse
+        == "With the extended model the error on unseen runs rises from 2.5 to 3 mm, noise 1 mm."
+    )
     unsure = judged_headline([error("a")], Gain(0.2, -0.1, 0.5, 2.0, 9), extended=True)
-    assert unsure.startswith("No gain is confirmed on unseen runs: error 2.5 to 1.1 mm")
+    assert unsure == (
+        "With the extended model the error on unseen runs falls from 2.5 to 1.1 mm, noise 1 mm. "
+        "Not certain: no gain is confirmed on unseen runs."
+    )

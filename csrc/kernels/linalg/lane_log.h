@@ -13,11 +13,11 @@ namespace diffsim {
 /// After fdlibm's log (Sun Microsystems 1993): 1 + e = 2^k (1 + f), sqrt(1/2) <= 1 + f < sqrt(2),
 ///   f - ln(1 + f) = f^2/2 - z (f^2/2 + R(z^2)),  z = f / (2 + f),
 /// with a minimax polynomial R. For k = 0, f is e itself, not the rounded (1 + e) - 1.
+/// @param x  1 + e, which has its digits where e is close to -1
 template <class T>
-DIFFSIM_INLINE T log_gap(const T& e) {
+DIFFSIM_INLINE T log_gap(const T& e, const T& x) {
   using Bits = BitsOf<T>;
   constexpr std::uint64_t kSqrtHalf = 0x3fe6a09e667f3bcd, kMantissa = 52, kBias = 1024;
-  const T x = 1.0 + e;
   const Bits bits = (Bits)x;
   const Bits k = (bits + ((kBias << kMantissa) - kSqrtHalf)) >> kMantissa;  // kBias + exponent
   const T scaled = (T)(bits - ((k - kBias) << kMantissa));
@@ -37,9 +37,9 @@ DIFFSIM_INLINE T log_gap(const T& e) {
   return select(less(broadcast<T>(0.0), x), ((e - f) - exponent * 6.931471805599453094e-01) + gap,
                 infinity);
 }
-template <class V>
-DIFFSIM_INLINE Pair<V> log_gap(const Pair<V>& e) {
-  return {log_gap(e.a), log_gap(e.b)};
+template <class T>
+DIFFSIM_INLINE T log_gap(const T& e) {
+  return log_gap(e, T(1.0 + e));
 }
 
 }  // namespace diffsim

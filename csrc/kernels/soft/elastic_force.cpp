@@ -1,6 +1,5 @@
 #include "kernels/soft/elastic_force.h"
 
-#include "kernels/linalg/aligned_buffer.h"
 #include "kernels/soft/batch.h"
 #include "kernels/soft/block_matrix.h"
 #include "kernels/soft/pressure.h"
@@ -12,6 +11,21 @@ std::vector<DampingFrame> frames_of(const SoftModel& model, const StepInputs& in
                                     ThreadPool& pool) {
   if (!in.parameters.damp_mu) return {};
   return damping_frames(model, in.x_frame, in.x_velocity, pool);
+}
+
+/// Derivative of the gradient along z [N], overwritten.
+void product_along(const SoftModel& model, const StepInputs& in,
+                   const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                   double* out, ElasticityScratch& scratch, ThreadPool& pool) {
+  tangent_product(model, in.parameters, frames, x, z, out, scratch, pool);
+  if (model.chambers.num_chambers == 0) return;
+  Vector values(static_cast<std::size_t>(model.values_size()), 0.0);
+  const std::size_t size = static_cast<std::size_t>(3 * model.num_nodes);
+  const Vector no_inertia(size / 3, 0.0);
+  Vector pushed(size);
+  add_pressure_tangent(model, in.parameters.pressure, x, values.data(), pool);
+  block_multiply(model, values.data(), no_inertia.data(), z, pushed.data(), pool);
+  for (std::size_t i = 0; i < size; ++i) out[i] += pushed[i];
 }
 
 }  // namespace
@@ -36,11 +50,7 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
   ElasticityScratch scratch;
   scratch.keep_samples = true;
   const std::vector<DampingFrame> frames = frames_of(model, in, pool);
-  AlignedBuffer<double> values(static_cast<std::size_t>(model.values_size()));
-  const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);
-  tangent(model, in.parameters, frames, x, false, values.data(), scratch, pool);
-  add_pressure_tangent(model, in.parameters.pressure, x, values.data(), pool);
-  block_multiply(model, values.data(), no_inertia.data(), z, grad_x, pool);
+  product_along(model, in, frames, x, z, grad_x, scratch, pool);
   parameter_adjoint(model, in.parameters, x, z, out, scratch, pool);
   damping_adjoint(model, in.parameters, frames, x, z, out, scratch, pool);
   pressure_adjoint(model, x, z, out.pressure, pool);
@@ -56,12 +66,8 @@ void elastic_gradient_tangent(const SoftModel& model, const StepInputs& in, cons
   parameter_tangent(model, in.parameters, frames, x, 1, directions, out, scratch, pool);
   if (directions.pressure) add_pressure_gradient(model, directions.pressure, x, out, pool);
   if (!dx) return;
-  AlignedBuffer<double> values(static_cast<std::size_t>(model.values_size()));
-  const Vector no_inertia(static_cast<std::size_t>(model.num_nodes), 0.0);
   Vector moved(size);
-  tangent(model, in.parameters, frames, x, false, values.data(), scratch, pool);
-  add_pressure_tangent(model, in.parameters.pressure, x, values.data(), pool);
-  block_multiply(model, values.data(), no_inertia.data(), dx, moved.data(), pool);
+  product_along(model, in, frames, x, dx, moved.data(), scratch, pool);
   for (std::size_t i = 0; i < size; ++i) out[i] += moved[i];
 }
 

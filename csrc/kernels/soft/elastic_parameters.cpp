@@ -64,7 +64,6 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p, const
                           ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const ElementBlock& fiber = model.fiber;
-  const auto unit = unit_weights<M>();
   const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
     const Stage<Group, M> stage(solid, first, count, x, kept, false);
@@ -75,20 +74,9 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p, const
       for (int part = 0; part < kParts; ++part) {
         const auto& sample = stage.sample(n * kParts + part);
         const Native weight = split(Group::shape(solid, g).weight, part);
-        Native along[3], d[3];  // P : Z = sum of d_i u_i . Z v_i
-        for (int i = 0; i < 3; ++i) {
-          Native Zv[3];
-          for (int a = 0; a < 3; ++a)
-            Zv[a] = Z[part][3 * a] * sample.V[i] + Z[part][3 * a + 1] * sample.V[3 + i] +
-                    Z[part][3 * a + 2] * sample.V[6 + i];
-          along[i] =
-              weight * (sample.U[i] * Zv[0] + sample.U[3 + i] * Zv[1] + sample.U[6 + i] * Zv[2]);
-        }
-#pragma GCC unroll 4  // what the weights have in common is then computed once
-        for (int k = 0; k < M::kWeights; ++k) {
-          M::stress(sample, unit[k].data(), d);
-          by_weight[k][part] = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
-        }
+        Native products[M::kWeights];
+        unit_products<M>(sample, Z[part], products);
+        for (int k = 0; k < M::kWeights; ++k) by_weight[k][part] = weight * products[k];
       }
       add_weights<Group, M>(solid, g, by_weight, out.weights);
     }
@@ -232,12 +220,12 @@ void energy_slopes_of(const SoftModel& model, const SoftParameters& p, const dou
     const Stage<Group, M> stage(solid, first, count, x, kept, false);
     for (int n = 0; n < count; ++n) {
       const Index g = first + n;
-      Native by_weight[M::kWeights][kParts], d[3];
+      Native by_weight[M::kWeights][kParts], P[9];
       for (int part = 0; part < kParts; ++part) {
         const auto& sample = stage.sample(n * kParts + part);
         const Native weight = split(Group::shape(solid, g).weight, part);
         for (int k = 0; k < M::kWeights; ++k)
-          by_weight[k][part] = weight * M::stress(sample, unit[k].data(), d);
+          by_weight[k][part] = weight * M::stress(sample, unit[k].data(), P);
       }
       add_weights<Group, M>(solid, g, by_weight, out.weights);
     }

@@ -17,7 +17,7 @@ void into_frame(const PrincipalFrame<T>& frame, const T A[9], T out[9]) {
 }
 
 /// What one part of a group of the solid gives: its law along two directions, in the principal
-/// frame of F.
+/// frame of F where its jets are.
 template <typename M>
 struct SolidJets {
   Native first[9];                // the first direction
@@ -36,23 +36,37 @@ void for_solid_jets(const SoftModel& model, const double* x, const double* first
     for (int n = 0; n < count; ++n) {
       const Index g = begin + n;
       Native A[kParts][9], B[kParts][9], stress[kParts][9], P[kParts][9];
+      PrincipalFrame<Native> frames[kParts];  // of those jets
       deformation_gradient<Group>(solid, g, first, A);
       deformation_gradient<Group>(solid, g, second, B);
       SolidJets<M> jets[kParts];
       for (int part = 0; part < kParts; ++part) {
         const auto& sample = stage.sample(n * kParts + part);
         SolidJets<M>& own = jets[part];
+        const auto& source = jet_source<M, Native>(sample);
         Native Bp[9];
-        into_frame(sample, A[part], own.first);
-        into_frame(sample, B[part], Bp);
         Jet<Native> F[9];
-        for (int i = 0; i < 9; ++i)
-          F[i] = {i % 4 == 0 ? sample.s[i / 4] : Native{}, own.first[i], Bp[i], Native{}};
-        M::jets(sample, F, own.P);
+        if constexpr (M::kJetsInFrame) {
+          frames[part] = source;
+          into_frame(source, A[part], own.first);
+          into_frame(source, B[part], Bp);
+          for (int i = 0; i < 9; ++i)
+            F[i] = {i % 4 == 0 ? source.s[i / 4] : Native{}, own.first[i], Bp[i], Native{}};
+        } else {
+          for (int i = 0; i < 9; ++i) {
+            own.first[i] = A[part][i];
+            F[i] = {sample.F[i], A[part][i], B[part][i], Native{}};
+          }
+        }
+        M::jets(source, F, own.P);
       }
       use(g, jets, stress);
       for (int part = 0; part < kParts; ++part) {
-        const PrincipalFrame<Native>& frame = stage.sample(n * kParts + part);
+        if constexpr (!M::kJetsInFrame) {
+          std::copy(stress[part], stress[part] + 9, P[part]);
+          continue;
+        }
+        const PrincipalFrame<Native>& frame = frames[part];
         Native turned[9];
         times(frame.U, stress[part], turned);
         for (int i = 0; i < 3; ++i)

@@ -167,9 +167,7 @@ struct TangentFill {
       Native* H = tangents[r / kParts].H[part];
       const auto& sample = stage.sample(r);
       const auto w = weights_at<Group, M>(block, g, part, p.weights);
-      PrincipalTangent<Native> core = M::tangent(sample, w.data());
-      if (clamp) clamp_tangent(core);
-      expand_tangent(sample, core, H);
+      stiffness<M>(sample, w.data(), clamp, H);
       if (!p.damp_mu) continue;
       Native Fn[9];
       split_matrix(frames[at(g)].Fn, part, Fn);
@@ -211,6 +209,46 @@ void tangent_of(const SoftModel& model, const SoftParameters& p,
   if constexpr (kFibersInSolid<Group>) return;
   const auto fibers = [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); };
   assemble<Group>(model, model.fiber, model.fiber_slot, fibers, values, scratch, pool);
+}
+
+/// Nodal forces of a group along z, by the tangents of its parts.
+template <typename Group>
+void scatter_product(const ElementBlock& block, Index g, const GroupTangent& tangent,
+                     const double* z, double* vectors) {
+  Native Z[kParts][9], P[kParts][9];
+  deformation_gradient<Group>(block, g, z, Z);
+  for (int part = 0; part < kParts; ++part) {
+    const Native* H = tangent.H[part];
+    for (int a = 0; a < 9; ++a) {
+      Native total{};
+      for (int b = 0; b < 9; ++b) total += H[a <= b ? 9 * a + b : 9 * b + a] * Z[part][b];
+      P[part][a] = total;
+    }
+  }
+  scatter_stress(Group::shape(block, g), P, vectors + g * block.vectors_size());
+}
+
+template <typename Group, typename M>
+void tangent_product_of(const SoftModel& model, const SoftParameters& p,
+                        const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                        ElasticityScratch& scratch, ThreadPool& pool) {
+  const TangentFill<Group, M> fill{model, p, frames, x, false, kept_samples<M>(scratch, model, x)};
+  double* fibers = scratch.vectors.data() + model.fiber_vectors_start;
+  for_stages(model.solid, pool, [&](Index first, int count) {
+    GroupTangent tangents[kStage];
+    fill.solid(first, count, tangents);
+    for (int n = 0; n < count; ++n)
+      scatter_product<Group>(model.solid, first + n, tangents[n], z, scratch.vectors.data());
+  });
+  if constexpr (kFibersInSolid<Group>) {
+    std::fill(fibers, scratch.vectors.data() + model.vectors_size, 0.0);
+  } else {
+    for_groups(model.fiber, pool, [&](Index g) {
+      GroupTangent tangent;
+      fill.fibers(g, 1, &tangent);
+      scatter_product<Group>(model.fiber, g, tangent, z, fibers);
+    });
+  }
 }
 
 /// Adds the matrices of one block to that of a small body; fill as in assemble().
@@ -279,6 +317,16 @@ void add_small_tangent(const SoftModel& model, const SoftParameters& p,
           model.fiber, places.fiber,
           [&](Index g, int count, GroupTangent* out) { fill.fibers(g, count, out); }, to);
   });
+}
+
+void tangent_product(const SoftModel& model, const SoftParameters& p,
+                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                     double* out, ElasticityScratch& scratch, ThreadPool& pool) {
+  scratch.vectors.resize(at(model.vectors_size));
+  with_types(model, [&](auto group, auto material) {
+    tangent_product_of<decltype(group), decltype(material)>(model, p, frames, x, z, scratch, pool);
+  });
+  gather_vectors(model, scratch.vectors.data(), out, pool);
 }
 
 void tangent(const SoftModel& model, const SoftParameters& p,

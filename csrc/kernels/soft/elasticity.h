@@ -46,6 +46,11 @@ double energy_gradient(const SoftModel& model, const SoftParameters& parameters,
                        const std::vector<DampingFrame>& frames, const double* x, double* gradient,
                        ElasticityScratch& scratch, ThreadPool& pool);
 
+/// d^2(E + D)/dx^2 z [N], overwritten, without a matrix: for a single product.
+void tangent_product(const SoftModel& model, const SoftParameters& parameters,
+                     const std::vector<DampingFrame>& frames, const double* x, const double* z,
+                     double* out, ElasticityScratch& scratch, ThreadPool& pool);
+
 /// d^2(E + D)/dx^2 [N/m] in the model's layout, overwritten.
 /// @param[in] clamp  drop negative eigenvalues of each sample's tangent
 void tangent(const SoftModel& model, const SoftParameters& parameters,

@@ -61,7 +61,7 @@ KeptSamples<M> kept_samples(ElasticityScratch& scratch, const SoftModel& model, 
   using Sample = typename M::template Sample<Native>;
   constexpr std::size_t kMostDoubles = std::size_t{1} << 25;  // 256 MiB
   const std::size_t size = at(model.solid.num_groups) * kParts * sizeof(Sample) / sizeof(double);
-  if (!scratch.keep_samples || size > kMostDoubles) return {};
+  if (!M::kKeepsSamples || !scratch.keep_samples || size > kMostDoubles) return {};
   const std::size_t count = at(3 * model.num_nodes);
   std::vector<double>& kept_at = scratch.kept_at;
   const bool is_ready =
@@ -84,9 +84,7 @@ class Stage {
       for (int n = 0; n < count; ++n)
         deformation_gradient<Group>(block, first + n, x, F + n * kParts);
     if (kept.is_ready) return;
-    PrincipalFrame<Native> frames[kStageParts];
-    principal_frames(F, count * kParts, frames);
-    for (int r = 0; r < count * kParts; ++r) new (samples_ + r) Sample(frames[r]);
+    make_samples<M, kStageParts>(F, count * kParts, samples_);
   }
   Stage(const Stage&) = delete;
   Stage& operator=(const Stage&) = delete;

@@ -106,6 +106,7 @@ void volume_jets(const PdSample<T>& p, const Jet<T> F[9], Jet<T> B[9]) {
 struct PdMaterial {
   static constexpr const char* kName = "pd";
   static constexpr int kWeights = 2;
+  static constexpr bool kKeepsSamples = true, kJetsInFrame = true;
 
   template <class T>
   using Sample = PdSample<T>;

@@ -30,6 +30,13 @@ inline void principal_frames(const Native (*F)[9], int count, PrincipalFrame<Nat
   }
 }
 
+template <class T>
+PrincipalFrame<T> principal_frame(const T F[9]) {
+  PrincipalFrame<T> frame;
+  detail::svd3_core(F, frame.U, frame.s, frame.V);
+  return frame;
+}
+
 /// out = U diag(d) V^T.
 template <class T>
 DIFFSIM_INLINE void compose(const T U[9], const T d[3], const T V[9], T out[9]) {

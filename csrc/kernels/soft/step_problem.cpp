@@ -1,7 +1,5 @@
 #include "kernels/soft/step_problem.h"
 
-#include <Eigen/Cholesky>
-
 #include "kernels/soft/elastic_second.h"
 #include "kernels/soft/pressure.h"
 #include "kernels/subscript.h"
@@ -24,6 +22,36 @@ double force_scale(const ConstantSystem& system, const StepInputs& in) {
       force += in.force[3 * i + axis] * in.force[3 * i + axis];
     }
   return std::sqrt(momentum) + std::sqrt(force);
+}
+
+constexpr std::int64_t kJacobiNodes = 4096;  // of a task
+
+/// Inverse of a node's own block of H, by cofactors, as a lower triangle by rows; zero on fixed
+/// unknowns. Of a block that is not positive definite the diagonal is inverted, without its sign.
+void invert_jacobi(const double* block, double inertia, const std::uint8_t* fixed,
+                   double inverse[6]) {
+  double a[6];
+  for (int i = 0, k = 0; i < 3; ++i)
+    for (int j = 0; j <= i; ++j, ++k)
+      a[k] = fixed[i] || fixed[j] ? (i == j ? 1.0 : 0.0)
+                                  : block[block3_place(i, j)] + (i == j ? inertia : 0.0);
+  const double minor = a[0] * a[2] - a[1] * a[1];
+  inverse[0] = a[2] * a[5] - a[4] * a[4];
+  inverse[1] = a[3] * a[4] - a[1] * a[5];
+  inverse[3] = a[1] * a[4] - a[2] * a[3];
+  const double determinant = a[0] * inverse[0] + a[1] * inverse[1] + a[3] * inverse[3];
+  if (a[0] > 0.0 && minor > 0.0 && determinant > 0.0) {
+    inverse[2] = a[0] * a[5] - a[3] * a[3];
+    inverse[4] = a[1] * a[3] - a[0] * a[4];
+    inverse[5] = minor;
+    for (int k = 0; k < 6; ++k) inverse[k] /= determinant;
+  } else {
+    inverse[1] = inverse[3] = inverse[4] = 0.0;
+    for (const int k : {0, 2, 5}) inverse[k] = 1.0 / std::max(std::abs(a[k]), 1e-300);
+  }
+  if (fixed[0]) inverse[0] = 0.0;
+  if (fixed[1]) inverse[2] = 0.0;
+  if (fixed[2]) inverse[5] = 0.0;
 }
 
 }  // namespace
@@ -68,6 +96,7 @@ void StepProblem::assemble(const Vector& x, bool clamp, bool by_old_multigrid) {
     assembled_at_ = x;
     is_multigrid_stale_ = by_multigrid_;
   }
+  jacobi_.clear();
   memory_->values.resize(at(system_.model().values_size()));
   tangent(system_.model(), in_.parameters, frames_, x.data(), clamp, memory_->values.data(),
           memory_->elastic, pool_);
@@ -230,29 +259,26 @@ const double* StepProblem::diagonal_block(std::int64_t i) const {
   return memory_->values.data() + kBlock3 * model.diagonal[at(i)];
 }
 
-void StepProblem::solve_jacobi(const Vector& r, Vector& z) const {
-  const SoftModel& model = system_.model();
-  using Block = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-  for (std::int64_t i = 0; i < model.num_nodes; ++i) {
-    const double* own = diagonal_block(i);
-    Block block;
-    Eigen::Vector3d b;
-    for (int a = 0; a < 3; ++a) {
-      const bool fixed = system_.fixed()[3 * i + a];
-      b[a] = fixed ? 0.0 : r[at(3 * i + a)];
-      for (int c = 0; c < 3; ++c)
-        block(a, c) = fixed || system_.fixed()[3 * i + c]
-                          ? (a == c ? 1.0 : 0.0)
-                          : own[block3_place(a, c)] + (a == c ? inertia()[i] : 0.0);
+void StepProblem::prepare_jacobi() {
+  const std::int64_t n = system_.model().num_nodes;
+  jacobi_.resize(at(6 * n));
+  pool_.run_ranges(n, kJacobiNodes, [&](std::int64_t begin, std::int64_t end) {
+    for (std::int64_t i = begin; i < end; ++i)
+      invert_jacobi(diagonal_block(i), inertia()[i], system_.fixed() + 3 * i, &jacobi_[at(6 * i)]);
+  });
+}
+
+void StepProblem::solve_jacobi(const Vector& r, Vector& z) {
+  if (jacobi_.empty()) prepare_jacobi();
+  pool_.run_ranges(system_.model().num_nodes, kJacobiNodes, [&](std::int64_t i, std::int64_t end) {
+    for (; i < end; ++i) {
+      const double *c = &jacobi_[at(6 * i)], *b = &r[at(3 * i)];
+      double* out = &z[at(3 * i)];
+      out[0] = c[0] * b[0] + c[1] * b[1] + c[3] * b[2];
+      out[1] = c[1] * b[0] + c[2] * b[1] + c[4] * b[2];
+      out[2] = c[3] * b[0] + c[4] * b[1] + c[5] * b[2];
     }
-    // Jacobi preconditions by the diagonal where the block is not positive definite.
-    const Eigen::LLT<Block> llt(block);
-    const Eigen::Vector3d zi =
-        llt.info() == Eigen::Success
-            ? Eigen::Vector3d(llt.solve(b))
-            : Eigen::Vector3d(b.array() / block.diagonal().array().abs().max(1e-300));
-    for (int a = 0; a < 3; ++a) z[at(3 * i + a)] = zi[a];
-  }
+  });
 }
 
 bool StepProblem::factorize(const std::function<void(double*)>& edit) {

@@ -81,8 +81,8 @@ class StepProblem {
   void hold_nodes(std::vector<HeldNode> held);
   /// The tangent that was assembled last serves to precondition from here on, whatever comes.
   void keep_multigrid();
-  /// z = (3x3 diagonal blocks of H)^-1 r.
-  void solve_jacobi(const Vector& r, Vector& z) const;
+  /// z = (3x3 diagonal blocks of H)^-1 r, zero on fixed unknowns; r is read there, too.
+  void solve_jacobi(const Vector& r, Vector& z);
   /// Factorizes H; false where it is not positive definite.
   /// @param[in] edit  changes the (num_blocks, 3, 3) blocks first, if not empty
   bool factorize(const std::function<void(double*)>& edit = {});
@@ -100,6 +100,7 @@ class StepProblem {
   Vector quadratic_gradients(const Vector& x, const Vector& z, const Vector& rest,
                              const StepAdjoint& out);
   void prepare_multigrid();
+  void prepare_jacobi();
   /// The diagonal block of node i (block3.h).
   const double* diagonal_block(std::int64_t i) const;
   const double* inertia() const { return in_.inertia ? in_.inertia : system_.inertia(); }
@@ -115,6 +116,7 @@ class StepProblem {
   ConstantSystem::Scratch constant_;
   CholeskyWorkspace cholesky_;
   AlignedBuffer<double> blocks_;
+  Vector jacobi_;  // (num_nodes, 6) of H as assembled: lower triangles by rows; or empty
   std::vector<CholeskyFactor> factor_;  // none or one
   Vector assembled_at_;
   std::vector<HeldNode> held_;

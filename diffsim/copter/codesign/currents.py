@@ -21,7 +21,7 @@ class Currents:
     """Currents in hover and what their derivatives are made of.
 
     Attributes:
-        value: (n_rotors,) [A].
+        value: Current of each rotor, (n_rotors,) [A].
         by_v, by_z: First derivatives, (n_rotors,) and (n_rotors, p).
         by_v_v, by_v_z: Second ones, (n_rotors,) and (n_rotors, p).
         by_z_z: (n_rotors,) times d_share d_share', d_share (p,).

@@ -28,7 +28,7 @@ class Rotors:
     """Constants of the rotors and units.
 
     Attributes:
-        max_thrusts: (n_rotors,) [N].
+        max_thrusts: Largest thrust of each rotor, (n_rotors,) [N].
         reaction: b_i lambda_i, (n_rotors,) [m].
         mass: m0 [kg].
         weight: m0 g [N].

@@ -23,8 +23,8 @@ class PartEntry:
     Attributes:
         name, kind: Name and kind of the part.
         source: ``bought``, ``cut`` or ``printed``.
-        mass: [kg].
-        price: [EUR].
+        mass: Mass [kg].
+        price: Price [EUR].
         dimensions: Shape parameters by name [m].
     """
 

@@ -62,7 +62,7 @@ class FlightSettings(NamedTuple):
 
     Attributes:
         dt: Integration step [s].
-        gravity: [m/s^2].
+        gravity: Strength of gravity [m/s^2].
         substeps: Integration steps per control step.
         effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas;
             ``free_thrusts`` among them: commands are not clamped.

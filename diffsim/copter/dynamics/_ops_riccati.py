@@ -78,9 +78,9 @@ def _care(call: Call) -> None:
     if is_recording():
         announce(care_solve(report))
     for index in torch.nonzero(report[:, 0] == 0).flatten().tolist():
-        A, G, Q = (call[name][index].numpy() for name in ("A", "G", "Q"))
+        a, g, q = (call[name][index].numpy() for name in ("A", "G", "Q"))
         item = index if len(report) > 1 else None
-        raise_riccati_failure(A, G, Q, float(report[index, 2]), item)
+        raise_riccati_failure(a, g, q, float(report[index, 2]), item)
 
 
 # With A_c = A - G P the differential is A_c' dP + dP A_c + dA' P + P dA - P dG P + dQ = 0, so with

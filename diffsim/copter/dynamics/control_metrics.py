@@ -43,7 +43,7 @@ def controllability(A: Tensor, B: Tensor) -> Controllability:
     """Rank and singular values of [B, A B, ..., A^(n-1) B] (thesis 3.4.1).
 
     Args:
-        A: (n, n) float64 [1/s].
+        A: State matrix, (n, n) float64 [1/s].
         B: (n, m) float64.
 
     Raises:
@@ -181,7 +181,7 @@ def response_time(A: Tensor, B: Tensor, K: Tensor, *, within: float = math.exp(-
     """Time in which the slowest mode of x' = (A - B K) x falls to a share of its start.
 
     Args:
-        A: (n, n) float64 [1/s].
+        A: State matrix, (n, n) float64 [1/s].
         B: (n, m) float64.
         K: (m, n) float64.
         within: The share: 1/e gives the slowest time constant, 0.02 the settling time to 2 %.

@@ -58,7 +58,7 @@ class FlightState:
         """Standing still.
 
         Args:
-            position: (..., 3) [m].
+            position: Position, (..., 3) [m].
             rpy: Roll, pitch, yaw, (..., 3) [rad]; zero by default.
         """
         rpy = torch.zeros_like(position) if rpy is None else rpy

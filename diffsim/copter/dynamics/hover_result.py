@@ -43,7 +43,7 @@ class HoverResult:
     """Thrusts that hold a multicopter in place, and the status of the solve.
 
     Attributes:
-        thrusts: (..., n_rotors) [N].
+        thrusts: Thrust of each rotor, (..., n_rotors) [N].
         attitude: Roll and pitch at yaw zero (NED, R = Rz Ry Rx), (..., 2) [rad].
         residual: Excess of lift over weight and the three torques, (..., 4), in shares of the
             weight and of weight times mean lever; zero at a hover. Where there is none its gradient

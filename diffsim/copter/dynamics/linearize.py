@@ -21,7 +21,7 @@ class LinearModel(NamedTuple):
     """x' = A x + B u for small departures from a fixed point.
 
     Attributes:
-        A: (12, 12) [1/s].
+        A: State matrix, (12, 12) [1/s].
         B: (12, n_rotors).
     """
 

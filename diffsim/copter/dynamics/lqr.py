@@ -90,7 +90,7 @@ def lqr(A: Tensor, B: Tensor, Q: Tensor, R: Tensor, *, num_threads: int = 1) -> 
     A'P + P A - P B R^-1 B' P + Q = 0 (thesis 3.3.3).
 
     Args:
-        A: (..., n, n) float64 [1/s].
+        A: State matrix, (..., n, n) float64 [1/s].
         B: (..., n, m) float64.
         Q: State weights, (..., n, n) float64, symmetric positive semidefinite.
         R: Input weights, (..., m, m) float64, symmetric positive definite.

@@ -77,7 +77,7 @@ class PidController:
         Args:
             state: Leading axis (batch,).
             target: Position, (batch, 3) [m].
-            yaw: (batch,) [rad].
+            yaw: Yaw angle, (batch,) [rad].
             integral: Acceleration of the integral term, (batch, 3) [m/s^2]; zeros at first.
             dt: Control period [s].
 

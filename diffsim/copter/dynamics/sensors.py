@@ -19,9 +19,9 @@ class SensorNoise:
     Attributes:
         gyro: Standard deviation of a reading [rad/s].
         gyro_bias: Standard deviation of the bias, drawn once per vehicle and axis [rad/s].
-        accelerometer: [m/s^2].
-        accelerometer_bias: [m/s^2].
-        position: [m].
+        accelerometer: Noise of the accelerometer, sd [m/s^2].
+        accelerometer_bias: Bias of the accelerometer, sd [m/s^2].
+        position: Noise of the position, sd [m].
     """
 
     gyro: float = 0.003

@@ -45,7 +45,7 @@ def unreachable_mode(
     eigenvalue s of A with a real part that is not negative.
 
     Args:
-        A: (n, n) [1/s].
+        A: State matrix, (n, n) [1/s].
         B: (n, m).
         axis_only: Modes that neither decay nor grow only.
 

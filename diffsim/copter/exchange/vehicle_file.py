@@ -27,6 +27,7 @@ from diffsim.copter.vehicle.vehicle_record import (
     assembled,
     own_rotor,
 )
+from diffsim.core.inertia import ENTRIES, inertia_matrix, inertia_mistake
 from diffsim.core.inside import inside
 from diffsim.core.yaml_text import load_yaml, read_text, read_yaml_file
 
@@ -118,17 +119,15 @@ def vehicle_from_text(
             raise ValueError(f"{source}: rotors[{k}].axis: must not be zero")
         places.append(turn @ (np.asarray(given, dtype=np.float64) - body.center_of_mass))
         axes.append(turn @ axis / np.linalg.norm(axis))
-    try:
-        vehicle = assembled(
-            body.mass,
-            turn @ body.inertia @ turn.T,
-            np.array(places),
-            np.array(axes),
-            [1.0 if r.spin == "cw" else -1.0 for r in said.rotors],
-            rotors,
-        )
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
+    vehicle = assembled(
+        body.mass,
+        turn @ body.inertia @ turn.T,
+        np.array(places),
+        np.array(axes),
+        [1.0 if r.spin == "cw" else -1.0 for r in said.rotors],
+        rotors,
+        source,
+    )
     battery = None if said.battery is None else _battery(said.battery)
     return FlyingVehicle(said.name or name, vehicle, rotors, battery, turn @ body.center_of_mass)
 
@@ -166,7 +165,8 @@ def _body(said: VehicleFile, folder: Path, source: str) -> Body:
         path = inside(folder, said.body_file, f"{source}: body_file")
         return sdf_body(path) if path.suffix == ".sdf" else body_of(path)
     assert said.mass is not None and said.inertia is not None
-    xx, yy, zz, xy, xz, yz = (*said.inertia, 0.0, 0.0, 0.0)[:6]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    entries = (*said.inertia, 0.0, 0.0, 0.0)[:6]
+    if mistake := inertia_mistake(entries, [f"inertia[{k}] ({e})" for k, e in enumerate(ENTRIES)]):
+        raise ValueError(f"{source}: {mistake}")
     center = np.array(said.center_of_mass or (0.0, 0.0, 0.0), dtype=np.float64)
-    return Body(said.mass, inertia, center, {}, {})
+    return Body(said.mass, inertia_matrix(entries), center, {}, {})

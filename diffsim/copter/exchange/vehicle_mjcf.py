@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.copter.exchange.mjcf_text import refuse_too_much, whole_mjcf
+from diffsim.copter.exchange.stated_inertia import refuse_impossible_inertia
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.copter.vehicle.battery import LIPO_NOMINAL
 from diffsim.copter.vehicle.multicopter import GRAVITY
@@ -105,6 +106,7 @@ def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
         np.array(axes) @ FRD,
         spins,
         rotors,
+        str(path),
     )
     name = ElementTree.parse(path).getroot().get("model") or path.stem
     return FlyingVehicle(name, vehicle, rotors, None, FRD @ body.center_of_mass)
@@ -221,6 +223,7 @@ def _urdf(path: Path) -> str:
     for further in [*robot.findall("mujoco"), *robot.findall("include")]:
         robot.remove(further)  # MuJoCo would follow these, too
     refuse_too_much(robot)
+    refuse_impossible_inertia(robot)
     compiler = ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")  # links that are welded on keep their names
     return ElementTree.tostring(robot, encoding="unicode")

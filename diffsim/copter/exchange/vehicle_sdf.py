@@ -28,10 +28,10 @@ from diffsim.copter.vehicle.vehicle_record import (
     usual_radius,
 )
 from diffsim.core.check import did_you_mean
+from diffsim.core.inertia import ENTRIES, inertia_matrix, inertia_mistake
 
 Array = NDArray[np.float64]
 
-_ENTRIES = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _SPINS = {"cw": 1.0, "ccw": -1.0}
 
 
@@ -97,6 +97,7 @@ def vehicle_of_sdf(path: Path) -> FlyingVehicle:
         np.array([body.axes[m.link] for m in motors]) @ FRD,
         [m.spin for m in motors],
         rotors,
+        str(path),
     )
     name = model.attributes.get("name") or path.stem
     return FlyingVehicle(name, vehicle, rotors, None, FRD @ body.center_of_mass)
@@ -158,10 +159,12 @@ def _inertial(link: Node, turn: Array, place: Array) -> tuple[float, Array, Arra
     tensor = said.one("inertia")
     if tensor is None:
         raise said.error("<inertial> needs <inertia>")
-    xx, yy, zz, xy, xz, yz = (tensor.value(e, 0.0 if e[1] != e[2] else None) for e in _ENTRIES)
+    entries = [tensor.value(e, 0.0 if e[1] != e[2] else None) for e in ENTRIES]
+    if mistake := inertia_mistake(entries, [f"<{e}>" for e in ENTRIES]):
+        raise tensor.error(f"link {link.attributes['name']!r}: {mistake}")
     own_turn, own_place = pose_of(said)
     frame = turn @ own_turn
-    inertia = frame @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ frame.T
+    inertia = frame @ inertia_matrix(entries) @ frame.T
     return mass, turn @ own_place + place, inertia
 
 

@@ -27,7 +27,7 @@ class MotorPlan:
         clockwise: Seen from above.
         pusher: Hangs upside down below what carries it.
         clip: Name of the compound-angle clip under it, None if it stands square.
-        max_thrust: [N].
+        max_thrust: Largest thrust [N].
     """
 
     number: int

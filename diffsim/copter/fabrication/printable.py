@@ -68,7 +68,7 @@ def clip_mesh(
         along: Tilt of the top's normal towards the notch, x [deg].
         across: Tilt of the top's normal to the right of it seen from above, -y as printed [deg].
         middle: Thickness in the middle [mm].
-        radius: [mm].
+        radius: Radius [mm].
     """
     lean = _lean(along, across)
     outline = circle(radius, segments=72)

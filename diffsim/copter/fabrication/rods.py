@@ -21,7 +21,7 @@ class RodCut:
     Attributes:
         label: Letter on the piece.
         section: Cross-section in words.
-        length: [m].
+        length: Length [m].
         names: Names of the parts, one per piece.
     """
 
@@ -42,7 +42,7 @@ class StockBar:
 
     Attributes:
         section: Cross-section in words.
-        length: [m].
+        length: Length [m].
         pieces: (label, length [m]) from one end to the other.
         kerf: Lost per cut [m].
     """

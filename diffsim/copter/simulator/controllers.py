@@ -51,7 +51,7 @@ class LqrController:
         vehicle: The design that the controller believes in, its load included.
         state_weight: Q = state_weight I, as in the public tool.
         input_weight: R = input_weight I.
-        max_error: [m].
+        max_error: Largest error of the position [m].
 
     Raises:
         HoverError: the vehicle does not hover within its limits, or cannot be controlled there.

@@ -25,19 +25,19 @@ class FlightSample:
     """One control period, NED; the state is that at its start.
 
     Attributes:
-        time: [s].
+        time: Time since the start [s].
         position, velocity: World frame, (3,) [m], [m/s].
         quaternion: World from body, (w, x, y, z), (4,).
         rpy: Roll, pitch, yaw, (3,) [rad].
         target: Position asked for, (3,) [m]; x and y of the vehicle itself where attitude is held.
-        target_yaw: [rad].
+        target_yaw: Yaw angle that is asked for [rad].
         estimate: Position that the controller believes in, (3,) [m].
         pwm: Pulse widths for the period, (n_rotors,) [us].
         thrusts: Thrusts of the rotors, lag included, (n_rotors,) [N].
         saturated: Whether a motor's command exceeds its limit, (n_rotors,).
         motors_on: Whether they turn.
         voltage: Voltage of the battery under load [V].
-        current: [A].
+        current: Current of the battery [A].
         charge: 0 to 1.
         lag: Behind the wall clock [s].
     """

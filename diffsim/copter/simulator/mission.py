@@ -39,7 +39,7 @@ class Leg:
     Attributes:
         name: Name of the step.
         start: Time [s].
-        duration: [s].
+        duration: Duration [s].
         pose: North, east, down, yaw at its start, (4,) [m, rad].
         move: By the end, (4,) [m, rad].
     """

@@ -28,7 +28,7 @@ class Outputs(NamedTuple):
     """Outputs of one control period, (n_rotors,) each.
 
     Attributes:
-        pwm: [us].
+        pwm: Pulse width of each motor [us].
         thrusts: Thrusts that the motors settle at [N].
         saturated: Whether the command exceeds the clamp or the motor's limit.
     """

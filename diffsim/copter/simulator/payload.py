@@ -33,7 +33,7 @@ def with_payload(vehicle: Multicopter, payload: float, *, drop: float = 0.05) ->
 
     Args:
         vehicle: Without it.
-        payload: [kg].
+        payload: Mass of the payload [kg].
         drop: Distance from the center of mass down to the load [m].
 
     Returns:

@@ -17,8 +17,8 @@ class Setpoint:
             counts.
         velocity: World frame, (3,) [m/s]; with ``hold_attitude`` only its z counts.
         acceleration: World frame, (3,) [m/s^2]; 0 where it is not known ahead, or holding attitude.
-        yaw: [rad].
-        yaw_rate: [rad/s].
+        yaw: Yaw angle that is asked for [rad].
+        yaw_rate: Yaw rate [rad/s].
         roll, pitch: Beyond those of the hover [rad]; with ``hold_attitude`` only.
         hold_attitude: Hold roll and pitch instead of the place.
         motors_on: False: all motors stand.

@@ -80,8 +80,8 @@ class StickScale:
     Attributes:
         speed: Over ground, mode "position" [m/s].
         tilt: Roll and pitch, mode "attitude" [rad].
-        climb: [m/s].
-        yaw_rate: [rad/s].
+        climb: Climb rate of a full stick [m/s].
+        yaw_rate: Yaw rate of a full stick [rad/s].
         max_height: Up from the ground [m].
     """
 

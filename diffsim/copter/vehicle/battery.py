@@ -36,10 +36,10 @@ class Battery:
     Not modeled: temperature, recovery after a load, aging, a capacity that depends on current.
 
     Attributes:
-        capacity: () [A s].
+        capacity: Charge of a full battery, () [A s].
         resistance: Resistance of the pack, () [ohm].
         open_circuit_coefficients: Coefficients of V = sum_j c_j charge^j, charge 0 to 1, (4,) [V].
-        nominal_voltage: () [V].
+        nominal_voltage: Nominal voltage, () [V].
     """
 
     capacity: Tensor

@@ -31,14 +31,14 @@ class Fleet:
     Every tensor has a leading axis (batch or 1,) and may carry gradients.
 
     Attributes:
-        mass: (batch,) [kg].
-        inertia: (batch, 3, 3) [kg m^2].
-        positions: (batch, n_rotors, 3) [m].
+        mass: Mass of each vehicle, (batch,) [kg].
+        inertia: Inertia matrix of each vehicle, (batch, 3, 3) [kg m^2].
+        positions: Position of each rotor, (batch, n_rotors, 3) [m].
         directions: (batch, n_rotors, 3).
         spins: (batch, n_rotors).
-        torque_ratios: (batch, n_rotors) [m].
-        max_thrusts: (batch, n_rotors) [N].
-        radii: (batch, n_rotors) [m].
+        torque_ratios: Torque over thrust of each rotor, (batch, n_rotors) [m].
+        max_thrusts: Largest thrust of each rotor, (batch, n_rotors) [N].
+        radii: Radius of each rotor, (batch, n_rotors) [m].
     """
 
     mass: Tensor

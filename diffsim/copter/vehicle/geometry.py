@@ -20,8 +20,8 @@ class LinearPoints:
     """Points that are linear in parameters: offset + basis @ parameters.
 
     Attributes:
-        offset: (..., 3) [m].
-        basis: (..., 3, num_parameters) [m per unit of the parameter].
+        offset: Points at parameters of zero, (..., 3) [m].
+        basis: Slopes by the parameters, (..., 3, num_parameters) [m per unit of the parameter].
     """
 
     offset: Array
@@ -37,7 +37,7 @@ class LinearMesh:
     """A triangle mesh of linear vertices.
 
     Attributes:
-        vertices: (num_vertices, 3) [m].
+        vertices: Vertices, (num_vertices, 3) [m].
         faces: (num_faces, 3), oriented outwards.
     """
 
@@ -107,7 +107,7 @@ def fan_prism(outline: Array, height: float) -> tuple[Array, IntArray]:
 
     Args:
         outline: Counterclockwise seen against z, around (0, 0), (n, 2).
-        height: [m].
+        height: Height [m].
 
     Raises:
         ValueError: a side of the outline is not counterclockwise as seen from (0, 0).

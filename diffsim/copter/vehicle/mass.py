@@ -12,7 +12,7 @@ class Moments(NamedTuple):
     """Moments of mass about an origin; one row per part.
 
     Attributes:
-        mass: (num_parts,) [kg].
+        mass: Mass of each part, (num_parts,) [kg].
         first: Integral of r, (num_parts, 3) [kg m].
         second: Integral of r r', (num_parts, 3, 3) [kg m^2].
     """
@@ -35,7 +35,7 @@ def mesh_moments(
         vertices: (num_vertices, 3) float64 [m], of all parts.
         faces: (num_faces, 3) int64, oriented outwards.
         part_of_face: (num_faces,) int64.
-        densities: (num_parts,) [kg/m^3].
+        densities: Density of each part, (num_parts,) [kg/m^3].
 
     Returns:
         Moments about the origin of the vertices' frame. Gradients: vertices, densities.
@@ -63,7 +63,7 @@ def placed_moments(moments: Moments, rotations: Tensor, translations: Tensor) ->
     Args:
         moments: Moments in the parts' frames.
         rotations: (num_parts, 3, 3).
-        translations: (num_parts, 3) [m].
+        translations: Translation of each part, (num_parts, 3) [m].
     """
     mass = moments.mass
     turned = torch.einsum("pij,pj->pi", rotations, moments.first)

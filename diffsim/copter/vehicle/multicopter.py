@@ -37,7 +37,7 @@ class Multicopter:
     and NumPy arrays become tensors.
 
     Attributes:
-        mass: () [kg].
+        mass: Mass, () [kg].
         inertia: (3, 3) about the center of mass [kg m^2].
         positions: Centers of the rotors relative to the center of mass, (n_rotors, 3) [m].
         directions: Unit directions of thrust d_i, (n_rotors, 3); up is (0, 0, -1).

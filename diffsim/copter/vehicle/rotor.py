@@ -34,13 +34,13 @@ class RotorModel:
         radius: Radius of the propeller [m].
         thrust_coefficient: c [N / (rad/s)^p].
         thrust_exponent: p.
-        thrust_offset: [N].
+        thrust_offset: Offset of the thrust [N].
         torque_ratio: lambda [m]; None: not measured.
         max_thrust: At full signal and nominal voltage [N].
         current_coefficient: a [A / N^alpha], at the nominal voltage.
         current_exponent: alpha.
-        current_offset: [A].
-        nominal_voltage: [V].
+        current_offset: Offset of the current [A].
+        nominal_voltage: Nominal voltage [V].
         duty_offset: duty_0; negative where the rotor turns at 1000 us already.
         speed_coefficient: g [rad/s / V^b].
         speed_exponent: b.

@@ -34,11 +34,11 @@ class RotorTable:
         name: Short name.
         title: Motor and propeller in words.
         radius: Radius of the propeller [m].
-        nominal_voltage: [V].
+        nominal_voltage: Nominal voltage [V].
         signal: Pulse width, (num_rows,) [us].
-        speed: (num_rows,) [rad/s].
-        thrust: (num_rows,) [N].
-        current: (num_rows,) [A].
+        speed: Speed of the rotor, (num_rows,) [rad/s].
+        thrust: Thrust, (num_rows,) [N].
+        current: Current, (num_rows,) [A].
         torque: (num_rows,) [N m], or None.
         voltage: (num_rows,) [V], or None where it was not recorded.
         down: Rows of the sweep down, (num_rows,) bool.

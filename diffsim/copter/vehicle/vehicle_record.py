@@ -12,6 +12,7 @@ from scipy.spatial.distance import pdist
 from diffsim.copter.vehicle.battery import Battery
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.rotor import RotorModel
+from diffsim.core.inertia import size_mistake
 
 Array = NDArray[np.float64]
 
@@ -57,9 +58,9 @@ class Body:
     """Mass properties, and places by name.
 
     Attributes:
-        mass: [kg].
+        mass: Mass [kg].
         inertia: About the center of mass, (3, 3) [kg m^2].
-        center_of_mass: (3,) [m].
+        center_of_mass: Center of mass, (3,) [m].
         places: Position of each link, body or site, (3,) [m].
         axes: Their z axes, (3,).
     """
@@ -87,19 +88,21 @@ def assembled(
     axes: Array,
     spins: list[float],
     rotors: tuple[RotorModel, ...],
+    source: str,
 ) -> Multicopter:
     """The record that the layers take.
 
     Args:
-        mass: [kg].
+        mass: Mass [kg].
         inertia: About the center of mass, forward, right, down, (3, 3) [kg m^2].
         places: Rotors relative to the center of mass, (n_rotors, 3) [m].
         axes: Directions of thrust, (n_rotors, 3).
         spins: +1 clockwise seen against the thrust, else -1.
         rotors: Their models.
+        source: What messages call the file.
 
     Raises:
-        ValueError: values that no body has.
+        ValueError: values that no body has, with ``source``.
     """
 
     def numbers(attribute: str) -> torch.Tensor:
@@ -108,20 +111,26 @@ def assembled(
     for rotor in rotors:
         if rotor.torque_ratio is None:
             raise ValueError(
-                f"the torque of {rotor.name} was not measured; give radius, max_thrust and "
-                "torque_ratio in place of model"
+                f"{source}: the torque of {rotor.name} was not measured; give radius, max_thrust "
+                "and torque_ratio in place of model"
             )
-    return Multicopter(
-        mass=torch.tensor(float(mass), dtype=torch.float64),
-        inertia=torch.as_tensor(inertia, dtype=torch.float64),
-        positions=torch.as_tensor(places, dtype=torch.float64),
-        directions=torch.as_tensor(axes, dtype=torch.float64),
-        spins=torch.tensor(spins, dtype=torch.float64),
-        torque_ratios=numbers("torque_ratio"),
-        max_thrusts=numbers("max_thrust"),
-        radii=numbers("radius"),
-        rotor_models=tuple(r.name for r in rotors),
-    )
+    reach = float(np.max(np.linalg.norm(places, axis=1) + [float(r.radius) for r in rotors]))
+    if mistake := size_mistake(mass, inertia, reach):
+        raise ValueError(f"{source}: {mistake}")
+    try:
+        return Multicopter(
+            mass=torch.tensor(float(mass), dtype=torch.float64),
+            inertia=torch.as_tensor(inertia, dtype=torch.float64),
+            positions=torch.as_tensor(places, dtype=torch.float64),
+            directions=torch.as_tensor(axes, dtype=torch.float64),
+            spins=torch.tensor(spins, dtype=torch.float64),
+            torque_ratios=numbers("torque_ratio"),
+            max_thrusts=numbers("max_thrust"),
+            radii=numbers("radius"),
+            rotor_models=tuple(r.name for r in rotors),
+        )
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
 
 
 def own_rotor(

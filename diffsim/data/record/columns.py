@@ -14,7 +14,8 @@ from diffsim.data.record.signals import FEW, Record, Samples, Signal
 
 Array = NDArray[np.float64]
 _GAIN = re.compile(r"(?<![\w.])(\d+\.?\d*(?:e[-+]?\d+)?)\s*[*/]|[*/]\s*(\d+\.?\d*(?:e[-+]?\d+)?)")
-EQUAL = 4e-6  # of the range: copies in a file of six digits differ by less
+OF_RANGE = 1e-3  # of the range, at most
+EQUAL = 4e-6  # of the values: copies in a file of six digits differ by less
 DISTINCT = 20  # values that a copy must show
 PROBES = 64  # rows that are compared first
 LAWFUL = 0.05  # of a channel's own scatter: what a law leaves of it where there is one
@@ -32,7 +33,7 @@ FACTORS = {
     25.4: "25.4 (inches)",
     1e6: "a million (micro or mega)",
 }
-NEAR = 0.12  # of the logarithm of a factor: how well a gain must meet it
+GAIN_NEAR = 0.12  # of the logarithm of a factor: how well a gain must meet it
 NOISE_NEAR = 0.35  # the same of the scatter from sample to sample
 MOST_SPREAD = 0.3  # of the logarithm of gains: others are not alike
 WINDOW = 20  # samples whose scatter is compared
@@ -92,6 +93,7 @@ def _proportion(a: Signal, b: Signal, rows: int) -> float | None:
             continue
         slope = float((p[high] - p[low]) / span) if times is None else times
         limit = EQUAL * max(float(np.abs(p).max()), abs(slope) * float(np.abs(q).max()))
+        limit = min(limit, OF_RANGE * float(np.ptp(p)))  # a clock counts from long ago
         level = float(p[low] - slope * q[low])
         probe = slice(None, None, max(len(p) // PROBES, 1))
         if slope == 0.0 or np.abs(p[probe] - slope * q[probe] - level).max() > limit:
@@ -173,12 +175,14 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
         spread_noise = float(np.abs(noises[rest] - np.median(noises[rest])).max())
         if spread > MOST_SPREAD or abs(off) < 1.5 + 4.0 * spread:
             continue
-        factor = _factor_near(off, max(NEAR, 1.5 * spread) if is_level else NEAR + 2.0 * spread)
+        near = max(GAIN_NEAR, 1.5 * spread) if is_level else GAIN_NEAR + 2.0 * spread
+        factor = _factor_near(off, near)
         if factor is None:
             continue
         times, words = factor
         beside = abs(off_noise - np.log(times))
-        is_sharp = max(spread, abs(off - np.log(times))) < NEAR  # needs no noise that says so, too
+        # one that is sharp needs no noise that says so, too
+        is_sharp = max(spread, abs(off - np.log(times))) < GAIN_NEAR
         if beside > max(NOISE_NEAR, 1.5 * spread_noise) + spread:
             continue
         if not is_sharp and beside > abs(off_noise):

@@ -16,11 +16,14 @@ from diffsim.data.study import Command
 
 Array = NDArray[np.float64]
 FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself
-FAR = 2.0  # spreads beyond which a value is none of the usual ones
+USUAL_SPREADS = 2.0  # spreads beyond which a value is none of the usual ones
 OUTSIDE = 0.5  # of the range of the others: how far a value must leap
 ALONE = 4.0  # largest changes around, beyond which a sample lies off both sides
 SPIKY = ("m/s^2", "rad/s^2", "N", "N m", "A", "V", "W")  # SI units of what an impact makes jump
 PLACES = ("m", "rad", "-", None, "K", "Pa")  # SI units of what cannot jump and stay
+SMALL = 0.1  # of the range of a command: a goal so near is none
+HELD = 0.8  # share of rows in which a command of goals keeps its value
+REACTION = 5  # rows after which a channel moves to a new goal, at most
 FROZEN = 6  # samples of which a stop can be told
 CHANCE = 1e-8  # of so long a stop where neighbors differ
 MAX_RATE = 20  # rows on one line
@@ -33,7 +36,7 @@ def find_far(record: Record) -> Iterator[Finding]:
         if len(values) < FEW:
             continue
         low, high = np.quantile(values, [0.1, 0.9])
-        reach = FAR * float(high - low)
+        reach = USUAL_SPREADS * float(high - low)
         inside = values[(values >= low - reach) & (values <= high + reach)]
         if len(inside) == len(values):
             continue
@@ -232,7 +235,11 @@ def find_flat(record: Record) -> Iterator[Finding]:
         for name, end in (("largest", signal.high), ("least", signal.low)):
             if (found := _flat_at(signal, end)) is None:
                 continue
-            count, times, is_noisy = found
+            count, stretches, is_noisy = found
+            told = record.command_of(signal)
+            if told is not None and all(_rests(told, *stretch) for stretch in stretches):
+                continue
+            times = [float(samples.times[first]) for samples, first, _ in stretches]
             scale = signal.scale or 1.0
             value = _si_at(record, signal, end)
             low, high = ("-1e9", f"{value:.6g}") if name == "largest" else (f"{value:.6g}", "1e9")
@@ -258,8 +265,10 @@ def _si_at(record: Record, signal: Signal, end: float) -> float:
     return end
 
 
-def _flat_at(signal: Signal, end: float) -> tuple[int, list[float], bool] | None:
-    count, times, abrupt, parts, longest, left = 0, [], 0, 0, 0, 0
+def _flat_at(signal: Signal, end: float) -> tuple[int, list[tuple[Samples, int, int]], bool] | None:
+    """Samples at an end, stretches of them, and whether the channel is noisy elsewhere."""
+    count, abrupt, parts, longest, left = 0, 0, 0, 0, 0
+    stretches = []
     equal = of = 0
     for samples in signal.runs:
         is_end = samples.values == end
@@ -275,7 +284,7 @@ def _flat_at(signal: Signal, end: float) -> tuple[int, list[float], bool] | None
             parts += 1
             left += part[-1] + 1 < len(samples)
             longest = max(longest, len(part))
-            times.append(float(samples.times[part[0]]))
+            stretches.append((samples, int(part[0]), int(part[-1])))
             k = part[0] - 1
             if k >= 2:
                 entry, before = abs(samples.changes[k]), abs(samples.changes[k - 1])
@@ -288,7 +297,7 @@ def _flat_at(signal: Signal, end: float) -> tuple[int, list[float], bool] | None
     is_noisy = equal < 0.1 * of
     if not is_noisy and abrupt < 0.8 * parts:
         return None
-    return count, times, is_noisy
+    return count, stretches, is_noisy
 
 
 def find_frozen(record: Record) -> Iterator[Finding]:
@@ -302,6 +311,8 @@ def find_frozen(record: Record) -> Iterator[Finding]:
                 continue  # a flat top
             start, end = float(samples.times[first]), float(samples.times[last])
             moving = record.moving(samples.run, start, end, signal)
+            if _rests(record.command_of(signal), samples, first, last):
+                continue
             if record.commands or len(record.channels) > 1:
                 if moving is None:
                     continue
@@ -317,6 +328,21 @@ def find_frozen(record: Record) -> Iterator[Finding]:
                 "them out",
                 True,
             )
+
+
+def _rests(command: Signal | None, samples: Samples, first: int, last: int) -> bool:
+    """Whether a stop is no more than rest at a goal: the command of the channel keeps its value,
+    or changes as the stop ends, from a goal that was taken or missed."""
+    if command is None or (told := command.of_run(samples.run)) is None:
+        return False
+    if not len(told) or told.shares_equal < HELD:
+        return False
+    step = float(np.median(np.diff(samples.times)))
+    start, end = samples.times[first], samples.times[last]
+    new = told.times[1:]
+    inside = (told.changes != 0.0) & (new > start) & (new <= end + step)
+    large = inside & (np.abs(told.changes) > SMALL * command.range)
+    return not large.any() or bool((new[inside] >= end - REACTION * step).any())
 
 
 def _longest_stop(samples: Samples) -> tuple[int, int] | None:

@@ -17,6 +17,8 @@ from diffsim.data.study import Channel, Command, Run, Study
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 DIGITS = 1e-9  # of the range: numbers that close are equal
+FOLLOWS = 0.5  # least correlation of ranks of what is commanded with its command
+PROBES = 20_000  # samples that tell it
 FEW = 12  # samples of which a rule can tell nothing
 
 
@@ -27,7 +29,7 @@ class Samples:
     Attributes:
         run: Name of the run.
         at: Places in the run, (num,).
-        times: (num,) [s].
+        times: Times of the samples, (num,) [s].
         values: (num,) as the file has them.
     """
 
@@ -196,6 +198,12 @@ class Record:
         """A run by its name."""
         return next(run for run in self.study.runs if run.name == name)
 
+    def command_of(self, channel: Signal) -> Signal | None:
+        """The command that a channel follows, by their ranks; None: it follows none."""
+        found = [(_likeness(channel, command), k) for k, command in enumerate(self.commands)]
+        best, place = max(found, default=(0.0, 0))
+        return self.commands[place] if best > FOLLOWS else None
+
     def moving(self, run: str, start: float, end: float, but: Signal) -> Signal | None:
         """A signal that moves from one time of a run to another, by a tenth of its range or more.
 
@@ -209,6 +217,17 @@ class Record:
             if len(part) and np.ptp(part) > 0.1 * signal.range:
                 return signal
         return None
+
+
+def _likeness(a: Signal, b: Signal) -> float:
+    """Correlation of the ranks of two signals, over all runs."""
+    pairs = [(x.values, y.values) for x in a.runs if (y := b.of_run(x.run)) and len(x) == len(y)]
+    if not pairs:
+        return 0.0
+    first, second = (np.concatenate(values) for values in zip(*pairs, strict=True))
+    probe = slice(None, None, max(len(first) // PROBES, 1))
+    ranks = np.argsort(np.argsort([first[probe], second[probe]], axis=1), axis=1)
+    return float(np.asarray(np.corrcoef(ranks))[0, 1]) if ranks.shape[1] > FEW else 0.0
 
 
 def _of_channel(runs: Sequence[Run], at: int, channel: Channel) -> Signal:

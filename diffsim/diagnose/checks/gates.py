@@ -20,7 +20,7 @@ from diffsim.core.progress import say_stage
 from diffsim.data.shared_rows import SHARED_BITS, STRETCH, SharedStretch, bits_of, shared_stretches
 from diffsim.data.signal import scatter
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.checks.noise import SPIKE, UNREPEATABLE
+from diffsim.diagnose.checks.noise import SCATTER_CHANCE, SPIKE, UNREPEATABLE
 from diffsim.identify import Fit
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.model import SimModel
@@ -194,7 +194,6 @@ COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget
 UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"
 LEAST_FREEDOM = 3  # samples beyond the numbers of a model, for a law to be one
-SCATTER_CHANCE = 1e-3  # of so large a scatter where the priors hold: repeats are few
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ def without_misread(run: Run, commands: Sequence[Command]) -> tuple[Run, int]:
     return (replace(run, command=mended), count) if count else (run, 0)
 
 
-def settled(
+def choose_commands(
     run: Run, commands: Sequence[Command], left: Callable[[Run], Array], sd: Array
 ) -> tuple[Run, int]:
     """A run with its measured commands as recorded, or without jumps: as the model is nearer.
@@ -60,4 +60,4 @@ def settled(
     return (run, 0) if as_recorded < without else (mended, count)
 
 
-__all__ = ["settled", "without_misread"]
+__all__ = ["choose_commands", "without_misread"]

@@ -20,13 +20,16 @@ from diffsim.identify.whitening import MOST_RUNS
 
 Array = NDArray[np.float64]
 MAX_ORDER = 4
+LONGEST_MEMORY = 1000  # samples over which a color is followed
 UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
-FEWEST = 20  # independent deviations, from which on they tell the scatter and its color
+SCATTER_CHANCE = 1e-3  # of so large a scatter where the noise is as stated: repeats are few
+MIN_DEVIATIONS = 20  # independent deviations, from which on they tell the scatter and its color
 SPIKE = 6.0  # robust standard deviations from the neighbors' median
 MAX_SPIKES = 0.03  # a larger share is no spikes, but a heavy-tailed sensor
 BY_CHANCE = 0.05  # of so many spikes in a run, where the largest share is the true one
 STATED = "stated sd"
 COLORED = "stated sd, color of what is left"
+REPEATED = "stated sd, color of repeats"
 
 
 class ArWhitener:
@@ -76,17 +79,23 @@ class NoiseFloor:
             by channel.
         scatter_ratio: Scatter of repeats over the stated sensor noise, (num_channels,); NaN where
             either is missing: repeatability cannot be judged then.
+        scatter_freedom: Independent deviations behind each ratio, (num_channels,).
     """
 
     whitener: ArWhitener
     sd: Array
     source: tuple[str, ...]
     scatter_ratio: Array
+    scatter_freedom: Array
 
     @property
     def is_repeatable(self) -> bool:
-        """False if any channel's repeats scatter more than 1.4 times the sensor noise."""
-        return not bool((self.scatter_ratio > UNREPEATABLE).any())
+        """False if a channel's repeats scatter more than 1.4 times the sensor noise, and more than
+        chance makes of the channel that scatters most (chi-squared, Bonferroni)."""
+        ratio, freedom = self.scatter_ratio, self.scatter_freedom
+        is_large = ratio > UNREPEATABLE
+        chance = special.chdtrc(freedom[is_large], freedom[is_large] * ratio[is_large] ** 2)
+        return not bool((chance * np.isfinite(ratio).sum() < SCATTER_CHANCE).any())
 
 
 def noise_floor(
@@ -101,6 +110,9 @@ def noise_floor(
     It is at least what rounding does to the readings, whose repeats may be equal to the last digit.
     Repeats in which something recorded differs, such as a temperature that the model does not use,
     are no repeats where they scatter more than the stated sd: that may be the effect of it.
+    Readings of repeats that differ by less than what a model leaves of them do not scatter: a model
+    tells apart what is alike, as a drift over the runs' order does. Where repeats hold few
+    independent samples a stated sd is the better estimate, and they tell its color alone.
 
     Args:
         runs: Runs to be fitted.
@@ -114,21 +126,33 @@ def noise_floor(
         ValueError: a channel without noise at all.
     """
     deviations, is_alike = repeat_deviations(runs, left), not _repeats_differ(runs)
-    sd, source, ratio, coefficients = [], [], [], []
+    recorded = repeat_deviations(runs, {run.name: run.measured for run in runs})
+    sd, source, ratio, freedoms, coefficients = [], [], [], [], []
     for c, channel in enumerate(channels):
-        series = [d[:, c] for d in deviations]
+        pair = ([d[:, c] for d in those] for those in (deviations, recorded))
+        series = min(pair, key=lambda parts: sum(float(np.nansum(x**2)) for x in parts))
         values = np.concatenate([*series, np.zeros(0)])
         values = values[np.isfinite(values)]
-        measured = float(np.sqrt(np.mean(values**2))) if len(values) > FEWEST else float("nan")
+        measured = (
+            float(np.sqrt(np.mean(values**2))) if len(values) > MIN_DEVIATIONS else float("nan")
+        )
+        color = fit_ar(series)
+        freedom = _freedom(runs, series, color)
         stated = channel.sd
         more = measured / stated if stated is not None else np.nan
-        if not is_alike and more > 1.0 and _is_of_own_size(more**2, len(values)):
+        if not is_alike and more > 1.0 and _is_of_own_size(more**2, freedom):
             measured = more = np.nan
         ratio.append(more)
-        if np.isfinite(measured) and not ratio[-1] > UNREPEATABLE:
+        freedoms.append(freedom)
+        is_scatter = np.isfinite(measured) and not ratio[-1] > UNREPEATABLE
+        if is_scatter and (stated is None or freedom > MIN_DEVIATIONS):
             sd.append(measured)
             source.append("repeats")
-            coefficients.append(fit_ar(series))
+            coefficients.append(color)
+        elif is_scatter and stated is not None and len(color):
+            sd.append(stated)
+            source.append(REPEATED)
+            coefficients.append(color)
         elif stated is not None:
             sd.append(stated)
             rest = [left[r.name][:, c] for r in runs] if explained else []
@@ -145,9 +169,24 @@ def noise_floor(
             raise ValueError(
                 f"channel {channel.name} has no noise (sd {sd[-1]:g} {channel.unit}); state its sd"
             )
-    return NoiseFloor(
-        ArWhitener(np.array(sd), coefficients), np.array(sd), tuple(source), np.array(ratio)
-    )
+    whitener = ArWhitener(np.array(sd), coefficients)
+    return NoiseFloor(whitener, np.array(sd), tuple(source), np.array(ratio), np.array(freedoms))
+
+
+def _freedom(runs: Sequence[Run], series: Sequence[Array], color: Array) -> float:
+    """Independent deviations in series: k runs have k - 1, and of autoregressive noise a mean
+    square is as certain as that of one in 1 + 2 sum rho_k^2 (Bayley and Hammersley 1946)."""
+    lengths: dict[str, list[int]] = defaultdict(list)
+    for run in runs:
+        lengths[run.group].append(len(run.time_s))
+    groups = [(len(g), min(g)) for g in lengths.values() if len(g) > 1]
+    total = sum(k * length for k, length in groups)
+    if not total:
+        return 0.0
+    share = sum((k - 1) * length for k, length in groups) / total
+    rho = _autocorrelation(color, LONGEST_MEMORY) if len(color) else np.ones(1)
+    count = sum(int(np.isfinite(x).sum()) for x in series)
+    return float(share * count / (2.0 * np.sum(rho**2) - 1.0))
 
 
 def repeat_deviations(runs: Sequence[Run], left: Mapping[str, Array]) -> list[Array]:
@@ -227,7 +266,7 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     parts = [x[start:stop] / sd for x in series for start, stop in _stretches(np.isfinite(x))]
     a, num_samples = fit_ar(parts), sum(map(len, parts))
     # nothing is left, it is white, or its memory is too long to be seen
-    if not len(a) or _num_independent(a, num_samples) < FEWEST:
+    if not len(a) or _num_independent(a, num_samples) < MIN_DEVIATIONS:
         return none
     blocks = [_whitening_block(len(x), a) for x in parts]
     chi2 = float(sum(np.sum((w @ x) ** 2) for w, x in zip(blocks, parts, strict=True)))
@@ -238,12 +277,12 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     return a if gained > len(a) * price and has_stated_size else none
 
 
-def _is_of_own_size(ratio: float, num_samples: int) -> bool:
+def _is_of_own_size(ratio: float, num_samples: float) -> bool:
     """Whether the Bayesian information criterion asks for another sd than the stated one.
 
     Args:
         ratio: Mean square over the stated variance.
-        num_samples: Number of squares.
+        num_samples: Number of independent squares.
     """
     gained = 0.5 * num_samples * (ratio - 1.0 - np.log(ratio))
     return bool(gained > 0.5 * np.log(num_samples))

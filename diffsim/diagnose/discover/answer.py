@@ -59,14 +59,16 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     )
     if not laws or report.verdict not in ("named", "ambiguous"):
         return replace(report, described=answer)
-    head = _headline(report, laws, _say_turn(report, by_name))
-    tail = report.headline.partition(": ")[2] or report.headline.partition(". ")[2]
-    return replace(
-        report,
-        described=answer,
-        verdict=DESCRIBED,
-        headline=f"{head} {tail[:1].upper()}{tail[1:]}".strip(),
-    )
+    said = _say_laws(report, laws, _say_turn(report, by_name))
+    first, *more = report.sentences
+    return replace(report, described=answer, verdict=DESCRIBED, sentences=(first, said, *more))
+
+
+def in_words(report: Report, found: FoundLaws) -> Report:
+    """A report whose rows call laws by where they act and what they depend on."""
+    words = {law.name: f"{_what(law)} that depends on {law.variable.name}" for law in found.laws}
+    rows = (replace(row, words=words.get(row.name, row.words)) for row in report.causes)
+    return replace(report, causes=tuple(rows))
 
 
 def _is_held(row: CauseRow, laws: Mapping[str, Law]) -> bool:
@@ -100,25 +102,20 @@ def _is_mix(law: Law) -> bool:
     return law.entry.kind != "number" and not law.variable.memory and unit == law.entry.unit != "-"
 
 
-def _headline(report: Report, laws: Sequence[DescribedLaw], more: str) -> str:
-    """The best law and what cannot be told from it, beside causes of the library."""
+def _say_laws(report: Report, laws: Sequence[DescribedLaw], more: str) -> str:
+    """The best law, what acts beside it and what cannot be told from it, with their numbers."""
     best, *rest = sorted(laws, key=lambda law: law.name not in report.named)
-    is_sure = best.status == CERTAIN
     same = [law for law in rest if _place_of(law) == _place_of(best)]
     beside = [law for law in rest if law.name in report.named or law.status in (CERTAIN, LIKELY)]
     others = [law for law in rest if law not in same and law not in beside]
-    said = best.sentence
+    said = f"{'' if best.status == CERTAIN else 'probably '}{best.sentence}"
     if same:
         said += f" (or {', '.join(law.formula for law in same)})"
     if beside:
         said += f"; and {beside[0].sentence}{more}"
     if others:
         said += f"; or else {others[0].sentence}"
-    known = {law.name for law in laws}
-    names = [row.words for row in report.causes if row.name in report.named]
-    names = [n for n in names if n not in {k.replace("_", " ") for k in known}]
-    also = f", beside {' and '.join(names)}" if names else ""
-    return f"No cause of the library explains it: {'' if is_sure else 'probably '}{said}{also}."
+    return f"A law that nobody listed: {said}."
 
 
 def _place_of(law: DescribedLaw) -> tuple[str, str, tuple[str, ...]]:

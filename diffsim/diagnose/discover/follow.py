@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 MOST_KNOTS = 300  # of a run's course, over all its entries
 MAX_STEPS = 8
 COURSE = "course"  # family of what drives a simulation along a recording
-SETTLED = 0.01  # of the misfit, that a last step takes away
+LAST_STEP_SHARE = 0.01  # of the misfit, that a last step takes away
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +279,7 @@ def _drive(fit: Fit, run: Run, port: LawPort, max_steps: int) -> tuple[Problem, 
         gram = slopes.T @ slopes + np.eye(len(own))
         step = linalg.solve(gram, slopes.T @ r - u[own], assume_a="pos")
         x, now = _shorten(problem, x, own, step, cost)
-        if cost - now < SETTLED * now:
+        if cost - now < LAST_STEP_SHARE * now:
             break
         cost = now
     return problem, x

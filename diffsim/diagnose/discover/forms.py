@@ -16,8 +16,8 @@ from scipy import linalg, optimize
 
 Array = NDArray[np.float64]
 NUM_STARTS = 7  # of each number of a form, over the range of its variable
-WIDE = 10.0  # of the prior of a form's number, in sd that the record leaves
-NUMBER_NATS = float(np.log(WIDE))  # what each number costs, by that prior
+FORM_PRIOR_SD = 10.0  # of the prior of a form's number, in sd that the record leaves
+NUMBER_NATS = float(np.log(FORM_PRIOR_SD))  # what each number costs, by that prior
 SAME_NATS = 2.0  # between forms that no record of this kind tells apart
 NUM_TRIED = 2  # starts that are followed to their end
 LINE = "u - {mid}"
@@ -212,7 +212,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class ToldLaw:
+class LawMisfit:
     """What a record tells of a law over its variable, without any prior of the law.
 
     The misfit of a law with values v at ``u`` is |target - root v|^2 and a constant.
@@ -229,7 +229,7 @@ class ToldLaw:
     target: Array
     of_number: bool = False
 
-    def without_level(self) -> ToldLaw:
+    def without_level(self) -> LawMisfit:
         """The same, what is level taken out: it says nothing of a law."""
         level = self.root.sum(1)
         along = level / max(float(linalg.norm(level)), 1e-300)
@@ -243,7 +243,7 @@ class ToldLaw:
         return 0.5 * float(np.sum((self.target - shapes @ factors) ** 2))
 
 
-def fit_forms(told: ToldLaw) -> list[FittedForm]:
+def fit_forms(told: LawMisfit) -> list[FittedForm]:
     """Forms beside what a record tells, the best first; of those that it cannot tell apart the one
     with the fewest numbers."""
     low, high = float(told.u[0]), float(told.u[-1])
@@ -272,7 +272,7 @@ def fit_forms(told: ToldLaw) -> list[FittedForm]:
 class _ScaledLaw:
     """What a record tells, over a variable from -1 to 1."""
 
-    told: ToldLaw
+    told: LawMisfit
     low: float
     high: float
     mid: float

@@ -19,7 +19,7 @@ from scipy import linalg, special
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord, Reach
-from diffsim.diagnose.discover.forms import ToldLaw
+from diffsim.diagnose.discover.forms import LawMisfit
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Problem
@@ -205,7 +205,7 @@ class Screen:
         power = float(np.sqrt(np.sum(columns**2) / len(columns)))
         return self.weigher.gain(columns / power)[0] if 0.0 < power < np.inf else -np.inf
 
-    def told(self, candidate: Candidate) -> ToldLaw:
+    def misfit_of(self, candidate: Candidate) -> LawMisfit:
         """What the record tells of a law over its variable, by straight lines between points."""
         every = np.concatenate(list(self.values(candidate)))
         points = np.linspace(float(np.nanmin(every)), float(np.nanmax(every)), NUM_POINTS)
@@ -213,14 +213,14 @@ class Screen:
         columns = self.columns_of(
             candidate, lambda u: np.stack([np.interp(u, points, h) for h in hats], 1)
         )
-        root, target = self.weigher.told(columns)
+        root, target = self.weigher.misfit_of(columns)
         is_free = candidate.entry.target in self.followed.fit.problem.names
-        return ToldLaw(points, root, target, candidate.entry.kind == "number" and is_free)
+        return LawMisfit(points, root, target, candidate.entry.kind == "number" and is_free)
 
-    def beside(self, law: Candidate) -> Screen:
+    def with_law(self, law: Candidate) -> Screen:
         """What laws would explain beside one that stands, of those that explain anything alone."""
         columns = self.columns_of(law, law.basis.values) * law.typical
-        screen = replace(self, weigher=self.weigher.beside(columns))
+        screen = replace(self, weigher=self.weigher.with_columns(columns))
         best: dict[tuple[Entry, int], Candidate] = {}
         for c in self.found:
             if c.nats > 0.0 and (c.entry, c.variable.name) != (law.entry, law.variable.name):
@@ -500,7 +500,7 @@ class Weigher:
         gram = columns.T @ columns - mixed.T @ solved
         return gram, columns.T @ self.missing - solved.T @ (j.T @ self.missing)
 
-    def told(self, columns: Array) -> tuple[Array, Array]:
+    def misfit_of(self, columns: Array) -> tuple[Array, Array]:
         """Root and target of what the record tells of factors: |target - root f|^2.
 
         Args:
@@ -512,7 +512,7 @@ class Weigher:
         size = np.sqrt(values[kept])
         return size[:, None] * vectors[:, kept].T, (vectors[:, kept].T @ right) / size
 
-    def beside(self, columns: Array) -> Weigher:
+    def with_columns(self, columns: Array) -> Weigher:
         """The same beside a law that stands.
 
         Args:

@@ -21,7 +21,7 @@ from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import follow
-from diffsim.diagnose.discover.forms import WIDE, Curve, FittedForm, fit_forms
+from diffsim.diagnose.discover.forms import FORM_PRIOR_SD, Curve, FittedForm, fit_forms
 from diffsim.diagnose.discover.screen import ONE_TURN, Candidate, Screen, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
@@ -256,7 +256,7 @@ def _rounds(
         law = max(fitted, key=lambda f: f.nats)
         first = first or law.nats
         standing, fit = (*standing, law), law.fit
-        screen = screen.beside(law.candidate)
+        screen = screen.with_law(law.candidate)
 
 
 def _fit_pairs(
@@ -370,7 +370,7 @@ def _fit_law(
     by_run = tuple(_by_run(screen, candidate, every, right, asked))
     if candidate.basis.wave:
         return FittedLaw(candidate, ended, curve, nats, (), 0.0, by_run)
-    told = screen.told(candidate)
+    told = screen.misfit_of(candidate)
     left = told.left_by(candidate.basis.values(told.u))
     return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
 
@@ -447,7 +447,7 @@ def _make_table(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> La
 def _make_law(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[str, Shape]) -> Law:
     c = fitted.candidate
     shapes = {
-        name: Shape(value, max(WIDE * sd, 0.05 * abs(value) + 1e-12), "-")
+        name: Shape(value, max(FORM_PRIOR_SD * sd, 0.05 * abs(value) + 1e-12), "-")
         for name, (value, sd) in form.numbers.items()
     }
     return Law(

@@ -48,16 +48,22 @@ def sets_of(keys: FaultKeys, effects: Sequence[Effect]) -> tuple[tuple[str, ...]
         ValueError: a cause that the library does not have, or that has several components.
     """
     known = [e.name for e in effects]
-    named = [*keys.together, *(c for causes in keys.known.causes.values() for c in causes)]
+    known_causes = (c for causes in keys.known.causes.values() for c in causes)
+    named = [*keys.together, *keys.sizes, *known_causes]
     for name in named:
         if name not in known:
             raise ValueError(f"faults: no cause {name!r}{did_you_mean(name, known)}")
     for effect in effects:
         if len(effect.components) > 1:
             raise ValueError(f"faults: cause {effect.name} has several components; leave it out")
+    for effect in effects:
+        if not effect.signed and keys.sizes.get(effect.name, 1.0) <= 0.0:
+            raise ValueError(f"faults.sizes.{effect.name}: must be above 0, it is one-sided")
     singles = [(name,) for name in known]
-    joint = [n for n in known if n in keys.together]
-    more = [c for k in range(2, keys.max_causes + 1) for c in combinations(joint, k)]
+    together = keys.together or (known if keys.max_causes is not None else ())
+    joint = [n for n in known if n in together]
+    most = keys.max_causes if keys.max_causes is not None else 2
+    more = [c for k in range(2, most + 1) for c in combinations(joint, k)]
     return (*singles, *more)
 
 

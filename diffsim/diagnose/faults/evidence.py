@@ -6,8 +6,8 @@ normal one stands for it, and one-sided sizes are integrated over their side onl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,11 +50,15 @@ def informations(local: Local, priors: Priors) -> list[Information]:
         priors: What is known of its nuisances, ``Learned.priors`` of the group.
     """
     gone = slice(0, local.num_nuisances)
-    return without(local.curvature, local.slope, -0.5 * local.square, gone, priors)
+    level = local.level - 0.5 * local.square
+    return without(local.curvature, local.slope, level, gone, priors)
 
 
 def evidence(
-    found: Sequence[Information], effects: Sequence[Effect], rng: np.random.Generator
+    found: Sequence[Information],
+    effects: Sequence[Effect],
+    rng: np.random.Generator,
+    known: Mapping[str, float],
 ) -> Evidence:
     """Evidence of all causes of a linearized group, and their sizes.
 
@@ -62,7 +66,24 @@ def evidence(
         found: What the group says of the sizes of one set, for each draw of the scatter.
         effects: Causes of the set, in the same order.
         rng: Of the samples of sizes.
+        known: Scaled sizes that are known, by name of the cause.
     """
+    at = [k for k, e in enumerate(effects) if e.name in known]
+    if not at:
+        return _evidence(found, effects, rng)
+    values = np.array([known[effects[k].name] for k in at])
+    rest = [k for k in range(len(effects)) if k not in at]
+    part = _evidence([f.given(at, values) for f in found], [effects[k] for k in rest], rng)
+    scaled, samples = np.zeros(len(effects)), np.zeros((len(part.samples), len(effects)))
+    scaled[at], scaled[rest] = values, part.scaled
+    samples[:, at], samples[:, rest] = values, part.samples
+    return replace(part, scaled=scaled, samples=samples, strength=_strength(found, scaled))
+
+
+def _evidence(
+    found: Sequence[Information], effects: Sequence[Effect], rng: np.random.Generator
+) -> Evidence:
+    """Evidence of causes whose size is not known."""
     if not effects:
         level = float(logsumexp([f.level for f in found]) - np.log(len(found)))
         return Evidence(level, np.zeros(0), 0.0, np.zeros((1, 0)), np.ones(1))
@@ -79,14 +100,14 @@ def evidence(
     levels += _log_shares(means, covariances, signed)
     weight = np.exp(levels - logsumexp(levels))
     samples, weights = _samples(means, covariances, weight, signed, rng)
+    level = float(logsumexp(levels) - np.log(len(levels)))
+    return Evidence(level, mode, _strength(found, mode), samples, weights)
+
+
+def _strength(found: Sequence[Information], scaled: Array) -> float:
+    """Length of the misfit of sizes, in sd of noise and scatter."""
     curvature = np.mean([f.curvature for f in found], axis=0)
-    return Evidence(
-        float(logsumexp(levels) - np.log(len(levels))),
-        mode,
-        float(np.sqrt(max(mode @ curvature @ mode, 0.0))),
-        samples,
-        weights,
-    )
+    return float(np.sqrt(max(scaled @ curvature @ scaled, 0.0)))
 
 
 def mixed(parts: Sequence[Evidence], log_weights: Sequence[float]) -> Evidence:

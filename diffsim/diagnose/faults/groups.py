@@ -56,10 +56,11 @@ def groups_of(study: Study, keys: FaultKeys) -> tuple[Group, ...]:
     """
     members: dict[str, list[Run]] = {}
     for run in sorted(study.runs, key=lambda r: r.order):
-        if keys.per not in run.setup:
+        facts = {"run": run.name, **run.setup}
+        if keys.per not in facts:
             hint = did_you_mean(keys.per, run.setup)
             raise ValueError(f"faults.per: run {run.name} has no {keys.per} in its setup{hint}")
-        members.setdefault(str(run.setup[keys.per]), []).append(run)
+        members.setdefault(str(facts[keys.per]), []).append(run)
     return tuple(_group(label, runs, keys) for label, runs in members.items())
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from diffsim.core.check import require_choice
 from diffsim.core.threads import one_thread
 from diffsim.data.fault_keys import FaultKeys
-from diffsim.data.study import Study
+from diffsim.data.study import Channel, Study
 from diffsim.diagnose.faults.candidates import (
     UNLISTED_FACTOR,
     Candidate,
@@ -18,11 +19,12 @@ from diffsim.diagnose.faults.candidates import (
 )
 from diffsim.diagnose.faults.evidence import Evidence, evidence, informations, mixed
 from diffsim.diagnose.faults.given import take_apart
+from diffsim.diagnose.faults.goals import Fit, Rows, rows_at
 from diffsim.diagnose.faults.groups import Group
-from diffsim.diagnose.faults.learn import GroupPosterior, learn
-from diffsim.diagnose.faults.local import Local, local_at, problem_of
+from diffsim.diagnose.faults.learn import KNOWN_PRECISION, GroupPosterior, learn
+from diffsim.diagnose.faults.local import problem_of
 from diffsim.diagnose.faults.marginal import Information, Priors
-from diffsim.diagnose.faults.states import possible_states
+from diffsim.diagnose.faults.states import State, possible_states
 from diffsim.diagnose.faults.verdict import (
     CandidateEvidence,
     FaultReport,
@@ -41,6 +43,7 @@ Array = NDArray[np.float64]
 REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes
 NUM_REFINEMENTS = 2
 ENDS = (0.05, 0.95)  # shares of draws below the two ends of an interval
+HELD = 1e12  # precision of a size that is known
 LONGEST_STEP = 1.5  # of a scaled size from one linearization to the next
 
 Progress = Callable[[int, int], None]
@@ -79,7 +82,7 @@ def judge_faults(
         if progress is not None:
             progress(done, len(judged))
         others = learned.without(group.label) if group.teaches else learned
-        verdicts.append(judged_group(group, others, keys, sets, seed))
+        verdicts.append(judged_group(group, others, keys, sets, seed, study.channels))
     return FaultReport(study.name, _spreads(learned), tuple(verdicts))
 
 
@@ -94,6 +97,7 @@ def judged_group(
     keys: FaultKeys,
     sets: Sequence[tuple[str, ...]],
     seed: int,
+    channels: Sequence[Channel],
 ) -> FaultVerdict:
     """What may be said of one group.
 
@@ -103,89 +107,147 @@ def judged_group(
         keys: ``faults`` of the study.
         sets: Sets of causes that may act at once.
         seed: Of the draws of sizes.
+        channels: Channels of the study.
     """
     rng = np.random.default_rng(seed)
     effects = {e.name: e for e in learned.problem.effects}
-    point = np.zeros(len(learned.problem.names))
-    point[: len(learned.point)] = learned.point
     states = possible_states(group, learned, keys)
-    problems = [problem_of(learned.problem, s.group) for s in states]
-    locals_ = [local_at(p, learned.layout, point, p.effects) for p in problems]
-    seen = [known.causes for known in learned.locals.values()]
-    tried = candidates(keys, sets, seen)
-    names = [e.name for e in learned.problem.effects]
-    found: list[list[Evidence]] = [[] for _ in tried]
-    sizes: list[list[Information]] = []  # by state
-    priors: list[Priors] = []
-    for state, local in zip(states, locals_, strict=True):
-        known = {
-            factor: learned.priors(local, new_state=state.is_new, daily_factor=factor)
-            for factor in (1.0, UNLISTED_FACTOR)
-        }
-        by_factor = {factor: informations(local, given) for factor, given in known.items()}
-        sizes.append(by_factor[1.0])
-        priors.append(known[1.0])
-        for candidate, row in zip(tried, found, strict=True):
-            at = [names.index(c) for c in candidate.causes]
-            given = by_factor[UNLISTED_FACTOR if candidate.is_unlisted else 1.0]
-            own = [effects[c] for c in candidate.causes]
-            row.append(evidence([f.only(at) for f in given], own, rng))
-    best = max(
-        e.log_evidence + s.log_odds for row in found for e, s in zip(row, states, strict=True)
-    )
-    for candidate, row in zip(tried, found, strict=True):
-        for k, (state, problem) in enumerate(zip(states, problems, strict=True)):
-            if candidate.causes and row[k].log_evidence + state.log_odds > best - REFINED_NATS:
-                row[k] = _refine_evidence(
-                    problem, learned, point, candidate, row[k], rng, priors[k]
-                )
+    tried = candidates(keys, sets, [known.causes for known in learned.locals.values()])
+    views = [_View.of(learned, s, keys) for s in states]
     odds = [s.log_odds for s in states]
+    found = [[view.weigh(c, effects, rng) for view in views] for c in tried]
+    best = max(e.log_evidence + o for row in found for e, o in zip(row, odds, strict=True))
+    for candidate, row in zip(tried, found, strict=True):
+        for k, view in enumerate(views):
+            if candidate.causes and row[k].log_evidence + odds[k] > best - REFINED_NATS:
+                row[k] = view.refine(candidate, effects, row[k], rng)
     evidences = [
         CandidateEvidence(c, mixed(row, odds)) for c, row in zip(tried, found, strict=True)
     ]
     sound = [e.log_evidence + o for e, o in zip(found[0], odds, strict=True)]
-    likely = int(np.argmax(sound))
-    visible = _smallest_visible(sizes[likely], learned.problem.effects)
-    return verdict_of(group, evidences, effects, visible)
+    likely = views[int(np.argmax(sound))]
+    visible = _smallest_visible(likely.all_sizes(), learned.problem.effects)
+    verdict = verdict_of(group, evidences, effects, visible)
+    names = [channel.name for channel in channels]
+    return replace(verdict, set_aside=likely.set_aside(verdict.causes, effects, names))
 
 
-def _refine_evidence(
-    problem: Problem,
-    learned: GroupPosterior,
-    point: Array,
-    candidate: Candidate,
-    found: Evidence,
-    rng: np.random.Generator,
-    priors: Priors,
-) -> Evidence:
-    """Evidence of a set linearized at its own most probable sizes."""
-    own = [e for c in candidate.causes for e in problem.effects if e.name == c]
-    columns = [problem.columns_of(e)[0] for e in own]
-    at = point.copy()
-    for _ in range(NUM_REFINEMENTS):
-        step = np.clip(found.scaled - at[columns], -LONGEST_STEP, LONGEST_STEP)
-        at[columns] += step
-        local = _local_near(problem, learned, at, columns, step, own)
-        found = evidence(informations(local, priors), own, rng)
-    return found
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A group as it shows in one state.
 
+    Attributes:
+        learned: What other groups say.
+        problem: The group's runs alone.
+        point: Scaled coordinates of that problem without a cause, (n,).
+        rows: The group, linearized there.
+        priors: What is known of its nuisances, by factor on the spreads.
+        known: Scaled sizes of causes that are known.
+    """
 
-def _local_near(
-    problem: Problem,
-    learned: GroupPosterior,
-    at: Array,
-    columns: Sequence[int],
-    step: Array,
-    own: Sequence[Effect],
-) -> Local:
-    """The group linearized at a point; half the step where it cannot be simulated."""
-    for _ in range(4):
-        try:
-            return local_at(problem, learned.layout, at, own)
-        except PredictionError:
-            step = 0.5 * step
-            at[list(columns)] -= step
-    return local_at(problem, learned.layout, at, own)
+    learned: GroupPosterior
+    problem: Problem
+    point: Array
+    rows: Rows
+    priors: Mapping[float, Priors]
+    known: Mapping[str, float]
+
+    @classmethod
+    def of(cls, learned: GroupPosterior, state: State, keys: FaultKeys) -> _View:
+        """The group of a state."""
+        problem = problem_of(learned.problem, state.group)
+        point = np.zeros(len(problem.names))
+        point[: len(learned.point)] = learned.point
+        rows = rows_at(problem, learned.layout, point, problem.effects)
+        priors = {
+            factor: learned.priors(rows, new_state=state.is_new, daily_factor=factor)
+            for factor in (1.0, UNLISTED_FACTOR)
+        }
+        known = learned.known_sizes(keys.sizes)
+        return cls(learned, problem, point, rows, priors, known)
+
+    def weigh(
+        self, candidate: Candidate, effects: Mapping[str, Effect], rng: np.random.Generator
+    ) -> Evidence:
+        """Evidence of an explanation, linearized without a cause; at sizes that are known."""
+        own = [effects[c] for c in candidate.causes]
+        factor = UNLISTED_FACTOR if candidate.is_unlisted else 1.0
+        rows = self.rows.only(candidate.causes)
+        if any(e.name in self.known for e in own):
+            rows = rows_at(self.problem, self.learned.layout, self._at(own), own)
+        return self._evidence(rows, own, rng, factor)
+
+    def refine(
+        self,
+        candidate: Candidate,
+        effects: Mapping[str, Effect],
+        found: Evidence,
+        rng: np.random.Generator,
+    ) -> Evidence:
+        """Evidence of a set linearized at its own most probable sizes."""
+        own = [effects[c] for c in candidate.causes]
+        columns = [self.problem.columns_of(e)[0] for e in own]
+        at = self._at(own)
+        for _ in range(NUM_REFINEMENTS):
+            step = np.clip(found.scaled - at[columns], -LONGEST_STEP, LONGEST_STEP)
+            at[columns] += step
+            found = self._evidence(self._rows_near(at, columns, step, own), own, rng)
+        return found
+
+    def all_sizes(self) -> list[Information]:
+        """What a sound group says of the sizes of all causes."""
+        local = self._fit(self.rows, self.problem.effects, 1.0).local
+        return informations(local, self.priors[1.0])
+
+    def set_aside(
+        self, causes: Sequence[str], effects: Mapping[str, Effect], names: Sequence[str]
+    ) -> tuple[str, ...]:
+        """Rows and goals that are not trusted where these causes act."""
+        own = [effects[c] for c in causes]
+        rows = rows_at(self.problem, self.learned.layout, self._at(own), own)
+        return rows.set_aside(self._fit(rows, own, 1.0).choice, names)
+
+    def _at(self, own: Sequence[Effect]) -> Array:
+        """The point, with the sizes that are known."""
+        at = self.point.copy()
+        for effect in own:
+            at[self.problem.columns_of(effect)[0]] = self.known.get(effect.name, 0.0)
+        return at
+
+    def _fit(self, rows: Rows, own: Sequence[Effect], factor: float) -> Fit:
+        num = rows.slopes.shape[1] - len(own)
+        precision = np.zeros((num + len(own), num + len(own)))
+        slope = np.zeros(len(precision))
+        precision[:num, :num] = self.priors[factor].precision.mean(axis=0)
+        slope[:num] = self.priors[factor].slope.mean(axis=0)
+        for k, effect in enumerate(own):
+            size = self.known.get(effect.name, 0.0)
+            held = HELD if effect.name in self.known else KNOWN_PRECISION
+            precision[num + k, num + k], slope[num + k] = held, held * size
+        return rows.robust(self.learned.tails.widened(factor), precision, slope)
+
+    def _evidence(
+        self,
+        rows: Rows,
+        own: Sequence[Effect],
+        rng: np.random.Generator,
+        factor: float = 1.0,
+    ) -> Evidence:
+        local = self._fit(rows, own, factor).local
+        return evidence(informations(local, self.priors[factor]), own, rng, self.known)
+
+    def _rows_near(
+        self, at: Array, columns: Sequence[int], step: Array, own: Sequence[Effect]
+    ) -> Rows:
+        """The group linearized at a point; half the step where it cannot be simulated."""
+        layout = self.learned.layout
+        for _ in range(4):
+            try:
+                return rows_at(self.problem, layout, at, own)
+            except PredictionError:
+                step = 0.5 * step
+                at[list(columns)] -= step
+        return rows_at(self.problem, layout, at, own)
 
 
 def _smallest_visible(found: Sequence[Information], effects: Sequence[Effect]) -> dict[str, float]:

@@ -18,23 +18,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from diffsim.diagnose.faults.goals import Fit, Rows, Tails, learned_tails, rows_at
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.layout import Layout
-from diffsim.diagnose.faults.local import Local, local_at, problem_of
+from diffsim.diagnose.faults.local import Local, problem_of
 from diffsim.diagnose.faults.marginal import Information, Priors, without
 from diffsim.diagnose.faults.one_sided import Terms
+from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.problem import Problem
 
 Array = NDArray[np.float64]
 FACTOR_SD = 1.0  # sd of the logarithm of a spread about the stated one: a factor of e
 KNOWN_PRECISION = 1.0 / 3.0**2  # of known sizes: up to about five typical sizes
+NUM_TAILS = 5  # rounds over which rows and goals are trusted
 NUM_DRAWS = 32  # of the spreads
 NUM_TRIED = 128  # normal draws that they are chosen from, in pairs about the best ones
 NUM_SWEEPS = 4  # over the signs of known sizes, at the most probable spreads
 NUM_SWEEPS_OF_DRAW = 2  # and from there for each draw of them
 MAX_ROUNDS = 5
 CURVE_STEP = 0.05  # of the logarithms of spreads, for their curvature
-SETTLED = 1e-3  # change of common parameters in prior sd, at which rounds end
+ROUND_CHANGE_SD = 1e-3  # change of common parameters in prior sd, at which rounds end
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,7 @@ class GroupPosterior:
     Attributes:
         layout: Where the base parameters belong.
         problem: Model, all runs, noise and effects.
+        tails: How far goals are missed.
         locals: Groups that taught, linearized, by label.
         states: State of each that taught, by label; "" where states are not used.
         log_spread: Most probable logarithm of spread over stated spread, (num_families,).
@@ -57,6 +61,7 @@ class GroupPosterior:
 
     layout: Layout
     problem: Problem
+    tails: Tails
     locals: Mapping[str, Local]
     states: Mapping[str, str]
     log_spread: Array
@@ -67,7 +72,9 @@ class GroupPosterior:
     common_covariance: Array
     point: Array
 
-    def precision(self, local: Local, log_spread: Array, *, daily_factor: float = 1.0) -> Array:
+    def precision(
+        self, local: Local | Rows, log_spread: Array, *, daily_factor: float = 1.0
+    ) -> Array:
         """Prior precision of a group's scatter, (num_scatter,).
 
         Args:
@@ -78,7 +85,7 @@ class GroupPosterior:
         return _precision(self.layout, local, log_spread, daily_factor)
 
     def of_shared(
-        self, local: Local, draw: int, *, new_state: bool = False, factor: float = 1.0
+        self, local: Local | Rows, draw: int, *, new_state: bool = False, factor: float = 1.0
     ) -> tuple[Array, Array]:
         """What is known of the shared parameters of a group for one draw: mean and covariance.
 
@@ -100,7 +107,9 @@ class GroupPosterior:
             covariance[fresh, fresh] = prior[fresh]
         return mean, covariance
 
-    def priors(self, local: Local, *, new_state: bool = False, daily_factor: float = 1.0) -> Priors:
+    def priors(
+        self, local: Local | Rows, *, new_state: bool = False, daily_factor: float = 1.0
+    ) -> Priors:
         """What is known of a group's nuisances, for each draw of the scatter.
 
         Args:
@@ -108,7 +117,7 @@ class GroupPosterior:
             new_state: Whether the group is in a state that was never seen.
             daily_factor: Factor on spreads of groups, and of a new state.
         """
-        size, num = local.num_nuisances, len(local.common)
+        size, num = len(local.common) + len(local.scatter), len(local.common)
         precision = np.zeros((len(self.draws), size, size))
         means = np.zeros((len(self.draws), size))
         for k, draw in enumerate(self.draws):
@@ -118,6 +127,11 @@ class GroupPosterior:
             precision[k, :num, :num] = np.linalg.inv(covariance)
             precision[k, num:, num:] = np.diag(scatter)
         return Priors.of(precision, means)
+
+    def known_sizes(self, sizes: Mapping[str, float]) -> dict[str, float]:
+        """Scaled sizes of causes of which the study states them."""
+        typical = {e.name: e.typical for e in self.problem.effects}
+        return {name: size / (PRIOR_WIDTH * typical[name]) for name, size in sizes.items()}
 
     def without(self, label: str) -> GroupPosterior:
         """What the other groups say."""
@@ -155,6 +169,7 @@ def learn(
             "scatter between groups needs at least three"
         )
     num_base = len(layout.names)
+    tails = Tails.first(problem)
     own = {g.label: problem_of(problem, g) for g in teachers}
     points = {g.label: np.zeros(len(problem.names)) for g in teachers}
     effects = {e.name: e for e in problem.effects}
@@ -166,6 +181,7 @@ def learn(
     started = GroupPosterior(
         layout,
         problem,
+        tails,
         {},
         states,
         log_spread,
@@ -178,12 +194,13 @@ def learn(
     )
     before = np.full(num_base, np.inf)
     for _ in range(MAX_ROUNDS):
-        locals_ = {
-            g.label: local_at(
+        rows = {
+            g.label: rows_at(
                 own[g.label], layout, points[g.label], [effects[c] for c in g.known or ()]
             )
             for g in teachers
         }
+        locals_, tails = _trusted(layout, rows, tails, log_spread)
         log_spread = best_spread(layout, locals_, log_spread)
         common = common_information(layout, locals_, log_spread).mean
         place = np.zeros(num_base)
@@ -192,10 +209,26 @@ def learn(
             points[g.label] = _solve_point(
                 own[g.label], layout, locals_[g.label], place, log_spread
             )
-        if np.abs(place - before).max() < SETTLED:
+        if np.abs(place - before).max() < ROUND_CHANGE_SD:
             break
         before = place
-    return _learn_posterior(started, locals_, log_spread)
+    return _learn_posterior(replace(started, tails=tails), locals_, log_spread)
+
+
+def _trusted(
+    layout: Layout, rows: Mapping[str, Rows], tails: Tails, log_spread: Array
+) -> tuple[dict[str, Local], Tails]:
+    """What the trusted rows of each group say, and how far goals are missed in them."""
+    for _ in range(NUM_TAILS):
+        found: dict[str, Fit] = {}
+        for label, own in rows.items():
+            known = layout.shared_precision(log_spread)[np.isin(layout.shared, own.common)]
+            prior = np.concatenate([known, _scatter_prior(layout, own, log_spread)])
+            found[label] = own.robust(tails, np.diag(prior), np.zeros(len(prior)))
+        if not any(own.shared.any() for own in rows.values()):
+            break
+        tails = learned_tails(((rows[k], fit) for k, fit in found.items()), tails)
+    return {label: fit.local for label, fit in found.items()}, tails
 
 
 def _learn_posterior(
@@ -403,18 +436,20 @@ def common_information(
 def _of_common(layout: Layout, local: Local, log_spread: Array) -> Information:
     prior = _scatter_prior(layout, local, log_spread)
     gone = slice(len(local.common), len(local.slope))
-    level = -0.5 * local.square
+    level = local.level - 0.5 * local.square
     known = Priors.of(np.diag(prior)[None], np.zeros((1, len(prior))))
     return without(local.curvature, local.slope, level, gone, known)[0]
 
 
-def _scatter_prior(layout: Layout, local: Local, log_spread: Array) -> Array:
+def _scatter_prior(layout: Layout, local: Local | Rows, log_spread: Array) -> Array:
     """Prior precision of a group's scatter and known sizes."""
     scatter = _precision(layout, local, log_spread, 1.0)
     return np.concatenate([scatter, np.full(len(local.causes), KNOWN_PRECISION)])
 
 
-def _precision(layout: Layout, local: Local, log_spread: Array, daily_factor: float) -> Array:
+def _precision(
+    layout: Layout, local: Local | Rows, log_spread: Array, daily_factor: float
+) -> Array:
     at = np.array(local.scatter, dtype=int)
     spread = np.exp(log_spread[layout.family[at]])
     return np.asarray((spread * np.where(layout.is_daily[at], daily_factor, 1.0)) ** -2)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.diagnose.faults.groups import Group
-from diffsim.diagnose.faults.layout import Layout
-from diffsim.identify.effect import Effect
 from diffsim.identify.problem import Problem
 
 Array = NDArray[np.float64]
@@ -27,7 +24,8 @@ class Local:
         curvature: (n, n) information of the whitened samples on z.
         slope: (n,).
         square: |r|^2 at z = 0.
-        num_samples: Samples that were measured.
+        num_samples: Samples that were measured and are trusted.
+        level: Logarithm of the density of what is not trusted, and of that choice.
     """
 
     common: tuple[int, ...]
@@ -37,36 +35,12 @@ class Local:
     slope: Array
     square: float
     num_samples: int
+    level: float = 0.0
 
     @property
     def num_nuisances(self) -> int:
         """Number of coordinates that are no causes."""
         return len(self.common) + len(self.scatter)
-
-
-def local_at(problem: Problem, layout: Layout, point: Array, causes: Sequence[Effect]) -> Local:
-    """Linearize a group of runs.
-
-    Args:
-        problem: Model, the runs of one group, noise, and effects.
-        layout: Where the base parameters belong.
-        point: Scaled coordinates of the problem to linearize at, (n,).
-        causes: Those of its effects that may act; each has one component.
-    """
-    common, scatter = layout.of(problem.runs)
-    idx = [*common, *scatter, *(problem.columns_of(e)[0] for e in causes)]
-    residual, slopes = problem.linearize_scaled(problem.standardized(point), only=idx)
-    slopes = slopes[:, idx]
-    absolute = residual + slopes @ point[idx]  # residual at z = 0 of the linear model
-    return Local(
-        tuple(common),
-        tuple(scatter),
-        tuple(e.name for e in causes),
-        slopes.T @ slopes,
-        slopes.T @ absolute,
-        float(absolute @ absolute),
-        len(residual),
-    )
 
 
 def problem_of(problem: Problem, group: Group) -> Problem:

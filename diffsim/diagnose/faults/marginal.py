@@ -35,6 +35,15 @@ class Information:
         at = list(keep)
         return Information(self.curvature[np.ix_(at, at)], self.slope[at], self.level)
 
+    def given(self, known: Sequence[int], values: Array) -> Information:
+        """Information on the other coordinates where some are known."""
+        at = list(known)
+        rest = [k for k in range(len(self.slope)) if k not in at]
+        pull = self.curvature[np.ix_(rest, at)] @ values
+        inner = self.curvature[np.ix_(at, at)] @ values
+        level = self.level + float(values @ (self.slope[at] - 0.5 * inner))
+        return Information(self.curvature[np.ix_(rest, rest)], self.slope[rest] - pull, level)
+
     @property
     def mean(self) -> Array:
         """Where the density is largest, (n,)."""

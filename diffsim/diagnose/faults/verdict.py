@@ -94,6 +94,7 @@ class FaultVerdict:
         words: The verdict as a sentence.
         facts: Facts of the set-up that all its runs share, without the one that makes groups and
             those that are not known.
+        set_aside: Goals that were missed and rows that were misread, under this explanation.
     """
 
     group: str
@@ -113,6 +114,7 @@ class FaultVerdict:
     lead_by_labels: float = 0.0
     facts: Mapping[str, str] = field(default_factory=dict)
     files: tuple[str, ...] = ()
+    set_aside: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -221,6 +223,7 @@ def verdict_of(
     causes = evidences[best].candidate.causes if is_named else ()
     sizes = _sizes(causes, evidences[best].evidence, effects) if is_named else ()
     rivals = _rivals(evidences, alone, best) if is_named else ()
+    by_runs, by_labels = _leads(evidences, learned, best) if is_named else (0.0, 0.0)
     return FaultVerdict(
         group=group.label,
         runs=tuple(run.name for run in group.runs),
@@ -245,12 +248,16 @@ def verdict_of(
         words=_words(status, sizes, rivals),
         facts=group.facts,
         files=tuple(dict.fromkeys(file for run in group.runs for file in run.files)),
-        **(_leads(evidences, learned, best) if is_named else {}),
+        lead_by_runs=by_runs,
+        lead_by_labels=by_labels,
     )
 
 
-def _leads(evidences: Sequence[CandidateEvidence], learned: Array, best: int) -> dict[str, float]:
-    """Lead over the most probable explanation that lacks a cause of the best one [nats]."""
+def _leads(
+    evidences: Sequence[CandidateEvidence], learned: Array, best: int
+) -> tuple[float, float]:
+    """Lead over the most probable explanation that lacks a cause of the best one, by runs and by
+    labels [nats]."""
     chosen = set(evidences[best].candidate.causes)
     lacking = [i for i, w in enumerate(evidences) if not chosen <= set(w.candidate.causes)]
     ours, theirs = (evidences[i] for i in (best, max(lacking, key=lambda i: learned[i])))
@@ -261,10 +268,10 @@ def _leads(evidences: Sequence[CandidateEvidence], learned: Array, best: int) ->
     def by_labels(w: CandidateEvidence) -> float:
         return w.candidate.learned_odds - w.candidate.log_odds
 
-    return {
-        "lead_by_runs": float(by_runs(ours) - by_runs(theirs)),
-        "lead_by_labels": float(by_labels(ours) - by_labels(theirs)),
-    }
+    return (
+        float(by_runs(ours) - by_runs(theirs)),
+        float(by_labels(ours) - by_labels(theirs)),
+    )
 
 
 def _status(

@@ -109,7 +109,7 @@ class ModelAverage:
         families, at = search.num_families, made.screened[members]
         if u is None:
             return made.center(members, at, families).evidence
-        return made.beside(members, search.unknowns[u], u, families)
+        return made.evidence_with_unknown(members, search.unknowns[u], u, families)
 
     def size(self, i: int) -> dict[str, Interval]:
         """Size of an effect by component; empty where no set with it was weighed."""

@@ -14,12 +14,12 @@ from diffsim.data.study import Run
 from diffsim.diagnose.judge.averaging import Widening
 from diffsim.diagnose.judge.gain import MIN_BLOCKS
 from diffsim.diagnose.judge.records import HALF_LEVEL, SURE, BaseRow
-from diffsim.diagnose.search.search import FAR
+from diffsim.diagnose.search.search import LEFT_SHEET_SD
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
 Array = NDArray[np.float64]
-WIDE = 10.0  # of a data sheet that is wrong, in its own standard deviations
+WRONG_SHEET_SD = 10.0  # of a data sheet that is wrong, in its own standard deviations
 
 
 def pull_limit(parameters: Sequence[Parameter]) -> float:
@@ -58,12 +58,12 @@ def far_off(rows: Sequence[BaseRow], *, unknown_acts: bool) -> dict[str, float]:
     Returns:
         Distance from the data sheet by the parameter's words [prior sd].
     """
-    widest = -WIDE * float(ndtri((1.0 - SURE) / 2.0))
+    widest = -WRONG_SHEET_SD * float(ndtri((1.0 - SURE) / 2.0))
     found = {row.name for row in rows if row.finding}
 
     def limit(row: BaseRow) -> float:
         if row.name.partition("@")[0] not in found:
-            return FAR
+            return LEFT_SHEET_SD
         return widest if unknown_acts else np.inf
 
     return {row.words: row.pull for row in rows if abs(row.pull) > limit(row)}
@@ -130,7 +130,9 @@ def _without_wrong(fit: Fit, limit: float) -> tuple[Array, Array]:
     left = [j for j, p in enumerate(base) if "@" not in p.name and abs(fit.x[j]) > limit]
     if not left:
         return np.zeros(len(fit.x)), np.sqrt(np.diag(covariance))
-    share = 1.0 - WIDE**-2  # of their priors' precision that is taken away: a change of low rank
+    share = (
+        1.0 - WRONG_SHEET_SD**-2
+    )  # of their priors' precision that is taken away: a change of low rank
     columns = covariance[:, left]
     inner = np.eye(len(left)) / share - covariance[np.ix_(left, left)]
     free = covariance + columns @ np.linalg.solve(inner, columns.T)

@@ -31,6 +31,8 @@ MIN_BLOCKS = 4  # fewer say nothing: three agree by chance
 MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
 DRAWS = 1000  # resamples of the bootstrap
 MOST = 1.2  # share that can be removed, and stated over left noise, where the noise is known
+NEAR_ZERO = 0.01  # noise variances per sample: a change of the error that is none
+RAN_AWAY = 10.0  # times the plain model's error: a fit without these samples says nothing of them
 
 
 @dataclass(frozen=True)
@@ -57,13 +59,24 @@ class Gain:
     @property
     def status(self) -> str:
         """Where the interval lies: "confirmed" (above zero), "not confirmed", "withdrawn" (below);
-        or "nothing to gain": the plain model's error is noise alone. Too few blocks confirm
-        nothing, and no share of a noise that is not what was stated."""
+        "nothing to gain": the plain model's error is noise alone; "cannot be judged": the share is
+        one of next to nothing, or the extended model ran away. Too few blocks confirm nothing."""
         if self.high < 0.0 and self.num_blocks > 1:
-            return "withdrawn"
+            return "withdrawn" if self._can_be_judged else "cannot be judged"
         if self.excess <= 0.0:
             return "nothing to gain"
-        return "confirmed" if self.is_above_zero and not self.is_below_noise else "not confirmed"
+        return "confirmed" if self.is_above_zero else "not confirmed"
+
+    @property
+    def _can_be_judged(self) -> bool:
+        """Whether a share below zero says that the extended model is the worse one."""
+        is_change = -self.value * self.excess > NEAR_ZERO
+        return is_change and self.left < RAN_AWAY**2 * (1.0 + max(self.excess, 0.0))
+
+    @property
+    def left(self) -> float:
+        """What the extended model leaves [noise variances per sample]."""
+        return 1.0 + self.excess * (1.0 - self.value)
 
     @property
     def is_above_zero(self) -> bool:
@@ -72,10 +85,9 @@ class Gain:
 
     @property
     def is_below_noise(self) -> bool:
-        """Whether so much is removed that the noise cannot be what was stated; of a small excess a
-        share says little, so what is left must be below the noise as well."""
-        left = 1.0 + self.excess * (1.0 - self.value)
-        return self.excess > 0.0 and self.value > MOST and MOST * left < 1.0
+        """Whether so much is removed that the noise must be less than was stated; of a small excess
+        a share says little, so what is left must be below the noise as well."""
+        return self.excess > 0.0 and self.value > MOST and MOST * self.left < 1.0
 
     @property
     def has_fallen(self) -> bool:
@@ -93,7 +105,14 @@ class Gain:
         if self.num_blocks < MIN_BLOCKS:
             what = "block of samples is" if self.num_blocks == 1 else "blocks of samples are"
             interval = f"{self.num_blocks} {what} too few for an interval"
-        why = "; the noise is not what was stated" if self.is_below_noise else ""
+        why = ""
+        if self.status == "cannot be judged":
+            why = ": next to nothing was there to be removed"
+            if self.left > 1.0 + max(self.excess, 0.0) + NEAR_ZERO:
+                why = ": without these samples the fit ran away"
+        if self.is_below_noise:
+            share = _percent(float(np.sqrt(max(self.left, 0.0))))
+            why = f"; the stated noise is too large, {share} of it is left"
         return (
             f"On unseen runs {share} of the error above the noise is removed ({interval}): "
             f"{self.status}{why}."

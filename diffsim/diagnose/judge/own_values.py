@@ -285,16 +285,32 @@ def _promise(left: Array, columns: Array, part: Array) -> float:
 
 
 def own_words(rows: Sequence[OwnRow]) -> list[str]:
-    """Values that ended far from what is stated of them, a sentence for each run.
+    """Values that ended far from what is stated of them, a sentence for each parameter.
 
     Args:
         rows: Values of all runs.
     """
-    far: dict[str, list[str]] = {}
+    far: dict[str, list[OwnRow]] = {}
     for row in rows:
         if abs(row.pull) > FAR_OFF:
-            far.setdefault(row.run, []).append(row.words)
+            far.setdefault(row.name.partition("@")[0], []).append(row)
     return [
-        f"Run {run} was fitted far from what the study states: {'; '.join(words)}."
-        for run, words in far.items()
+        f"Run {own[0].run} was fitted far from what the study states: {own[0].words}."
+        if len(own) == 1
+        else _many_words(own)
+        for own in far.values()
     ]
+
+
+def _many_words(own: Sequence[OwnRow]) -> str:
+    """One parameter of several runs."""
+    ends = [row.value for row in own]
+    shown = small_unit(own[0].unit, (*ends, own[0].prior_value, own[0].prior_sd))
+    times = 1.0 if shown == own[0].unit else factor(own[0].unit, shown)
+    low, high = (f"{times * v:.2g}" for v in (min(ends), max(ends)))
+    name, unit = own[0].name.partition("@")[0].rstrip(".").replace("_", " "), after_number(shown)
+    stated = f"{times * own[0].prior_value:.3g} +- {times * own[0].prior_sd:.2g}{unit}"
+    return (
+        f"{len(own)} runs were fitted far from what the study states: "
+        f"{name} {low} to {high}{unit}, stated {stated}."
+    )

@@ -37,7 +37,9 @@ from diffsim.diagnose.search.gauss_newton import has_exact_slopes
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
-MUCH_LEFT = 3.0  # noise sd, root mean square, that a fit leaves or unseen runs show
+MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
+MUCH_UNSEEN = 3.0  # that unseen runs show
+USEFUL = 0.1  # relative error of a derivative with which a size still means something
 FIRST_ANSWER = "this is a first answer"
 
 
@@ -133,10 +135,10 @@ def _fit_is_inexact(g: Grounds) -> str:
     if not g.fit.converged:
         return "the fit did not converge"
     if g.members in g.search.borrowed:
-        return "slopes of other causes could not be simulated at the fit"
+        return "other causes could not be simulated beside it"
     at = g.search.simulations.fitted[g.members]
     is_exact = has_exact_slopes(at, max(g.fit.chi2 - g.fit.num_samples, 0.0))
-    return "" if is_exact else "slopes at the fit are not exact"
+    return "" if is_exact else "sizes rest on approximate derivatives"
 
 
 def _settings_are_coarse(g: Grounds) -> str:
@@ -176,9 +178,9 @@ def _sets_do_without(g: Grounds, i: int) -> str:
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return "an unknown cause may act as well"
     if not all(i in h.effects for h in g.within) or g.about.probability(i) < SURE:
-        return "another set of causes is within the odds"
+        return "other causes fit about as well"
     if _may_be_replaced(g, i):
-        return "larger sets, which were not fitted, may do without it"
+        return "more causes at once, which were not tried, may do without it"
     if i in decision.forms:
         return f"it may be {decision.forms[i]}"
     return ""
@@ -195,7 +197,7 @@ def _may_be_zero(g: Grounds, i: int) -> str:
         return ""
     if len(sizes) > 1 and g.about.differs_jointly(i):
         return ""
-    return "the interval of its size holds zero"
+    return "its size may be zero"
 
 
 def _helps_nothing(g: Grounds, i: int) -> str:
@@ -210,7 +212,7 @@ def _gain_is_not_confirmed(g: Grounds, i: int) -> str:
     """Of the cause, and of the whole set where there is anything to gain."""
     gain, total = g.judgment.gains.get(i), g.judgment.gain
     if gain is None or total is None:
-        return "no gain could be computed where it was not fitted"
+        return "it could not be tested on what was not fitted"
     if why := _is_unconfirmed(total):
         return f"{why} on {_unseen(g)}"
     return "" if gain.has_fallen else f"no gain by it is confirmed on {_unseen(g)}"
@@ -219,8 +221,6 @@ def _gain_is_not_confirmed(g: Grounds, i: int) -> str:
 def _is_unconfirmed(total: Gain) -> str:
     """Why the gain of a whole set is not confirmed; where the plain model's error is noise alone,
     it must still fall for sure: what is told by one recording alone may be its noise."""
-    if total.is_below_noise:
-        return "the noise is not what was stated: less is left"
     if total.status == "nothing to gain":
         return "" if total.has_fallen else "the plain model's error is noise alone"
     return "" if total.status == "confirmed" else "no gain is confirmed"
@@ -228,22 +228,35 @@ def _is_unconfirmed(total: Gain) -> str:
 
 def _evidence_does_without(g: Grounds, i: int) -> str:
     """The set without it was fitted for the gain, after the choice, and ended lower."""
-    return "" if g.added(i) >= KEEP_NATS else "the evidence does not ask for it beside the others"
+    return "" if g.added(i) >= KEEP_NATS else "the others explain nearly as much without it"
 
 
 def _unknown_explains_more(g: Grounds, i: int) -> str:
     decision = g.judgment.decision
     h = decision.beside
-    if h is None or h.unknown is None or decision.lead <= (own := g.added(i, h.unknown)):
+    if h is None or h.unknown is None or decision.lead <= g.added(i, h.unknown):
         return ""
-    name = g.search.unknowns[h.unknown].name
-    return f"an {name} explains more beside it, {decision.lead:.0f} nats against {own:.0f}"
+    name = words_of(g.search.unknowns[h.unknown].name)
+    return f"an {name} explains more than it does"
 
 
 def wrong_gradients(gates: Sequence[GateResult]) -> frozenset[str]:
     """Names of effects whose gradient check failed; what was left out of it is none."""
     failed = (gate.name for gate in gates if gate.applies and not gate.passed)
     return frozenset(n.partition(":")[2] for n in failed if n.startswith("gradient:"))
+
+
+def said_gradient(gate: GateResult, whose: str = "its derivative") -> str:
+    """What a failed gradient check means for sizes.
+
+    Args:
+        gate: The check.
+        whose: The derivative of what.
+    """
+    if gate.value < USEFUL:
+        good = f"sizes are good to {100 * gate.value:.1g} %"
+        return f"{whose} could not be confirmed to {gate.limit:g}; {good}"
+    return f"{whose} could not be confirmed: two ways to compute it differ by {gate.value:.0%}"
 
 
 def _gradients_are_wrong(g: Grounds, i: int) -> str:
@@ -254,8 +267,9 @@ def _gradients_are_wrong(g: Grounds, i: int) -> str:
     wrong = [k for k in (i, *sorted(rivals)) if g.search.wide.effects[k].name in failed]
     if not wrong:
         return ""
-    whose = "its gradient check" if wrong[0] == i else f"the gradient check of {g.name(wrong[0])}"
-    return f"{whose} failed"
+    whose = "its derivative" if wrong[0] == i else f"the derivative of {g.name(wrong[0])}"
+    name = f"gradient:{g.search.wide.effects[wrong[0]].name}"
+    return said_gradient(next(gate for gate in g.gates if gate.name == name), whose)
 
 
 def _rivals_ended_early(g: Grounds, i: int) -> str:
@@ -340,7 +354,7 @@ def doubts_of_unseen(gain: Gain | None, errors: Sequence[ErrorRow]) -> Iterator[
     if gain is not None and (why := _is_unconfirmed(gain)):
         yield f"{why} on test runs"
     left = max((r / n for r, n in _pool_errors(errors).values()), default=0.0)
-    if left > MUCH_LEFT:
+    if left > MUCH_UNSEEN:
         yield f"the error on unseen runs is {left:.2g} times the noise"
 
 

@@ -29,14 +29,13 @@ from diffsim.diagnose.checks.numerics import (
     moved_by,
     others_of,
 )
-from diffsim.diagnose.judge.data_sheet import WIDE, pull_limit, words_of
+from diffsim.diagnose.judge.data_sheet import WRONG_SHEET_SD, pull_limit, words_of
 from diffsim.diagnose.judge.judge import NAMES, Decision
 from diffsim.diagnose.judge.records import WRONG_DATA_SHEET
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
     Hypothesis,
     LaplaceEvidence,
-    price_of_family,
     unrealized,
 )
 from diffsim.diagnose.search.fitted_sets import Search
@@ -196,7 +195,7 @@ def _wrong_data_sheets(fit: Fit, num_families: int) -> Iterator[_DataSheet]:
     limit = pull_limit(problem.model.base)
     for j, p in enumerate(problem.model.base):
         if "@" not in p.name and abs(fit.x[j]) > limit:
-            posterior = evidence.weigh(members, wide={j: WIDE})
-            nats = posterior.nats - lost - price_of_family(num_families)
+            posterior = evidence.weigh(members, wide={j: WRONG_SHEET_SD})
+            nats = posterior.nats - lost - np.log(max(num_families, 1))
             x, sd = float(posterior.x[j]), float(posterior.sd[j])
             yield _DataSheet(p.name, nats, x, sd, posterior.chi2)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from diffsim.core.errors import DiffsimError
 from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run
-from diffsim.diagnose.checks.misread import settled
+from diffsim.diagnose.checks.misread import choose_commands
 from diffsim.diagnose.checks.noise import without_spikes
 from diffsim.diagnose.judge.band import no_band
 from diffsim.diagnose.judge.gain import Gain, compared
@@ -35,7 +35,7 @@ TAIL = 0.01  # share of samples on either side that a range leaves out: spikes a
 MARGIN = 1.02  # of the distance from the middle of the range: rounding is not outside
 LEAST_WIDTH = 0.1  # half-width of a range over its middle, where all fitted runs are alike
 LEVEL = "level of"  # smallest and largest value alike: what lies between was passed through
-FEW = 8  # samples; fewer have no rate and no frequency
+MIN_RATE_SAMPLES = 8  # samples; fewer have no rate and no frequency
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _of_signal(
         (f"{LEVEL} {name}", float(low), unit),
         (f"{LEVEL} {name}", float(high), unit),
     ]
-    if len(values) < FEW or not high > low:
+    if len(values) < MIN_RATE_SAMPLES or not high > low:
         return out
     slope = np.diff(values) / np.diff(time_s)
     out.append(
@@ -285,7 +285,7 @@ def on_unseen(
     fitted: list[OwnRow] = []
     for given in runs:
         try:
-            run, misread = settled(given, commands, partial(_left_by, extended), sd)
+            run, misread = choose_commands(given, commands, partial(_left_by, extended), sd)
             run, count = _without_spikes((plain, extended), run)
             points = [
                 At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet))
@@ -419,7 +419,7 @@ def _error_rows(
         row = replace(
             row,
             constant=constant if np.isfinite(constant) else None,
-            held=held if len(run.time_s) >= FEW else None,
+            held=held if len(run.time_s) >= MIN_RATE_SAMPLES else None,
             without=bare if num_fitted and np.isfinite(bare) else None,
         )
         if np.isfinite(wide := halves[:, own][valid]).all():

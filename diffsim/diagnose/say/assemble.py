@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -27,6 +27,7 @@ from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
+    MUCH_LEFT,
     Grounds,
     doubts_of,
     doubts_of_fit,
@@ -202,6 +203,7 @@ def _evidence(
     known = CauseEvidence(judgment, None, screened, effects, members, unmet)
     if grounds is None:
         return replace(known, rivals=decision.rivals)
+    left = float(np.sqrt(grounds.fit.chi2 / grounds.fit.num_samples))
     alone, asked = singled_out(grounds), decision.best if decision.verdict in NAMES else NONE
     return replace(
         known,
@@ -212,6 +214,7 @@ def _evidence(
         doubts_of_names=doubts_of_names(grounds),
         doubts_of_fit=doubts_of_fit(grounds),
         wrong_gradients=wrong_gradients(grounds.gates),
+        left=left if left > MUCH_LEFT else 1.0,
     )
 
 
@@ -232,7 +235,7 @@ def _settle_best_set(judgment: Judgment, checks: Checks) -> tuple[Judgment, Chec
     return judgment, checks.at_set(search.numerics.get(members)), members
 
 
-def tested(frozen: Report, study: Study, seed: int) -> Report:
+def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) -> Report:
     """The frozen answer with its errors on test runs, and in words.
 
     What test runs show can take a verdict back, and make of certain causes likely ones; it adds
@@ -243,6 +246,7 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         frozen: Report whose answer does not change any more but by what is taken back.
         study: Study with its test runs.
         seed: Seed of the bootstrap.
+        laws: Names of the causes that no library holds.
     """
     seen, is_test = frozen.study, bool(study.test_runs)
     unmet, half_widths = unmet_by(frozen.best.problem), no_band
@@ -279,7 +283,7 @@ def tested(frozen: Report, study: Study, seed: int) -> Report:
         own=found.own,
         bands=found.bands,
         gain=gained,
-        headline=headline(answer, found.errors, found.failed, gain),
+        headline=headline(answer, found.errors, found.failed, gain, laws),
         sentences=(
             *sentences(answer, gained, found.errors, found.failed),
             *own_words(found.own),
@@ -438,7 +442,7 @@ def _settings(null: Null, search: Search | None, seed: int) -> dict[str, Any]:
         "unrepeatable": UNREPEATABLE,
         "work": case.model.simulations.since(case.begun)._asdict(),
         "search": asdict(case.settings.search),
-        "numerics": None if (made := null.fit.problem.stands_for) is None else asdict(made),
+        "numerics": None if (made := null.fit.problem.reference_numerics) is None else asdict(made),
         **({} if search is None else _trouble(search)),
         "versions": {
             "python": platform.python_version(),

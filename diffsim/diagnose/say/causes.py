@@ -31,6 +31,7 @@ from diffsim.diagnose.search.scan import least_tried
 from diffsim.diagnose.search.simulations import NONE
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
+from diffsim.identify.numerics import NumericalEffect
 
 PROBABLE = 0.8  # probability over all sets; what is left to one is possible
 SEEN = 1.5  # of the usual size: a smallest visible size up to which a cause would be seen
@@ -71,6 +72,8 @@ class CauseEvidence:
         doubts_of_names: Why no data sheet is, either.
         doubts_of_fit: Why no unknown cause is.
         wrong_gradients: Names of effects whose gradient check failed.
+        left: What the extended model leaves, where that is much, else 1: sizes must show above it
+            [noise sd].
     """
 
     judgment: Judgment
@@ -85,6 +88,24 @@ class CauseEvidence:
     doubts_of_names: tuple[str, ...] = ()
     doubts_of_fit: tuple[str, ...] = ()
     wrong_gradients: frozenset[str] = frozenset()
+    left: float = 1.0
+
+    def why_not_judged(self, i: int) -> str:
+        """Why nothing tells what sizes of an effect, by index, would do; empty: something does.
+
+        Slopes at zero tell nothing of one with a kink there: a fit must have held it where much is
+        left, or its sizes must have been tried.
+        """
+        search, effect = self.judgment.search, self.effects[i]
+        if search is None or any(i in members for members in search.fits):
+            return ""
+        made = search.simulations
+        is_late = any(i in group for _, _, group in made.scans_late)
+        if is_late and not any(i in group for _, group in made.scans):
+            return "its sizes were not tried"
+        if self.left > 1.0 and not effect.smooth and not isinstance(effect, NumericalEffect):
+            return f"no fit held it, and what is left is {self.left:.2g} times the noise"
+        return ""
 
 
 def cause_rows(known: CauseEvidence, base: Sequence[BaseRow]) -> tuple[CauseRow, ...]:
@@ -147,6 +168,10 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
         is_unknown = i in known.judgment.withdrawn or effect.name in known.wrong_gradients
         status = UNJUDGED if is_unknown else UNTOLD if rivals else HIDDEN
         row = replace(row, note=why if status == UNJUDGED else f"{row.note} Not refuted: {why}.")
+    if status == HIDDEN and (why := known.why_not_judged(i)):
+        status, row = UNJUDGED, replace(row, note=f"not judged: {why}")
+    elif status == HIDDEN and known.left > 1.0:
+        row = replace(row, note=f"{row.note} Of what is left, {known.left:.2g} times the noise.")
     helps = i in known.members and status not in (CERTAIN, LIKELY)
     sizes = about.size(i) or row.size
     if status in (HIDDEN, REFUTED):  # nobody looked below
@@ -229,7 +254,7 @@ def _why_not_refuted(known: CauseEvidence, i: int) -> str:
     search, effect = known.judgment.search, known.effects[i]
     assert search is not None  # statuses come of a search
     if effect.name in known.wrong_gradients:
-        return "its gradient check failed"
+        return "its derivative could not be confirmed"
     fits = [fit for members, fit in search.fits.items() if i in members]
     if not fits:
         return "no set with it was fitted"
@@ -240,6 +265,7 @@ def _why_not_refuted(known: CauseEvidence, i: int) -> str:
     smallest = min(VISIBLE * fit.sd[name] for fit in ended for name in names)
     if i in known.judgment.withdrawn or i in known.judgment.decision.forms:
         return ""  # it was there, and made unseen runs worse or gave way
+    smallest *= known.left
     return "" if smallest <= SEEN * effect.typical else "no fit with it would have shown it"
 
 
@@ -277,7 +303,8 @@ def _unknown_name(known: CauseEvidence, u: int) -> str:
 
 
 def _smallest_visible(known: CauseEvidence, i: int) -> dict[str, float]:
-    """Smallest visible size by component: at the plain model, or beside the best set if less.
+    """Smallest visible size by component: at the plain model, or beside the best set if less; in
+    the noise that is left.
 
     What was named with a size has been seen: it is not listed as invisible above that.
     """
@@ -291,7 +318,8 @@ def _smallest_visible(known: CauseEvidence, i: int) -> dict[str, float]:
             names = [w.fit.problem.names[c] for c in own]
             for component, name in zip(effect.components, names, strict=True):
                 out[component] = min(out[component], VISIBLE * w.fit.sd[name])
-    return {c: max(s, least_tried(effect)) for c, s in out.items()}
+    left = 1.0 if i in known.members else known.left
+    return {c: max(left * s, least_tried(effect)) for c, s in out.items()}
 
 
 def _screened_size(known: CauseEvidence, i: int) -> dict[str, Interval]:

@@ -1,10 +1,10 @@
-"""The answer in a headline of at most 25 words."""
+"""The answer in a sentence of at most 25 words; why it is not certain in a second one."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import groupby, product
 
 import numpy as np
 
@@ -32,10 +32,14 @@ from diffsim.diagnose.say.wording import (
     size_range,
 )
 
-MAX_NAMES = 2  # names in the headline
+MAX_SIZED = 2  # causes whose sizes are said
+MAX_NAMES = 4  # causes that are said by name; of more, how many they are and the first
 MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
+TOGETHER = 0.5  # of the misfit, all that causes remove one by one: below it they act as one
+SMALL = 0.05  # of what all remove: causes that the first sentence leaves to the page
 _PLURALS = ("pulses",)  # of causes that are several things
+_COUNTS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
 
 
 def headline(
@@ -43,34 +47,21 @@ def headline(
     errors: Sequence[ErrorRow],
     failed: Collection[str] = (),
     gained: Gain | None = None,
+    laws: Collection[str] = (),
 ) -> str:
-    """The answer in at most 25 plain words, error on test runs before and after.
+    """The answer: what is missing, and the error on test runs before and after, in 25 words.
 
-    A smaller error is called a gain only where that is confirmed.
+    A second sentence says why that is not certain, a third one that the noise is not as stated.
 
     Args:
         answer: What is put into words.
         errors: Errors on runs that were not fitted; none without such runs.
         failed: Runs that could not be simulated; errors are not quoted then.
         gained: Gain over all these errors; None: not known.
+        laws: Names of the causes that no library holds.
     """
-    said = _say_findings(answer)
-    changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
-    changed = changed or answer.before_test is not None  # what was taken back made a change
-    named = [row for row in effects_of(answer) if row.name in answer.named]
-    certain = [row for row in named if row.status == CERTAIN]
-    said_of = [*certain, *_larger(certain, named)] or named  # as `_missing` says them
-    subject = "They take" if _are_several(said_of) else "It takes"
-    if failed:
-        endings = [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
-    else:
-        endings = _on_unseen(errors, changed, subject, gained)
-    # the error comes before details of the cause: a shorter beginning with it, if one fits
-    for first, second in (*product(said, endings), *product(said, ("",))):
-        text = f"{first}{second}."
-        if len(text.split()) <= MAX_WORDS:
-            return text
-    return f"{said[-1]}."
+    first = _first_that_fits(_say_findings(answer, laws), _endings(answer, errors, failed, gained))
+    return " ".join([first, *_second(answer, errors, failed, gained), *_noise(errors, gained)])
 
 
 def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended: bool) -> str:
@@ -83,40 +74,136 @@ def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended
     """
     if not errors:
         return "No run could be simulated."
-    ends = _on_unseen(errors, extended, "The extended model takes", gained)
-    return f"{capital(ends[0].lstrip('.; ').removeprefix('but '))}."
+    if not extended:
+        return f"The {_on_unseen(errors, False, gained)[0].lstrip('; ').removeprefix('the ')}."
+    ending = _on_unseen(errors, True, gained, "falls from ")[0].lstrip(":; ").removeprefix("but ")
+    with_model = f"With the extended model the {ending.removeprefix('the ')}."
+    if ending.startswith("no skill"):
+        with_model = f"The extended model has {ending}."
+    doubts = [f"Not certain: {why}." for why in _of_gain(gained)]
+    return " ".join([with_model, *doubts, *_noise(errors, gained)])
 
 
-def _say_findings(answer: Answer) -> list[str]:
+def _first_that_fits(said: Sequence[str], endings: Sequence[str]) -> str:
+    """The longest words of a finding with the longest ending that fit; the error comes before
+    details of the cause."""
+    for first, second in (*product(said, endings), *product(said, ("",))):
+        text = f"{first}{second}."
+        if len(text.split()) <= MAX_WORDS:
+            return text
+    return f"{said[-1]}."
+
+
+def _endings(
+    answer: Answer, errors: Sequence[ErrorRow], failed: Collection[str], gained: Gain | None
+) -> list[str]:
+    if failed:
+        return [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
+    changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
+    changed = changed or answer.before_test is not None  # what was taken back made a change
+    return _on_unseen(errors, changed, gained) if errors else [""]
+
+
+def _second(
+    answer: Answer, errors: Sequence[ErrorRow], failed: Collection[str], gained: Gain | None
+) -> list[str]:
+    """Why the first sentence is not certain; that nothing tests it."""
+    no_test = not errors and not failed
+    untested = ["No gain is known: no run is kept for a test."] if no_test else []
+    if answer.verdict in ("numerical", "unrepeatable", "none"):
+        return untested
+    said = [*_of_gain(gained), *_reasons(answer)]
+    if any(gate.name == LAWS for gate in answer.gates):
+        said = [*(why for why in said if why != FIRST_ANSWER), f"{FIRST_ANSWER}, without laws"]
+    return [*(f"Not certain: {why}." for why in said[:1]), *untested]
+
+
+def _reasons(answer: Answer) -> list[str]:
+    """Doubts of what is named, that of a first answer last; whose it is where others have none."""
+    rows = [r for r in answer.causes_with(CERTAIN, LIKELY) if r.doubts or r.status == CERTAIN]
+    doubts = dict.fromkeys(why for row in _by_share(rows) for why in row.doubts)
+    said = []
+    for why in sorted(doubts, key=lambda why: why == FIRST_ANSWER):
+        own = [row for row in rows if why in row.doubts]
+        is_of_all = len(own) == len(rows) or why == FIRST_ANSWER
+        whose = "" if is_of_all else f"{_join([_brief(row.words) for row in own[:2]])}, as "
+        said.append(f"{whose}{why}")
+    return said
+
+
+def _of_gain(gained: Gain | None) -> list[str]:
+    """What unseen runs leave open."""
+    if gained is None or gained.status in ("confirmed", "nothing to gain", "withdrawn"):
+        return []
+    if gained.status == "cannot be judged":
+        return ["unseen runs cannot judge it"]
+    return ["no gain is confirmed on unseen runs"]
+
+
+def _noise(errors: Sequence[ErrorRow], gained: Gain | None) -> list[str]:
+    """That so much is removed that the noise must be less than was stated, and how much it is."""
+    if gained is None or not gained.is_below_noise:
+        return []
+    row = min(_kinds(errors), key=lambda row: row.after / row.noise)
+    _, left, unit, noise = _numbers(row)
+    if not noise:
+        return [f"The stated noise is too large: {left} times of it is left."]
+    return [f"The stated noise of {noise} is too large: {left}{unit} is left."]
+
+
+def _by_share(rows: Sequence[CauseRow], laws: Collection[str] = ()) -> list[CauseRow]:
+    """Causes in the order of what each removes, laws last."""
+    return sorted(rows, key=lambda row: (row.name in laws, -(row.removes or 0.0)))
+
+
+def _say_findings(answer: Answer, laws: Collection[str]) -> list[str]:
     """What is wrong, without a full stop; shorter ones later."""
-    named = [
-        r
-        for r in answer.causes_with(CERTAIN, LIKELY)
-        if r.origin != EFFECT or r.name in answer.named
-    ]
     if answer.verdict == "unrepeatable":
         return ["Repeats differ more than the sensor's noise, so no cause can be judged"]
     if answer.verdict == "numerical":
         return [
             "The simulation's own step, mesh or tolerance moves the prediction by more than noise"
         ]
-    if answer.verdict == "unknown" and any(gate.name == LAWS for gate in answer.gates):
-        return [
-            "Not yet: no cause of the library explains it, and laws were not looked for",
-            "Not yet: no cause of the library explains it",
-        ]
     if answer.verdict == "unknown":
-        return [
-            "Something is missing that no cause of the library explains",
-            "Something unknown is missing",
-        ]
+        return _unknown(answer, laws)
     if answer.verdict == "ambiguous":
         return _open(answer)
     if answer.verdict == "data_sheet":
         return _off_sheet([row for row in answer.causes if row.origin == DATA_SHEET])
+    # what the extended model holds has made the error smaller, whatever singled it out
+    named = [
+        r
+        for r in answer.causes_with(CERTAIN, LIKELY)
+        if r.origin != EFFECT or r.name in answer.named or r.removes is not None
+    ]
     if named:
-        return _missing(named)
+        return _missing(answer, named, laws)
     return ["Nothing is missing that these runs could show"]
+
+
+def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
+    """Something without a name; what helps beside it; what unseen runs took back."""
+    if answer.is_taken_back and answer.before_test is not None:
+        taken = [row for row in effects_of(answer) if row.name in answer.before_test.statuses]
+        names = [_brief(row.words) for row in _by_share(taken, laws)[:MAX_NAMES]]
+        what = _join(names) or "What was named"
+        verb = "are" if len(names) > 1 else "is"
+        return [
+            f"{capital(what)} {verb} withdrawn: unseen runs get worse",
+            "What was named is withdrawn: unseen runs get worse",
+        ]
+    helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
+    if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
+        them = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
+        verb = "help" if len(helping) > 1 else "helps"
+        return [
+            f"{capital(them)} {verb}, but something without a name is missing, too",
+            "Causes of the library help, but something without a name is missing, too",
+        ]
+    return [
+        "Something is missing that no cause of the library explains",
+        "Something without a name is missing",
+    ]
 
 
 def _open(answer: Answer) -> list[str]:
@@ -129,7 +216,7 @@ def _open(answer: Answer) -> list[str]:
     sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
     parts = [[_brief(plain_name(answer, n)) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
-    shown = " or ".join(names[:MAX_NAMES]) + (" or another cause" if len(names) > MAX_NAMES else "")
+    shown = " or ".join(names[:2]) + (" or another cause" if len(names) > 2 else "")
     if names and len(shown.split()) > MAX_OPEN:
         shown = f"{names[0]} or another cause"
     if not names or len(shown.split()) > MAX_OPEN:
@@ -140,13 +227,17 @@ def _open(answer: Answer) -> list[str]:
         if w.startswith(WRONG_DATA_SHEET)
     ]
     also = f" or {off[0]} is off its data sheet" if off else ""
-    return [f"{capital(shown)} is missing{also}; these runs cannot tell which"]
+    return [
+        f"{capital(shown)} is missing{also}; these runs cannot tell which",
+        "One of several causes is missing; these runs cannot tell which",
+    ]
 
 
 def _unsure(answer: Answer) -> list[str]:
     """Causes that the data ask for, where nothing but their absence is a rival."""
     named = [row for row in effects_of(answer) if row.name in answer.best_names]
-    return [f"{said}; these runs leave it open" for said in _missing(named, "may be")]
+    said = _missing(answer, named, (), "may be")
+    return [f"{text}; these runs leave it open" for text in said]
 
 
 def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
@@ -155,84 +246,150 @@ def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
     value, unit = next(iter(row.size.values())).value, after_number(row.unit)
     prior = row.note.partition("data sheet: ")[2].partition(" +-")[0]
     number = next((n for d in (3, 4, 5) if (n := f"{value:.{d}g}") != prior), f"{value:.6g}")
-    others = "" if len(rows) == 1 else f" (and {len(rows) - 1} more)"
-    which = "a data sheet is" if len(rows) == 1 else "data sheets are"
     off = f"{row.words} is {number}{unit}, not {prior}{unit}"
-    return [f"Only {which} off: {off}{others}", f"{opened(off)}{others}", opened(off)]
+    if len(rows) == 1:
+        return [f"Only a data sheet is off: {off}", opened(off)]
+    count = f"{capital(_count(len(rows)))} data sheets are off"
+    return [f"{count}, first {off}", f"{count}, first {row.words}", count]
 
 
-def _missing(named: Sequence[CauseRow], verb: str = "") -> list[str]:
+def _missing(
+    answer: Answer, named: Sequence[CauseRow], laws: Collection[str], verb: str = ""
+) -> list[str]:
     """Sentences on causes that are named, the longest first.
 
     Args:
+        answer: What is put into words.
         named: Causes, data sheets among them.
+        laws: Names of the causes that no library holds.
         verb: Before "missing"; empty: as sure and as many as they are.
     """
     sheet = [row for row in named if row.origin == DATA_SHEET]
-    effects = [row for row in named if row.origin == EFFECT]
-    effects.sort(key=lambda row: -(row.removes or 0.0))
-    certain = [row for row in effects if row.status == CERTAIN]
-    larger = _larger(certain, effects)
-    effects = certain or effects
-    sure = "" if certain else " probably"
-    ending = f"{verb or ('are' if _are_several(effects) else 'is') + sure} missing"
-    out = [*_with_sizes(effects, ending), *_without_sizes(effects, ending)]
-    if larger:
-        also = " and ".join(_brief(row.words) for row in larger[:MAX_NAMES])
-        out = [*(f"{said}, and probably {also}" for said in out), f"{out[-1]}, and probably more"]
-    if why := "" if verb else _why_not_certain(effects):
-        out = [*(f"{said}, as {why}" for said in out), *out]
+    effects = _by_share([row for row in named if row.origin == EFFECT], laws)
+    if not effects:
+        return _off_sheet(sheet)
+    if _explains_more(effects, laws):
+        return _laws(effects, laws, verb)
+    total = sum(row.removes or 0.0 for row in effects)
+    is_set = len(effects) > 1 and 0.0 < total < TOGETHER
+    if not is_set:
+        effects = effects[: max(len(effects) - _num_small(effects, total), 1)]
+    names = [*([] if is_set else _with_sizes(effects, laws, verb))]
+    names += _without_sizes(effects, verb, is_set=is_set)
+    held = [row for row in effects_of(answer) if row.helps and row not in effects]
+    if beside := held[: len(held) - _num_small(held, total)]:
+        also = _count(len(beside))
+        ends = (f", with {also} that these runs leave open", f", with {also} left open")
+        names = [f"{said}{end}" for said in names for end in ends]
+    counts = _count_causes(_by_share([*effects, *beside], laws), verb, is_set=is_set)
+    out = [*names, *counts]
     if sheet:
-        out = [*(f"{said}, {sheet[0].words} is off its data sheet" for said in out), *out]
-    return out
+        off = f", {sheet[0].words} is off its data sheet"
+        out = [f"{said}{end}" for group in (names, counts) for end in (off, "") for said in group]
+    return [capital(said) for said in out]
 
 
-def _larger(certain: Sequence[CauseRow], effects: Sequence[CauseRow]) -> list[CauseRow]:
-    """Likely causes that remove more than a certain one that is named."""
-    if not certain:
-        return []
-    least = min(row.removes or 0.0 for row in certain)
-    return [row for row in effects if row not in certain and (row.removes or 0.0) > least]
+def _laws(effects: Sequence[CauseRow], laws: Collection[str], verb: str) -> list[str]:
+    """Laws that remove more than the causes of the library beside them."""
+    own = [row for row in effects if row.name in laws]
+    total = sum(row.removes or 0.0 for row in effects)
+    beside = [row for row in effects if row not in own and (row.removes or 0.0) > SMALL * total]
+    said = _without_sizes(own, verb, is_set=False) + _count_causes(own, verb, is_set=False)
+    none = ("No cause of the library explains it: ", "No library cause explains it: ")
+    also = f", beside {_join([_brief(row.words) for row in beside[:MAX_NAMES]])}" if beside else ""
+    return [f"{n}{text}{also}" for text in said for n in none] + [
+        capital(f"{text}{end}") for end in dict.fromkeys((also, "")) for text in said
+    ]
 
 
-def _why_not_certain(effects: Sequence[CauseRow]) -> str:
-    """The first reason; that an answer is a first one is said elsewhere."""
-    doubts = (why for row in effects for why in row.doubts if why != FIRST_ANSWER)
-    return next(doubts, "")
+def _num_small(effects: Sequence[CauseRow], total: float) -> int:
+    """Number of the last causes, in their order, that remove next to nothing, all together."""
+    if total <= 0.0:
+        return 0
+    rest = np.cumsum([row.removes or 0.0 for row in reversed(effects)])
+    return int(np.searchsorted(rest, SMALL * total))
 
 
-def _with_sizes(effects: Sequence[CauseRow], ending: str) -> list[str]:
+def _explains_more(effects: Sequence[CauseRow], laws: Collection[str]) -> bool:
+    """Whether laws remove more than causes of the library do."""
+    shares = [0.0, 0.0]
+    for row in effects:
+        shares[row.name in laws] += row.removes or 0.0
+    return shares[True] > shares[False]
+
+
+def _with_sizes(effects: Sequence[CauseRow], laws: Collection[str], verb: str) -> list[str]:
     """Names with the sizes that their words do not say, the longest first; none of many causes."""
     sized = {row.name for row in effects if row.size and row.words == words_of(row.name)}
-    if not sized or len(effects) > MAX_NAMES:
+    if not sized - set(laws) or len(effects) > MAX_SIZED:
         return []
     out = []
     for brief in (False, True):
-        ranges = [f" ({size_range(r, brief=brief)})" if r.name in sized else "" for r in effects]
-        if len(effects) == 1:
-            out.append(f"{capital(effects[0].words)} {ending}{ranges[0]}")
-        else:
-            parts = (
-                f"{_brief(row.words)}{size}" for row, size in zip(effects, ranges, strict=True)
-            )
-            out.append(f"{capital(' and '.join(parts))} {ending}")
+        sizes = {r.name: f" ({size_range(r, brief=brief)})" for r in effects if r.name in sized}
+        out.append(_say(effects, verb, sizes))
     return list(dict.fromkeys(out))
 
 
-def _without_sizes(effects: Sequence[CauseRow], ending: str) -> list[str]:
-    """Names alone, the longest first."""
-    words = [_brief(row.words) for row in effects[:MAX_NAMES]]
-    more = len(effects) - len(words)
-    names = ", ".join(words) + f" and {more} more" if more else " and ".join(words)
-    out = [f"{capital(names)} {ending}"]
-    if len(effects) == 1 and effects[0].words != words[0]:
-        out.insert(0, f"{capital(effects[0].words)}, {ending}")
-    return out
+def _without_sizes(effects: Sequence[CauseRow], verb: str, *, is_set: bool) -> list[str]:
+    """Names alone, the longest first; none of many causes.
+
+    Args:
+        effects: Causes in their order.
+        verb: Before "missing"; empty: as sure and as many as they are.
+        is_set: Whether they remove little one by one.
+    """
+    if len(effects) > MAX_NAMES:
+        return []
+    alone = _say(effects, verb, {}, together=" together" if is_set else "")
+    is_cut = len(effects) == 1 and effects[0].words != _brief(effects[0].words)
+    return [_say(effects, verb, {}, is_whole=True), alone] if is_cut else [alone]
 
 
-def _are_several(rows: Sequence[CauseRow]) -> bool:
-    """Whether what is missing is several things."""
-    return len(rows) > 1 or any(row.words.startswith(_PLURALS) for row in rows)
+def _count_causes(effects: Sequence[CauseRow], verb: str, *, is_set: bool) -> list[str]:
+    """How many causes there are, and which one removes most."""
+    if len(effects) < 2:
+        return []
+    sure = "" if verb or all(row.status == CERTAIN for row in effects) else " probably"
+    causes = f"{_count(len(effects))} causes{' together' if is_set else ''}"
+    is_missing = f"{verb or 'are'}{sure} missing"
+    return [f"{causes}, {_brief(effects[0].words)} first, {is_missing}", f"{causes} {is_missing}"]
+
+
+def _say(
+    effects: Sequence[CauseRow],
+    verb: str,
+    sizes: Mapping[str, str],
+    *,
+    is_whole: bool = False,
+    together: str = "",
+) -> str:
+    """Causes in their order with how sure each is: "a and probably b are missing"."""
+    sure = {row.status == CERTAIN for row in effects} if not verb else {True}
+    words, groups = [], groupby(effects, key=lambda row: row.status == CERTAIN)
+    for k, (is_certain, rows) in enumerate(groups):
+        mark = ("certainly " if is_certain else "probably ") if len(sure) > 1 else ""
+        mark = "" if is_certain and k == 0 else mark
+        for row in rows:
+            name = row.words if is_whole else _brief(row.words)
+            words.append(f"{mark}{name}")
+            mark = ""
+    is_many = len(effects) > 1 or effects[0].words.startswith(_PLURALS)
+    is_missing = verb or ("are" if is_many else "is")
+    if sure == {False}:
+        is_missing += " probably"
+    end = sizes.get(effects[0].name, "") if len(effects) == 1 else ""
+    if len(effects) > 1:
+        words = [f"{w}{sizes.get(row.name, '')}" for w, row in zip(words, effects, strict=True)]
+    comma = "," if is_whole else ""
+    return f"{_join(words)}{together}{comma} {is_missing} missing{end}"
+
+
+def _count(number: int) -> str:
+    return _COUNTS[number] if number < len(_COUNTS) else str(number)
+
+
+def _join(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _brief(words: str) -> str:
@@ -241,40 +398,39 @@ def _brief(words: str) -> str:
 
 
 def _on_unseen(
-    errors: Sequence[ErrorRow], changed: bool, subject: str, gained: Gain | None = None
+    errors: Sequence[ErrorRow], changed: bool, gained: Gain | None, falls: str = ""
 ) -> list[str]:
-    """What becomes of the error, the longest first."""
-    if not errors:
-        return [". No gain is known: no run is kept for a test", "; no run tests it"]
-    sure = gained is None or gained.status == "confirmed"
+    """What becomes of the error, the longest first; each says it before and after.
+
+    Args:
+        errors: Errors on runs that were not fitted.
+        changed: Whether the extended model differs from the plain one.
+        gained: Gain over all these errors.
+        falls: Verb of an error that becomes smaller, with a blank.
+    """
     row = _telling_kind(errors, changed, worst=gained is not None and gained.status == "withdrawn")
-    where = "unseen runs" if row.use == "test" else "the runs that chose"
+    where, short = (
+        ("error on unseen runs", "unseen error")
+        if row.use == "test"
+        else ("error on the runs that chose", "error")
+    )
     before, after, unit, noise = _numbers(row)
     besides = f", noise {noise}" if noise else ""
     if not changed:
-        return [
-            f"; the error on {where} is {before}{unit}{besides}",
-            f"; error {before}{unit}{besides}",
-        ]
+        return [f"; the {where} is {before}{unit}{besides}", f"; {short} {before}{unit}{besides}"]
     if row.after > 0.99 * row.before:
         verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
-        return [f"; but the error on {where} {verb} {after}{unit}{besides}"]
-    if not sure:
-        change = f"{before} to {after}{unit}"
         return [
-            f"; but no gain is confirmed on {where}: error {change}{besides}",
-            f"; no gain is confirmed: error {change}{besides}",
-            "; no gain is confirmed",
+            f"; but the {where} {verb} {after}{unit}{besides}",
+            f"; but {short} {verb} {after}{unit}{besides}",
         ]
     if row.constant is not None and row.constant < SKILL * row.after:
-        constant = replace(row, before=row.constant)
-        of = f"error {before} to {after}{unit}, a constant leaves {_numbers(constant)[0]}{unit}"
-        return [f"; but on {where} there is no skill: {of}", f"; no skill: {of}", "; no skill"]
-    is_noise = f"; {noise} is noise" if noise else ""
+        constant = _numbers(replace(row, before=row.constant))[0]
+        of = f"{before} to {after}{unit}, a constant leaves {constant}{unit}"
+        return [f"; but no skill: {where} {of}", f"; no skill: {short} {of}"]
     return [
-        f". {subject} the error on {where} from {before} to {after}{unit}{is_noise}",
-        f": error on {where} {before} to {after}{unit}{besides}",
-        f": error {before} to {after}{unit}{besides}",
+        f": {where} {falls}{before} to {after}{unit}{besides}",
+        f": {short} {before} to {after}{unit}{besides}",
     ]
 
 
@@ -291,35 +447,36 @@ def _numbers(row: ErrorRow) -> tuple[str, str, str, str]:
 def _telling_kind(errors: Sequence[ErrorRow], changed: bool, *, worst: bool) -> ErrorRow:
     """All runs together, of the kind of channel whose error falls most, or is largest, over its
     noise; the one that rises most where the whole gets worse."""
+    sign = -1.0 if worst else 1.0
+    return max(
+        _kinds(errors),
+        key=lambda r: sign * (r.before - (r.after if changed else 0.0)) / r.noise,
+    )
+
+
+def _kinds(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
+    """All runs together, a row for each kind of channel."""
     kinds: dict[tuple[str, str], list[ErrorRow]] = {}
     for row in errors:
         kinds.setdefault((row.kind, row.unit), []).append(row)
+    return [_pool(rows) for rows in kinds.values()]
 
-    def pooled(rows: Sequence[ErrorRow]) -> ErrorRow:
-        weights = [row.num_samples for row in rows]
 
-        def rms(name: str) -> float:
-            squares = [getattr(row, name) ** 2 for row in rows]
-            return float(np.sqrt(np.average(squares, weights=weights)))
+def _pool(rows: Sequence[ErrorRow]) -> ErrorRow:
+    weights, first = [row.num_samples for row in rows], rows[0]
 
-        first = rows[0]
-        is_known = all(row.constant is not None for row in rows)
-        return ErrorRow(
-            "all",
-            first.kind,
-            first.unit,
-            rms("before"),
-            rms("after"),
-            rms("noise"),
-            sum(weights),
-            max(row.num_fitted for row in rows),
-            first.use,
-            constant=rms("constant") if is_known else None,
-        )
+    def rms(name: str) -> float:
+        return float(np.sqrt(np.average([getattr(r, name) ** 2 for r in rows], weights=weights)))
 
-    return max(
-        (pooled(rows) for rows in kinds.values()),
-        key=lambda r: (
-            (-1.0 if worst else 1.0) * (r.before - (r.after if changed else 0.0)) / r.noise
-        ),
+    return ErrorRow(
+        "all",
+        first.kind,
+        first.unit,
+        rms("before"),
+        rms("after"),
+        rms("noise"),
+        sum(weights),
+        max(row.num_fitted for row in rows),
+        first.use,
+        constant=rms("constant") if all(row.constant is not None for row in rows) else None,
     )

@@ -39,6 +39,7 @@ from diffsim.diagnose.judge.records import (
     band_words,
     no_skill_words,
 )
+from diffsim.diagnose.say.factors import gain_words, sheet_words, stated_of
 from diffsim.identify.effect import is_of_run
 
 VERDICTS = (
@@ -104,6 +105,12 @@ class Answer:
     left: float = 1.0
     with_unknown: Mapping[str, float] = field(default_factory=dict)
     before_test: BeforeTest | None = None
+
+    @property
+    def is_taken_back(self) -> bool:
+        """Whether test runs withdrew what was named."""
+        before = self.before_test
+        return self.verdict == "unknown" and before is not None and before.verdict != "unknown"
 
     def causes_with(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
         """Causes with one of these statuses, unknown ones left out."""
@@ -268,7 +275,7 @@ def _first(answer: Answer) -> str:
             "a wrong data sheet" if any(f.startswith(WRONG_DATA_SHEET) for f in forms) else "none"
         )
         return f"{asked}, but cannot tell it from {_sets(answer, answer.rivals, nothing)}."
-    if answer.verdict == "unknown" and answer.before_test is not None:
+    if answer.is_taken_back:
         return (
             "Something is missing, and what was named for it does not hold: with "
             f"{_sizes(_members(answer))} the error on test runs is larger."
@@ -362,7 +369,8 @@ def _data_sheets(answer: Answer) -> list[str]:
             if row.rivals:
                 text += f" (or {', '.join(row.rivals)} acts in its place)"
             out.append(f"{text}.")
-    return out
+    found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]
+    return [*out, *sheet_words([(row, v) for row in found if (v := stated_of(row)) is not None])]
 
 
 def _rest(answer: Answer) -> list[str]:
@@ -421,5 +429,6 @@ def _sizes(rows: Sequence[CauseRow]) -> str:
     parts = []
     for row in rows:
         what = "" if has_many_sizes(row) else "; 90 % interval"
-        parts.append(f"{row.words} ({size_range(row)}{what})")
+        slip = f"; {words}" if (words := gain_words(row)) else ""
+        parts.append(f"{row.words} ({size_range(row)}{what}{slip})")
     return " and ".join(parts)

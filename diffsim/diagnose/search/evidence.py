@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, special
 
-from diffsim.core.memo import Aside, LaidAside
+from diffsim.core.memo import Aside, SpilledArray
 from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, precision_at
@@ -112,7 +112,7 @@ class LaplaceEvidence:
         x: Array,
         residual: Array,
         jacobian: Array,
-        responses: Sequence[Array | LaidAside],
+        responses: Sequence[Array | SpilledArray],
         num_families: int,
         num_unknowns: int | None = None,
     ):
@@ -149,7 +149,7 @@ class LaplaceEvidence:
             hypothesis: Effects, and an unknown cause.
             wide: How many times wider the prior of a base parameter is, by its index.
         """
-        price = price_of_family(self.num_families)
+        price = float(np.log(max(self.num_families, 1)))  # of the choice of one more family
         members = sorted(hypothesis.effects)
         choice = sum(price + self.problem.effects[i].price for i in members)
         free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
@@ -256,11 +256,6 @@ def _within(
     return x, lost - 0.5 * float(np.sum(((mean - inside) / sd) ** 2))
 
 
-def price_of_family(num_families: int) -> float:
-    """Nats that the choice of one more family costs."""
-    return float(np.log(max(num_families, 1)))
-
-
 def unrealized(fit: Fit, posterior: SetPosterior) -> float:
     """Nats that a Gauss-Newton step from a fit promises but the fit did not reach.
 
@@ -294,7 +289,7 @@ def _parts(count: int) -> list[slice]:
     return [slice(start, start + ROWS) for start in range(0, count, ROWS)]
 
 
-def _power(responses: Array | LaidAside) -> float:
+def _power(responses: Array | SpilledArray) -> float:
     """Root mean square by which N(0, 1) coefficients move a sample; 1 where they move none."""
     total = sum(float(np.sum(responses[rows] ** 2)) for rows in _parts(len(responses)))
     return float(np.sqrt(total / len(responses))) or 1.0

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import GateResult
-from diffsim.diagnose.checks.misread import settled, without_misread
+from diffsim.diagnose.checks.misread import choose_commands, without_misread
 from diffsim.diagnose.checks.noise import NoiseFloor, noise_floor, without_spikes
 from diffsim.diagnose.checks.numerics import (
     names_of_failed,
@@ -47,7 +47,7 @@ from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 8  # of a run in a window
-FAR = 25.0  # chi2 per sample, from which a fit needs an easier start
+HARD_START_CHI2 = 25.0  # chi2 per sample, from which a fit needs an easier start
 
 Ended = tuple[Fit, Linearization]
 
@@ -101,7 +101,9 @@ def _fit_growing(problem: Problem, windows: Sequence[float]) -> Ended:
         if found is None:
             raise error
         return found
-    if not windows or (whole[0].converged and whole[0].chi2 < FAR * whole[0].num_samples):
+    if not windows or (
+        whole[0].converged and whole[0].chi2 < HARD_START_CHI2 * whole[0].num_samples
+    ):
         return whole
     through = _through(problem, start, windows)
     ends = [whole] if through is None else [whole, through]
@@ -285,7 +287,9 @@ def null_fit(case: Case) -> Null:
     case = replace(case, model=fit.problem.model)
     case, (fit, at) = _prepare(case, WhiteNoise(channels), (fit, at))
     rough = np.array([c.sd for c in channels], dtype=np.float64)
-    chosen = [settled(r, study.commands, partial(residual_of, fit), rough) for r in recorded]
+    chosen = [
+        choose_commands(r, study.commands, partial(residual_of, fit), rough) for r in recorded
+    ]
     num_misread = sum(count for _, count in chosen)
     kept = [run for run, _ in chosen]
     stated = np.array([c.sd or 0.0 for c in study.channels], dtype=np.float64)

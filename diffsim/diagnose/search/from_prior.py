@@ -19,7 +19,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import SetPosterior
-from diffsim.diagnose.search.fit import FAR
+from diffsim.diagnose.search.fit import HARD_START_CHI2
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Problem, Whitener
@@ -102,7 +102,7 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
     """
     residual = whitened(problem, measured_of(problem) - start.record)
     excess = float(residual @ residual) / max(len(residual), 1)
-    if not np.isfinite(excess) or excess < FAR:
+    if not np.isfinite(excess) or excess < HARD_START_CHI2:
         return start
     at = start
     for factor in (excess**0.5, excess**0.25):

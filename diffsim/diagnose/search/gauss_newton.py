@@ -72,11 +72,6 @@ class _Iterate:
         """Sum of chi2 and prior, |r|^2 + |x|^2."""
         return float(self.residual @ self.residual + self.at.x @ self.at.x)
 
-    @property
-    def has_exact_slopes(self) -> bool:
-        """Whether the error of the slopes is below tolerance."""
-        return has_exact_slopes(self.at, self.misfit)
-
     def refreshed(self) -> _Iterate:
         """The iterate with slopes simulated here."""
         at = linearization_at(self.problem, self.at.x)
@@ -172,7 +167,7 @@ def gauss_newton(
         if promised < max(FIT_NATS, 0.5 * FIT_RTOL * s.misfit, SLOPE_RTOL * behind):
             # so far behind that nothing hangs on what separates two names
             is_outranked = SLOPE_RTOL * behind > ALONE_NATS
-            if s.at.slope_error == 0.0 or s.has_exact_slopes or is_outranked:
+            if s.at.slope_error == 0.0 or has_exact_slopes(s.at, s.misfit) or is_outranked:
                 ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break
             s = s.refreshed()

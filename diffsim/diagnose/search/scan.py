@@ -36,7 +36,7 @@ COARSE_TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)  # in pairs, and for effects of sever
 CLOSE = 30  # sizes from which the best are sought in one run
 BEST = 3  # of them, that are looked around and then tried in all runs
 ROUNDS = 3  # of looking around, each a third as far as the one before
-FEW = 5  # of them, that show in which run
+SHOWING_SIZES = 5  # of them, that show in which run
 BORROWED = 1.0  # relative error that slopes from elsewhere are taken to have
 
 
@@ -105,7 +105,7 @@ def num_points(effects: Sequence[Effect], num_runs: int = 1) -> int:
     count = len(_combine_tries(effects))
     if not _is_close(effects):
         return count
-    return FEW + BEST + -(-(count + 2 * BEST * ROUNDS) // num_runs)
+    return SHOWING_SIZES + BEST + -(-(count + 2 * BEST * ROUNDS) // num_runs)
 
 
 def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequence[int]) -> Scan:
@@ -170,7 +170,7 @@ def _best_of_one_run(
         tried: Sizes of one component, (num_points, 1); others as of ``_costs_at``.
     """
     tried = tried[np.argsort(tried[:, 0])]
-    chosen = _most_moved(wide, own, center, columns, tried[:: len(tried) // FEW])
+    chosen = _most_moved(wide, own, center, columns, tried[:: len(tried) // SHOWING_SIZES])
     rows = _rows_of(wide.runs)[chosen]
     one = replace(wide, runs=(wide.runs[chosen],))
     there = Linearization(center.x, center.record[rows], center.idx, center.columns[rows])
@@ -273,13 +273,13 @@ def records_for(narrow: Problem, points: Array, here: Array) -> Array:
         here: Record at the center, (N,).
     """
     runs = narrow.runs
-    stands_for = _stand_ins(runs)
-    kept = sorted(set(stands_for))
+    representatives = _stand_ins(runs)
+    kept = sorted(set(representatives))
     made = records_at(replace(narrow, runs=tuple(runs[j] for j in kept)), points)
     ends = np.cumsum([runs[j].measured.size for j in kept])[:-1]
     parts = dict(zip(kept, np.split(made, ends, axis=1), strict=True))
     own = np.split(here, np.cumsum([run.measured.size for run in runs])[:-1])
-    moved = [parts[j] + (own[i] - own[j]) for i, j in enumerate(stands_for)]
+    moved = [parts[j] + (own[i] - own[j]) for i, j in enumerate(representatives)]
     return np.concatenate(moved, axis=1)
 
 

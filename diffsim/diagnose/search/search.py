@@ -38,7 +38,7 @@ from diffsim.identify.linearization import Linearization
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
-FAR = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
+LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -118,7 +118,7 @@ def with_numerics(search: Search, members: Members, *, is_late: bool = False) ->
 def has_left_prior(fit: Fit) -> bool:
     """Whether a fit of the plain model took a base parameter far from its prior."""
     base = np.abs(fit.x[: fit.problem.num_base])
-    return bool(base.max(initial=0.0) > FAR)
+    return bool(base.max(initial=0.0) > LEFT_SHEET_SD)
 
 
 def _first_center(search: Search) -> tuple[Center, Search]:

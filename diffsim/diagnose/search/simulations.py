@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from diffsim.core.memo import LaidAside, laid_aside
+from diffsim.core.memo import SpilledArray, spill
 from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, SetPosterior
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -95,7 +95,7 @@ class Simulations:
     store: Store | None = None
     fitted: Mapping[Members, Linearization] = field(default_factory=dict)
     screened: Mapping[Members, Linearization] = field(default_factory=dict)
-    unknown_slopes: Mapping[tuple[Members, int], LaidAside] = field(default_factory=dict)
+    unknown_slopes: Mapping[tuple[Members, int], SpilledArray] = field(default_factory=dict)
     at_unknowns: Mapping[Members, tuple[Linearization, ...]] = field(default_factory=dict)
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
     scan_steps: int = 0
@@ -252,7 +252,9 @@ class Simulations:
         """A fitted set with the linear evidence of its neighbors; nothing is simulated."""
         return Center(members, at, self._evidence(at, [], num_families))
 
-    def beside(self, members: Members, unknown: Unknown, u: int, families: int) -> LaplaceEvidence:
+    def evidence_with_unknown(
+        self, members: Members, unknown: Unknown, u: int, families: int
+    ) -> LaplaceEvidence:
         """Evidence of a set's neighbors, an unknown cause beside; both were simulated there."""
         moved, _ = self.responses(unknown, u, members, self.screened[members])
         return self._evidence(self.screened[members], [moved], families)
@@ -327,7 +329,7 @@ class Simulations:
         made, blocks = self, []
         for u, unknown in enumerate(unknowns):
             block, made = made.responses(unknown, u, center.members, center.at)
-            blocks.append(laid_aside(block))
+            blocks.append(spill(block))
         return made._evidence(center.at, blocks, num_families), made
 
     def responses(
@@ -338,12 +340,12 @@ class Simulations:
         if (members, u) not in self.unknown_slopes:
             slopes = self._slopes_of(unknown, members, at)
             made = replace(
-                self, unknown_slopes={**self.unknown_slopes, (members, u): LaidAside(slopes)}
+                self, unknown_slopes={**self.unknown_slopes, (members, u): SpilledArray(slopes)}
             )
         return unknown.spread(self.wide, made.unknown_slopes[members, u].array()), made
 
     def _evidence(
-        self, at: Linearization, blocks: Sequence[Array | LaidAside], num_families: int
+        self, at: Linearization, blocks: Sequence[Array | SpilledArray], num_families: int
     ) -> LaplaceEvidence:
         wide = self.wide
         residual = whitened(wide, measured_of(wide) - at.record)

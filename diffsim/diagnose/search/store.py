@@ -58,7 +58,7 @@ class Store:
     def __init__(self, folder: str | Path, key: str, tally: Tally):
         self.folder, self.tally = Path(folder) / key, tally
 
-    def beside(self, label: str) -> Store:
+    def sibling(self, label: str) -> Store:
         """Files of the same, simulated another way."""
         return Store(self.folder.parent, f"{self.folder.name}-{label}", self.tally)
 

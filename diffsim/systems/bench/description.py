@@ -31,7 +31,7 @@ from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.reading import read_system
 from diffsim.systems.ode.scene import OdeScene
 
-FEWEST = 3  # runs to fit: of two, one zero for both and their difference are alike
+MIN_FIT_RUNS = 3  # runs to fit: of two, one zero for both and their difference are alike
 MAX_EFFECTS = 6  # several quantities, each with causes of its own
 
 
@@ -118,7 +118,7 @@ def _run_zero(study: Study, at: int, channel: Channel, scales: Scales) -> Effect
 
 def _need_runs(study: Study, *, at: int) -> str | None:
     found = [r for r in study.fit_runs if np.isfinite(r.measured[:, at]).any()]
-    return None if len(found) >= FEWEST else f"{FEWEST} runs to fit"
+    return None if len(found) >= MIN_FIT_RUNS else f"{MIN_FIT_RUNS} runs to fit"
 
 
 def _shift_run(

@@ -83,7 +83,7 @@ class FlowNetworkDescription(Description):
             samples=self.samples,
             pumps=pumps,
             pressures=pressures,
-            asked=bool(self.effects.only),
+            asked=self.effects.only is not None,
             narrowest=network.narrowest,
             numbers=network.numbers,
             parts=network.parts,

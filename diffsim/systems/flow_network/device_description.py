@@ -75,7 +75,7 @@ class FlowDeviceDescription(FlowDeviceKeys):
             samples=self.samples,
             pumps=self.drives if device.drives_flow else (),
             pressures=held if device.drives_flow else self.drives,
-            asked=bool(self.effects.only),
+            asked=self.effects.only is not None,
             narrowest=device.narrowest,
             numbers=device.numbers,
             parts=device.parts,

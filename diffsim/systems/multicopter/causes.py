@@ -88,7 +88,7 @@ def copter_plant(
 
     Args:
         num_rotors: Number of rotors.
-        mass: [kg].
+        mass: Mass [kg].
         arm: Largest distance of a rotor from the center of mass [m].
         facts: What holds of it, as the table of multicopters calls it.
         scales: Usual magnitudes of the recordings; None: there are none.
@@ -165,7 +165,7 @@ def _list_facts(given: MulticopterKeys, flights: DescribedFlights) -> dict[str, 
         "battery": given.battery is not None,
         "estimator": given.estimator is not None,
         "down": flights.cutter.frames.world == "NED",
-        "asked": bool(given.effects.only),
+        "asked": given.effects.only is not None,
     }
 
 

@@ -21,7 +21,7 @@ from diffsim.systems.multicopter.starts import acceleration_of, states_of
 
 LONGEST = "longest_window_s"  # its place among the facts of a model
 LONGEST_S = 1.0  # of a window whose length is left to the model
-FEWEST = 5  # samples of a window
+MIN_WINDOW_SAMPLES = 5  # samples of a window
 MOST_RUNS = 1024  # whose windows are kept
 _EASY_STEPS = 6  # in which initial states settle where windows are not too long
 _SEEN = 1e-3  # of the strongest way to move the vehicle: weaker ones are none
@@ -125,17 +125,19 @@ class Cutter:
         dt = spacing(run)
         if is_planned(run):
             return self._cut_windows(run, past, len(run.time_s), idle)
-        length = min(max(FEWEST, round((self.window_s or self.longest_s) / dt)), len(run.time_s))
+        length = min(
+            max(MIN_WINDOW_SAMPLES, round((self.window_s or self.longest_s) / dt)), len(run.time_s)
+        )
         windows = self._cut_windows(run, past, length, idle)
-        while self.window_s is None and length > FEWEST:
+        while self.window_s is None and length > MIN_WINDOW_SAMPLES:
             try:
-                scene(windows).settled(_EASY_STEPS)
+                scene(windows).find_starts(_EASY_STEPS)
                 break
             except DiffsimError:  # the model leaves the record within a window
-                length = max(FEWEST, length // 2)
+                length = max(MIN_WINDOW_SAMPLES, length // 2)
                 windows = self._cut_windows(run, past, length, idle)
         try:  # thrusts before the record may be at a bound of this model, and not of another
-            found = scene(windows.with_thrusts_held()).settled()
+            found = scene(windows.with_thrusts_held()).find_starts()
         except DiffsimError:
             return windows
         return replace(windows, start=found.states)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from diffsim.core.inertia import inertia_mistake
 from diffsim.core.schema import KindWords, Part
 from diffsim.core.schema_numbers import (
     MetersPerSquareSecond,
@@ -23,6 +24,7 @@ from diffsim.systems.description import Quantity
 from diffsim.systems.quantities import Inertia, Length, Plain, PositiveInertia, Rate
 
 _NONE = Quantity(value=0.0)
+_INERTIA = ("xx", "yy", "zz", "xy", "xz", "yz")
 Level = Annotated[float, BeforeValidator(lambda given: in_si(given)[0]), KindWords("number")]
 
 
@@ -52,7 +54,14 @@ class InertiaKeys(Part):
     @model_validator(mode="before")
     @classmethod
     def _read_list(cls, given: Any) -> Any:
-        return _map_by_name("inertia", given, ("xx", "yy", "zz", "xy", "xz", "yz"), (3, 6))
+        return _map_by_name("inertia", given, _INERTIA, (3, 6))
+
+    @model_validator(mode="after")
+    def _check_possible(self) -> InertiaKeys:
+        entries = [getattr(self, name).value for name in _INERTIA]
+        if said := inertia_mistake(entries, _INERTIA):
+            raise ValueError(said)
+        return self
 
 
 class PlaceKeys(Part):

@@ -26,9 +26,9 @@ from diffsim.identify.numerics import Numerics
 from diffsim.identify.starts import left_by_starts
 from diffsim.systems.commands import command_of
 from diffsim.systems.multicopter.cutting import (
-    FEWEST,
     LONGEST,
     LONGEST_S,
+    MIN_WINDOW_SAMPLES,
     MOST_RUNS,
     Cutter,
     spacing,
@@ -118,7 +118,7 @@ class CopterModel(SimModel):
         """
         cutter = self.flights.cutter
         lengths = {run: self.flights.windows(run).measured.shape[1] for run in runs}
-        if cutter.window_s is not None or max(lengths.values(), default=0) <= FEWEST:
+        if cutter.window_s is not None or max(lengths.values(), default=0) <= MIN_WINDOW_SAMPLES:
             return None
         longest_s = 0.5 * max(length * spacing(run) for run, length in lengths.items())
         shorter = replace(self.flights, cutter=replace(cutter, longest_s=longest_s))
@@ -157,7 +157,7 @@ class CopterModel(SimModel):
         return {
             run.name: count * dt
             for run, (count, dt) in lengths.items()
-            if count < min(max(FEWEST, round(wished / dt)), len(run.time_s))
+            if count < min(max(MIN_WINDOW_SAMPLES, round(wished / dt)), len(run.time_s))
         }
 
     def left_of_readings(
@@ -167,7 +167,7 @@ class CopterModel(SimModel):
         with torch.no_grad():
             made = scene()
             assert isinstance(made, CopterScene)
-            shooting = made.settled()
+            shooting = made.find_starts()
         return left_by_starts(change, shooting.tangent, shooting.gain)
 
     def num_fitted_inside(self, run: Run) -> int:
@@ -199,7 +199,7 @@ class CopterModel(SimModel):
         )
         kinds, kind = torch.unique(present, dim=0, return_inverse=True)
         out = q.new_empty(len(q), *run.measured.shape)
-        shooting = self._build_scene(run, q[:1], sizes, present[0, 1:], numerics).settled()
+        shooting = self._build_scene(run, q[:1], sizes, present[0, 1:], numerics).find_starts()
         for k, row in enumerate(kinds[:, 1:]):
             mine = torch.nonzero(kind == k)[:, 0]
             mine_only = {e: s[mine] for e, s in sizes.items()}

@@ -102,7 +102,7 @@ class SensedRecord:
         """The record a time ago: cubics between steps, parabolas before the window.
 
         Args:
-            delay: (points,) [s].
+            delay: Delay of each point, (points,) [s].
             dt: Time between two steps [s].
         """
         quaternion = _look_back(self.quaternion, delay, dt)  # integrated: no sign jumps

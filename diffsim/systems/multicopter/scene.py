@@ -163,12 +163,12 @@ class CopterScene(RecordedScene):
 
     def simulate(self) -> Tensor:
         """Predicted channels of one point, (num_samples, num_channels)."""
-        shooting = self.settled()
+        shooting = self.find_starts()
         if may_be_differentiated():
             return self.simulate_many(1, shooting)[0]
         return shooting.at_own_point()[: self.num_samples]
 
-    def settled(self, max_steps: int = MAX_STEPS) -> FlightShooting:
+    def find_starts(self, max_steps: int = MAX_STEPS) -> FlightShooting:
         """Best initial states of one point and their tangents there, found within some steps; those
         of the last points are kept."""
         if self.point is None:
@@ -187,7 +187,7 @@ class CopterScene(RecordedScene):
                 flyers[points] = Flyer(self, points, is_one=True)
             return flyers[points](starts)
 
-        return self.windows.settled(predict, max_steps)
+        return self.windows.find_starts(predict, max_steps)
 
     def simulate_many(self, points: int, shooting: FlightShooting) -> Tensor:
         """Predicted channels with the best initial states.

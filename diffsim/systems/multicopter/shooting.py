@@ -138,7 +138,7 @@ class Windows:
             precision[RIGID:, RIGID:] += self.idle / (_IDLE * self.past_spread) ** 2
         return precision
 
-    def settled(
+    def find_starts(
         self, predict: Predict, max_steps: int = MAX_STEPS, near: Tensor | None = None
     ) -> FlightShooting:
         """The best initial states for one model, by Gauss-Newton with new tangents at every step.
@@ -283,7 +283,7 @@ class Windows:
             guess = self.guess.clone()
             guess[0, RIGID:] = states[0, RIGID:]
             windows = replace(self, guess=guess).with_thrusts_held()
-        return windows.settled(predict, near=states), 0.0
+        return windows.find_starts(predict, near=states), 0.0
 
     def _compute_costs(self, predict: Predict, change: Tensor) -> Tensor:
         """Misfit and departure from the guess over their spreads, squared, (num_windows,)."""
@@ -352,7 +352,7 @@ class FlightShooting:
 
         Args:
             windows: Windows of a run that was never recorded.
-            predict: As of ``Windows.settled``.
+            predict: As of ``Windows.find_starts``.
         """
         here = predict(windows.guess[None])[0].flatten(1)[..., None]
         change = torch.zeros_like(windows.guess)[..., None]

@@ -49,7 +49,7 @@ class OdeDescription(FormulaKeys):
     system: Literal["ode"] = Field("ode", description="Kind of system: `ode`")
     states: States = Field(
         description="Start value of every state: a number with unit, a formula of parameters and "
-        "first_CHANNEL, or a quantity with a prior"
+        "first_CHANNEL, whose noise is fitted, or a quantity with a prior"
     )
     rates: dict[str, Formula] = Field({}, description="Rate of every state, its derivative in time")
     function: Annotated[str, PathWords("text", NAMED_CODE)] | None = Field(

@@ -11,6 +11,7 @@ from diffsim.causes.plant import IN_TIME, LATE_RECORD, Place, Plant, Store
 from diffsim.causes.readings import usual_sample
 from diffsim.causes.row import Row
 from diffsim.identify.effect import Apply, Effect
+from diffsim.systems.ode import keys
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.input_effects import (
     between_samples,
@@ -110,6 +111,14 @@ def _list_stores(library: Library) -> dict[str, Store]:
     found = {}
     for store, scale in library.stores:
         is_named = len(library.stores) > 1 or store.unit != "-"
-        usual = {"flow": SHARE_OF_USUAL * scale.rate, "level": scale.level}
-        found[store.name] = Store(usual, store.unit, f"_of_{store.name}" if is_named else "")
+        usual = {"flow": SHARE_OF_USUAL * scale.rate * scale.area, "level": scale.level}
+        ending = f"_of_{store.name}" if is_named else ""
+        found[store.name] = Store(usual, store.unit, ending, _unit_of_area(store))
     return found
+
+
+def _unit_of_area(store: keys.Store) -> str | None:
+    """Unit of what a flow is divided by; None: nothing is, "-": nobody says it."""
+    if store.area.strip() == "1":
+        return None
+    return store.area_unit or ("m^2" if store.unit == "m" else "-")

@@ -49,7 +49,7 @@ def shape_of(form: str, times: Tensor, timing: Timing, edge: float) -> Tensor:
 
     Args:
         form: One of ``TIMINGS``.
-        times: (num_times,) [s].
+        times: Times of the samples, (num_times,) [s].
         timing: Onset, width, period as far as the form has them, () or (K,) [s].
         edge: Length of an edge [s].
 

@@ -136,6 +136,9 @@ class Store(Part):
     name: str = Field("store", description="Name, shown where there are several")
     level: str = Field(description="State that is the level")
     area: Formula = Field("1", description="What a flow is divided by to give the level's rate")
+    area_unit: str | None = Field(
+        None, description="Unit of the area; none: m^2 where the level is in m, else not said"
+    )
     empty: float = Field(0.0, description="Level at which nothing flows out any more")
     unit: str = Field("-", description="Unit of the level")
     into: str | None = Field(

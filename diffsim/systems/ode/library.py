@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 RESTS = 1e-3  # of what a channel shows: less is no motion
 SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
 USUAL = "usual"  # of inputs and definitions, among the magnitudes of the plain model
-MOST = 1e80  # of a magnitude: a model that runs away
+RUNAWAY_MAGNITUDES = 1e80  # of a magnitude: a model that runs away
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,13 @@ class StoreScale:
         level: Rms level.
         rate: Rms rate of the level [1/s].
         high: Greatest level.
+        area: Rms of what a flow is divided by.
     """
 
     level: float
     rate: float
     high: float
+    area: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +203,7 @@ def _read_inside(system: FormulaSystem) -> dict[str, Expression]:
     for store in system.motion.stores:
         out[f"{store.name} level"] = read(store.level)
         out[f"{store.name} rate"] = rates[store.level]
+        out[f"{store.name} area"] = read(store.area)
     for law in system.keys.laws:
         out[f"{law_key(law)} x"], out[f"{law_key(law)} y"] = read(law.of), read(law.name)
     return out
@@ -212,11 +215,14 @@ def _join_finite(parts: Sequence[Array]) -> Array:
 
 
 def _compute_rms(parts: Sequence[Array]) -> float:
-    """Rms; 1 where that is no number or zero, at most ``MOST``: its cube is a number, too."""
+    """Rms; 1 where that is no number or zero; at most ``RUNAWAY_MAGNITUDES``.
+
+    Its cube is a number, too.
+    """
     values = _join_finite(parts)
     with np.errstate(over="ignore"):
         found = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-    return min(found, MOST) if np.isfinite(found) and found > 0.0 else 1.0
+    return min(found, RUNAWAY_MAGNITUDES) if np.isfinite(found) and found > 0.0 else 1.0
 
 
 def _measure_place(place: Place, columns: Mapping[str, list[Array]]) -> PlaceScale:
@@ -241,6 +247,7 @@ def _measure_store(store: Store, columns: Mapping[str, list[Array]]) -> StoreSca
         _compute_rms(levels),
         _compute_rms(columns[f"{store.name} rate"]),
         float(_join_finite(levels).max(initial=0.0)),
+        _compute_rms(columns[f"{store.name} area"]),
     )
 
 

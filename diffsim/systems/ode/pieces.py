@@ -28,15 +28,15 @@ from diffsim.systems.ode.scene import OdeScene
 Array = NDArray[np.float64]
 
 GROWTH = 5.0  # times that two starts part, beyond which a piece must not go on
-NEAR = 0.01  # of a state's usual motion: how far starts are moved
+START_STEP_SHARE = 0.01  # of a state's usual motion: how far starts are moved
 BENT = 0.2  # of half the distance: how far the mean of two paths may leave the one between
 STRAIGHT = 1e-3  # of the distance of two starts, likewise: a linear system
 MANY = 8  # states, from which on they are moved together
-FEWEST = 8  # samples of a piece
+MIN_PIECE_SAMPLES = 8  # samples of a piece
 SEEN = 32  # samples that tell the start of a piece
 PLACES = 8  # of a piece from which the model is asked
-MOST = 64  # pieces of a run
-WIDE = 10.0  # times that a start may differ from what the samples say of it
+MAX_PIECES = 64  # pieces of a run
+START_PRIOR_FACTOR = 10.0  # times that a start may differ from what the samples say of it
 _STEPS = 4  # of the fit of a start state
 _TINY = 1e-9
 
@@ -136,9 +136,9 @@ class _Cutter:
             return ()
         out: list[Piece] = []
         first = 0
-        while len(out) < MOST:
+        while len(out) < MAX_PIECES:
             end = self._find_first_end(start, first)
-            if end is None or end.sample + FEWEST > self.last:
+            if end is None or end.sample + MIN_PIECE_SAMPLES > self.last:
                 break
             if not np.isfinite(end.state).all():  # nowhere to begin the next piece
                 break
@@ -154,14 +154,17 @@ class _Cutter:
         Of many states all are moved at once, twice: a path for each takes more than the answer.
         """
         if len(start) <= MANY:
-            return bool((self._part(start, 0).bend <= STRAIGHT * 2.0 * NEAR).all())
+            return bool((self._part(start, 0).bend <= STRAIGHT * 2.0 * START_STEP_SHARE).all())
         signs = np.where(np.arange(len(start)) % 2 == 0, 1.0, -1.0)
-        ways = NEAR * self.usual.states * np.stack([np.ones(len(start)), signs])
+        ways = START_STEP_SHARE * self.usual.states * np.stack([np.ones(len(start)), signs])
         points = np.concatenate([start[None], start + ways, start - ways])
         states = _simulate(self.scene, points, 0, self.last)[1] / self.usual.states
         middle, sides = states[0], zip(states[1:3], states[3:], strict=True)
         bends = [above + below - 2.0 * middle for above, below in sides]
-        return all(bool((np.linalg.norm(b, axis=-1) <= STRAIGHT * 2.0 * NEAR).all()) for b in bends)
+        return all(
+            bool((np.linalg.norm(b, axis=-1) <= STRAIGHT * 2.0 * START_STEP_SHARE).all())
+            for b in bends
+        )
 
     def _part(self, start: Array, first: int) -> _Parting:
         """Starts moved along each state, to either side, and what becomes of them."""
@@ -186,7 +189,7 @@ class _Cutter:
         places = np.unique(np.linspace(first, self.last, PLACES + 1).astype(int))
         ends = []
         for here, following in pairwise(places):
-            if self.last - here < 2 * FEWEST:
+            if self.last - here < 2 * MIN_PIECE_SAMPLES:
                 break
             if here > first:
                 start, _ = self._fit_start(start, here)
@@ -202,11 +205,13 @@ class _Cutter:
 
     def _find_end(self, parted: _Parting, first: int) -> _End | None:
         """Where a piece must end by one path; None: nowhere."""
-        is_far = parted.apart > GROWTH * 2.0 * NEAR
+        is_far = parted.apart > GROWTH * 2.0 * START_STEP_SHARE
         is_bent = parted.bend > BENT * parted.apart
         # what a control loop answers at once, and forgets, is no parting
         seen = np.linalg.norm(parted.seen, axis=-1)
-        is_seen = seen > np.maximum(seen[:, :FEWEST].max(1, keepdims=True), 2.0 * NEAR)
+        is_seen = seen > np.maximum(
+            seen[:, :MIN_PIECE_SAMPLES].max(1, keepdims=True), 2.0 * START_STEP_SHARE
+        )
         is_lost = ~np.isfinite(parted.apart) | (is_far & is_bent & is_seen)
         if not is_lost.any():
             return None
@@ -214,10 +219,10 @@ class _Cutter:
         apart = np.nan_to_num(parted.apart[:, lost], nan=np.inf)
         along = int(np.argmax(np.where(is_lost[:, lost], apart, 0)))
         near = np.flatnonzero(~is_far[:, :lost].any(0))
-        end = max(FEWEST, int(near.max(initial=0)))
+        end = max(MIN_PIECE_SAMPLES, int(near.max(initial=0)))
         shown = int(np.argmax(parted.seen[along, lost]))
         far = float(parted.seen[along, lost, shown] * self.usual.channels[shown])
-        moved = 2.0 * NEAR * self.usual.states[along]
+        moved = 2.0 * START_STEP_SHARE * self.usual.states[along]
         parting = (
             f"two starts {moved:.2g} apart in {self.names[along]} are {far:.2g} apart in "
             f"{self.scene.channels[shown]} at {self.run.time_s[first + lost]:.4g} s"
@@ -232,7 +237,7 @@ class _Cutter:
         measured = self.run.measured[first : last + 1]
         for _ in range(_STEPS):
             readings, _ = _simulate(self.scene, _on_both_sides(start, scale), first, last)
-            slopes = (readings[1 : n + 1] - readings[n + 1 :]) / (2.0 * NEAR)
+            slopes = (readings[1 : n + 1] - readings[n + 1 :]) / (2.0 * START_STEP_SHARE)
             seen = np.isfinite(measured) & np.isfinite(readings).all(0)
             left, columns = (measured - readings[0])[seen], slopes[:, seen].T
             noise = max(float(np.sqrt(np.mean(left**2))) if left.size else 0.0, _TINY)
@@ -243,7 +248,7 @@ class _Cutter:
             step = np.linalg.solve(normal, columns.T @ left - pull)
             sd = np.sqrt(np.diag(np.linalg.inv(normal))) * scale
             start = start + np.clip(step, -1.0, 1.0) * scale
-        return start, np.minimum(WIDE * sd, scale)
+        return start, np.minimum(START_PRIOR_FACTOR * sd, scale)
 
 
 def _simulate(scene: OdeScene, starts: Array, first: int, last: int) -> tuple[Array, Array]:
@@ -257,7 +262,7 @@ def _simulate(scene: OdeScene, starts: Array, first: int, last: int) -> tuple[Ar
 
 def _on_both_sides(start: Array, scale: Array) -> Array:
     """A start, and starts moved along each state to either side, (2 n + 1, n)."""
-    nudge = NEAR * np.diag(scale)
+    nudge = START_STEP_SHARE * np.diag(scale)
     return np.concatenate([start[None], start + nudge, start - nudge])
 
 

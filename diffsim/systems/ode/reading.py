@@ -10,19 +10,22 @@ import numpy as np
 from diffsim.causes.channel_groups import channels_of, clock_of
 from diffsim.causes.readings import PLAY_START
 from diffsim.core.check import did_you_mean
-from diffsim.core.expression import Expression
+from diffsim.core.expression import Expression, parse_expression
+from diffsim.data.signal import scatter
 from diffsim.data.steps import looks_held, moves_on
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Input
 from diffsim.systems.ode.names import RUN_ORDER, Reader, data_names, fact_names, longest
-from diffsim.systems.ode.network import TIME, Network, named, ordered, piecewise
+from diffsim.systems.ode.network import TIME, Network, filled, named, ordered, piecewise
 from diffsim.systems.ode.own_effects import own_effect, shape_name
 from diffsim.systems.quantities import START_IN_PLAY
 
 HELD, LONGEST = "held", "longest"  # places in a study's frame
 _WORDS = re.compile(r"\w+")
+_NOISE = "_noise"  # after the name of a first sample: how far noise put it off
+_FEWEST = 8  # samples that tell their noise
 _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
 
 
@@ -63,7 +66,7 @@ def read_system(
     starts = {
         state: named(f"{state}_start")
         if isinstance(start, Quantity)
-        else reader.parse(f"states.{state}", start, (*numbers, *held))
+        else _with_noise(reader.parse(f"states.{state}", start, (*numbers, *held)), quantities)
         for state, start in motion.states.items()
     }
     inputs = _parse_inputs(given, numbers, study, reader)
@@ -180,6 +183,7 @@ def _list_quantities(
     """Parameters, then what states, inputs and effects ask for beside them."""
     given = dict(keys.parameters)
     given |= {f"{s}_start": q for s, q in motion.states.items() if isinstance(q, Quantity)}
+    given |= _first_noises(motion, study)
     given |= {f"{i.name}_delay": i.delay for i in inputs if i.delay is not None}
     if motion.states:
         from diffsim.systems.ode.moving import quantities_of_motion
@@ -189,7 +193,7 @@ def _list_quantities(
     for block in keys.effects.formulas:
         given |= {shape_name(block, s): q for s, q in block.shapes.items()}
     only = keys.effects.only  # whether a play is among the causes to be judged
-    may_have_play = not only or any(n.startswith(("backlash", "sensor_backlash")) for n in only)
+    may_have_play = only is None or any(n.startswith(("backlash", "sensor_backlash")) for n in only)
     if motion.states and may_have_play:
         given[PLAY_START] = START_IN_PLAY
     if motion.states and (inputs or motion.places):
@@ -197,6 +201,32 @@ def _list_quantities(
         usual = Quantity(value=value, percent=100.0, unit="s")
         given.setdefault("slow_time", motion.slow_time or usual)
     return given
+
+
+def _first_noises(motion: DescribedMotion, study: Study) -> dict[str, Quantity]:
+    """Noise of the first samples that states start from, one for each run: a start is no better
+    known than the sensor knows it."""
+    starts = " ".join(s for s in motion.states.values() if not isinstance(s, Quantity))
+    words, out = set(_WORDS.findall(starts)), {}
+    for at, channel in enumerate(study.channels):
+        if f"first_{channel.name}" not in words:
+            continue
+        sd = channel.sd
+        if sd is None:
+            seen = [r.measured[np.isfinite(r.measured[:, at]), at] for r in study.runs]
+            levels = [float(scatter(np.diff(v, 2), 2)) for v in seen if len(v) >= _FEWEST]
+            sd = float(np.median(levels)) if levels else 0.0
+        if sd > 0.0:
+            quantity = Quantity(value=0.0, sd=sd, per="run", unit=channel.unit)
+            out[f"first_{channel.name}{_NOISE}"] = quantity
+    return out
+
+
+def _with_noise(start: Expression, quantities: Mapping[str, Quantity]) -> Expression:
+    """The formula of a start, noise taken off the first samples that it uses."""
+    noisy = [name for name in start.names if f"{name}{_NOISE}" in quantities]
+    parts = {name: parse_expression(f"{name} - {name}{_NOISE}") for name in noisy}
+    return filled(start, parts) if parts else start
 
 
 def _list_clocks(

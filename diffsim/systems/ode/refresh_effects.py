@@ -25,20 +25,20 @@ def _name_of(channel: str) -> str:
     return f"own_clock_of_{channel}"
 
 
-def refresh_periods(study: Study, only: Collection[str] = ()) -> Mapping[str, float]:
+def refresh_periods(study: Study, only: Collection[str] | None = None) -> Mapping[str, float]:
     """Period of each channel's own clock [s], 0 where the runs to fit show none.
 
     A study with a ``frame`` has them from there.
 
     Args:
         study: Study with the recordings.
-        only: Names of the causes that are judged; empty: all. For others no clock is looked for.
+        only: Names of the causes that are judged; None: all. For others no clock is looked for.
     """
     if (kept := study.frame.get(REFRESH)) is not None:
         return {name: float(period) for name, period in kept.items()}
     periods = dict.fromkeys((c.name for c in study.channels), 0.0)
     for i, name in enumerate(periods):
-        if not only or _name_of(name) in only:
+        if only is None or _name_of(name) in only:
             records = ((r.time_s, r.measured[:, i]) for r in study.fit_runs)
             periods[name] = refresh_period(records) or 0.0
     return periods
@@ -53,7 +53,7 @@ def refresh_effects(library: Library, periods: Mapping[str, float]) -> tuple[Eff
             study speaks are not judged there.
     """
     choice, out = library.system.keys.effects, []
-    asked = {*choice.only, *choice.without, *choice.typical}
+    asked = {*(choice.only or ()), *choice.without, *choice.typical}
     for place, channel in enumerate(library.study.channels):
         name, period = _name_of(channel.name), periods.get(channel.name, 0.0)
         if not period and name not in asked:

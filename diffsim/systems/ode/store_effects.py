@@ -44,7 +44,7 @@ def _list_letters(
     quickest = min(float(np.median(np.diff(run.time_s))) for run in library.study.runs)
     numbers = {
         "high": scale.high,
-        "quick": min(scale.rate / scale.level / SPILL_TIME_SHARE, 1.0 / quickest),
+        "quick": scale.area * min(scale.rate / scale.level / SPILL_TIME_SHARE, 1.0 / quickest),
         "straight": ROUND * scale.level,
     }
     level = {"h": named(store.level), "empty": parse_expression(repr(store.empty))}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,6 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS, channels_of
 from diffsim.causes.plant import Plant
+from diffsim.copter.exchange.mjcf_text import whole_scene
 from diffsim.core.inside import inside
 from diffsim.core.schema_paths import CODE, INSIDE, PathWords
 from diffsim.core.units import in_si, in_unit
@@ -29,6 +31,7 @@ from diffsim.systems.description import (
 )
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.environment import Environment
+from diffsim.systems.outside.mjcf import version_notes
 from diffsim.systems.outside.setup import outside_plant, outside_setup
 from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import Time
@@ -133,7 +136,12 @@ class OutsideDescription(Description):
     environment: EnvironmentKeys = Field(
         EnvironmentKeys(), description="How a simulator with reset and step is read"
     )
-    workers: int = Field(1, ge=1, le=256, description="Processes that simulate side by side")
+    workers: int = Field(
+        1,
+        ge=1,
+        le=256,
+        description="Processes that simulate side by side; of MuJoCo, its own threads",
+    )
 
     @model_validator(mode="after")
     def _check_names_once(self) -> OutsideDescription:
@@ -147,6 +155,8 @@ class OutsideDescription(Description):
         options = dict(self._list_options(study.folder))
         if self.simulator == MJCF:
             options.setdefault("held", self._are_commands_held(study))
+            if study.folder is not None:
+                options["folder"] = str(study.folder)
         return Source(self.simulator, study.folder, options, reading)
 
     def problems(self, study: Study) -> list[Problem]:
@@ -158,6 +168,8 @@ class OutsideDescription(Description):
             problem = str(error)
         if problem:
             out.append(Problem("error", "model", problem))
+        elif self.simulator == MJCF:
+            out += self._mjcf_problems(study)
         checks: list[Callable[[], object]] = [
             partial(hooks_of.command_groups, study, self.hooks.command),
             partial(hooks_of.instruments, study, self.hooks.output),
@@ -181,6 +193,19 @@ class OutsideDescription(Description):
             message += "give `commands_are: straight` if they are not"
             out.append(Problem("note", "model.commands_are", message))
         return out
+
+    def _mjcf_problems(self, study: Study) -> list[Problem]:
+        """Files that an MJCF lacks, and what the installed MuJoCo takes otherwise than another."""
+        options = self.source(study).options
+        try:
+            text, _ = whole_scene(str(options.get("model", "")), study.folder)
+        except (ValueError, OSError) as error:
+            return [Problem("error", "model.options.model", str(error))]
+        try:
+            own = version("mujoco")
+        except PackageNotFoundError:
+            return [Problem("error", "model", "MuJoCo is not installed: pip install mujoco")]
+        return [Problem("note", "model.options.model", note) for note in version_notes(text, own)]
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""

@@ -16,41 +16,72 @@ MuJoCo is an optional package: ``pip install mujoco``.
 
 from __future__ import annotations
 
+import copy
 import re
-from collections.abc import Callable, Mapping
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.copter.exchange.mjcf_text import whole_scene
-from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
+from diffsim.systems.outside.mjcf_numbers import Numbers
+from diffsim.systems.outside.mjcf_steps import Steps
+from diffsim.systems.outside.source import Call
 
 Array = NDArray[np.float64]
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
-_JOINT = {
-    "damping": "dof_damping",
-    "armature": "dof_armature",
-    "frictionloss": "dof_frictionloss",
-}
+MAX_BYTES = 100_000_000  # of the states, and of the models, that are simulated side by side
+MAX_MODELS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """A call of the simulator, ready to be stepped.
+
+    Attributes:
+        model: Model with the numbers of the call.
+        steps: Steps over the run.
+        start: State at the first sample.
+        controls: Commands over the steps, (num_steps, num_controls).
+        at_samples: Commands at the samples, where sensors depend on them; None: they do not.
+        readers: Entry of ``sensordata`` for each channel.
+        can_roll: Whether MuJoCo's own loop does it.
+    """
+
+    model: Any
+    steps: Steps
+    start: Array
+    controls: Array
+    at_samples: Array | None
+    readers: Sequence[int]
+    can_roll: bool
+
+
+class DivergedError(ArithmeticError):
+    """A simulation left all bounds; the message has the joint, the time and the value."""
 
 
 class Mjcf:
     """A MuJoCo model under recorded commands.
 
-    Parameters by path: ``body.NAME.mass`` (its inertia grows alike), ``joint.NAME.damping``,
-    ``.armature``, ``.frictionloss``, ``.stiffness``, ``.start`` and ``.start_rate``;
-    ``actuator.NAME.gain``; ``gravity`` (downwards), ``density`` and ``viscosity`` of the medium.
+    Parameters by path are listed in ``mjcf_numbers``.
 
     Args:
-        model: File of the model, whose files stay in its folder, or its text, which names none.
+        model: File of the model, or its text, which names no files.
         channels: Sensor of the MJCF for each channel, "tip[0]" for one entry of a vector; None:
             sensors are named as channels are.
         commands: Actuator of the MJCF for each command; None: actuators are named as commands are,
             and a single actuator takes a single command.
         held: Commands are held from sample to sample; else straight lines join the samples.
+        folder: Folder that no file of the model leaves; None: that of the model.
     """
 
     def __init__(
@@ -59,14 +90,22 @@ class Mjcf:
         channels: Mapping[str, str] | None = None,
         commands: Mapping[str, str] | None = None,
         held: bool = False,
+        folder: str | None = None,
     ):
         import mujoco
 
         self.mujoco = mujoco
-        text, files = whole_scene(model)
-        self.model: Any = mujoco.MjModel.from_xml_string(text, files)
-        self.plain: Any = mujoco.MjModel.from_xml_string(text, files)
+        text, files = whole_scene(model, None if folder is None else Path(folder))
+        self._text, self._files = text, files
+        with self._without_log():
+            self.plain: Any = mujoco.MjModel.from_xml_string(text, files)
+        self.plain.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        ratios = _list_ratios(mujoco, text, files) if "dampratio" in text else ()
+        self.numbers = Numbers(mujoco, self.plain, ratios)
         self.channels, self.commands, self.held = channels, commands, held
+        self._models: list[Any] = []
+        self._rollouts: dict[int, Any] = {}
+        self._make_rollout = _find_rollout()
 
     def predict(
         self,
@@ -82,149 +121,322 @@ class Mjcf:
             run: Run with commands and times.
             force: Forces at joints, by their names.
             time_step: Factor on the model's own time step.
+
+        Raises:
+            DivergedError: the simulation left all bounds.
         """
-        self._reset_numbers()
-        data = self.mujoco.MjData(self.model)
-        starts = []
-        for path, value in parameters.items():
-            if self._set_number(path, value) == "start":
-                starts.append((path, value))
-        self.mujoco.mj_setConst(self.model, data)
-        self.mujoco.mj_resetData(self.model, data)
-        for path, value in starts:
-            _, name, what = path.split(".")
-            if what == "start":
-                data.qpos[self.model.joint(name).qposadr[0]] = value
+        (found,) = self.predict_many([Call(parameters, run, force, time_step)])
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    def predict_many(self, calls: Sequence[Call], threads: int = 1) -> list[Array | Exception]:
+        """Sensors at the samples of each call, or what went wrong with it.
+
+        Args:
+            calls: Arguments of ``predict``.
+            threads: MuJoCo's own threads that simulate side by side.
+        """
+        out: list[Array | Exception] = []
+        with self._without_log():
+            for group in self._groups_of(calls):
+                out += self._simulate_group(group, threads)
+        return out
+
+    def count_steps(self, run: Run) -> float:
+        """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``)."""
+        return Steps.count(run.time_s, float(self.plain.opt.timestep)) * (1.0 + 0.7 * self.plain.nv)
+
+    def value_of(self, path: str) -> float:
+        """What the file states for a parameter of a joint, such as "joint.hinge.damping".
+
+        Raises:
+            ValueError: there is no such parameter.
+        """
+        return self.numbers.value_of(path)
+
+    def restated(self, parameters: Mapping[str, float]) -> tuple[str, Mapping[str, bytes]]:
+        """The MJCF with numbers of its own, as text, and the files that it names.
+
+        Args:
+            parameters: Values by path; starts are no part of a model, so they are left out.
+        """
+        with self._without_log(), TemporaryDirectory() as folder:
+            model = self.mujoco.MjModel.from_xml_string(self._text, self._files)
+            setting = self.numbers.put(model, parameters)
+            path = Path(folder) / "model.xml"
+            self.mujoco.mj_saveLastXML(str(path), model)
+            root = ElementTree.parse(path).getroot()
+        actuators = [a for section in root.findall("actuator") for a in section]
+        for i, late in setting.delays.items():
+            number = int(np.ceil(late / float(model.opt.timestep))) + 1
+            actuators[i].attrib |= {"delay": repr(late), "nsample": str(number)}
+        return ElementTree.tostring(root, encoding="unicode"), self._files
+
+    @contextmanager
+    def _without_log(self) -> Iterator[None]:
+        """MuJoCo's warnings are answered by errors here: it writes no file into user's folders."""
+        before = self.mujoco.get_mju_user_warning()
+        self.mujoco.set_mju_user_warning(_ignore)
+        try:
+            yield
+        finally:
+            self.mujoco.set_mju_user_warning(before)
+
+    def _groups_of(self, calls: Sequence[Call]) -> Iterator[list[tuple[Call, Steps]]]:
+        """Calls that are simulated side by side: as many steps each, in bounded memory."""
+        longest = float(self.plain.opt.timestep)
+        of_model = max(float(getattr(self.plain, "nbuffer", 0)), 1.0)
+        most = max(1, min(MAX_MODELS, int(MAX_BYTES / of_model)))
+        of_step = 8.0 * (self.plain.nq + self.plain.nv + self.plain.nsensordata + self.plain.nu + 1)
+        group: list[tuple[Call, Steps]] = []
+        for call in calls:
+            steps = Steps.of(call.run.time_s, longest * call.time_step)
+            number = len(steps.starts)
+            is_alike = not group or len(group[0][1].starts) == number
+            if not is_alike or len(group) >= min(most, 1 + MAX_BYTES / (of_step * number)):
+                yield group
+                group = []
+            group.append((call, steps))
+        if group:
+            yield group
+
+    def _simulate_group(
+        self, group: Sequence[tuple[Call, Steps]], threads: int
+    ) -> list[Array | Exception]:
+        """Sensors of each call; what can be left to MuJoCo's own loop is."""
+        out: list[Array | Exception | None] = [None] * len(group)
+        ready: list[tuple[int, _Job]] = []
+        for k, (call, steps) in enumerate(group):
+            try:
+                job = self._prepare(call, steps, len(ready))
+                if job.can_roll:
+                    ready.append((k, job))
+                else:
+                    out[k] = self._step_through(job, call.force)
+            except (ValueError, ArithmeticError) as error:
+                out[k] = error
+        rolled = self._roll([job for _, job in ready], threads) if ready else []
+        for (k, _), found in zip(ready, rolled, strict=True):
+            out[k] = found
+        return [found for found in out if found is not None]
+
+    def _prepare(self, call: Call, steps: Steps, place: int) -> _Job:
+        """A call with a model of its own, its start and its commands."""
+        while len(self._models) <= place:
+            self._models.append(copy.copy(self.plain))
+        model, run = self._models[place], call.run
+        setting = self.numbers.put(model, call.parameters)
+        values = self._list_controls(run)
+        readers = self._find_readers(run)
+        delays = {int(self._ctrl_of(i)): late for i, late in setting.delays.items()}
+        is_exact = not self.held and self._reads_forces(readers)
+        return _Job(
+            model=model,
+            steps=steps,
+            start=self.numbers.start_state(model, setting, float(steps.starts[0])),
+            controls=steps.controls(values, self.held, delays),
+            at_samples=steps.at_samples(values, self.held, delays) if is_exact else None,
+            readers=readers,
+            can_roll=steps.is_even
+            and not is_exact
+            and (call.force is None or not call.force.acts)
+            and self._make_rollout is not None,
+        )
+
+    def _roll(self, jobs: Sequence[_Job], threads: int) -> list[Array | Exception]:
+        """MuJoCo's own loop over the steps, on its own threads."""
+        count = threads if threads > 1 and len(jobs) > 1 else 0
+        if count not in self._rollouts:
+            self._rollouts[count] = self._make_rollout(nthread=count)
+        for job in jobs:
+            job.model.opt.timestep = job.steps.lengths[0]
+        states, sensors = self._rollouts[count].rollout(
+            [job.model for job in jobs],
+            [self.mujoco.MjData(self.plain) for _ in range(max(count, 1))],
+            np.stack([job.start for job in jobs]),
+            np.stack([job.controls for job in jobs]),
+        )
+        out: list[Array | Exception] = []
+        for job, state, sensor in zip(jobs, states, sensors, strict=True):
+            if state[-1, 0] < job.steps.starts[-1] - 0.5 * job.steps.lengths[-1]:  # it stopped
+                out.append(self._explain_divergence(job))
             else:
-                data.qvel[self.model.joint(name).dofadr[0]] = value
+                out.append(np.array(sensor[job.steps.samples][:, job.readers]))
+        return out
+
+    def _step_through(self, job: _Job, force: PlaceForces | None) -> Array:
+        """One step after the other, for what MuJoCo's own loop does not do."""
         if force is None or not force.acts:
-            return self._step_model(data, run, time_step)
+            return self._loop(job)
         # called at every stage of an integrator, so that forces are as exact as the step
         before = self.mujoco.get_mjcb_passive()
         self.mujoco.set_mjcb_passive(self._push_joints(force))
         try:
-            return self._step_model(data, run, time_step)
+            return self._loop(job)
         finally:
             self.mujoco.set_mjcb_passive(before)
 
-    def _step_model(self, data: Any, run: Run, time_step: float) -> Array:
-        model, mj_step = self.model, self.mujoco.mj_step
-        controls = self._list_controls(run)
-        readers = self._find_readers(run)
-        data.time = float(run.time_s[0])
-        longest = float(self.plain.opt.timestep) * time_step
-        rows = [self._read_sensors(data, readers, controls[0])]
-        for k in range(len(run.time_s) - 1):
-            gap = float(run.time_s[k + 1] - run.time_s[k])
-            count = max(int(np.ceil(gap / longest - 1e-6)), 1)
-            model.opt.timestep = gap / count
-            rise = 0.0 if self.held else (controls[k + 1] - controls[k]) / count
-            for s in range(count):
-                data.ctrl[:] = controls[k] + (s + 0.5) * rise
-                mj_step(model, data)
-            rows.append(self._read_sensors(data, readers, controls[k + 1]))
+    def _loop(self, job: _Job, watch: bool = False) -> Array:
+        model, mj_step = job.model, self.mujoco.mj_step
+        data = self.numbers.begin(model, job.start)
+        rows, following = [], 0
+        is_read = np.zeros(len(job.controls), dtype=bool)
+        is_read[job.steps.samples] = True
+        for k, control in enumerate(job.controls):
+            model.opt.timestep = job.steps.lengths[k]
+            if is_read[k] and job.at_samples is not None:
+                data.ctrl[:] = job.at_samples[following]
+                self.mujoco.mj_forward(model, data)
+                rows.append(np.array(data.sensordata[job.readers]))
+            data.ctrl[:] = control
+            mj_step(model, data)
+            if is_read[k]:
+                following += 1
+                if job.at_samples is None:  # sensors of the state that the step began with
+                    rows.append(np.array(data.sensordata[job.readers]))
+            if (watch or is_read[k]) and (said := self._say_divergence(model, data)):
+                if not watch:
+                    self._loop(job, watch=True)  # raises at the step itself
+                raise DivergedError(said)
         return np.array(rows)
 
-    def _read_sensors(self, data: Any, entries: list[int], control: Array) -> Array:
-        data.ctrl[:] = control
-        self.mujoco.mj_forward(self.model, data)
-        return np.array(data.sensordata[entries])
+    def _explain_divergence(self, job: _Job) -> DivergedError:
+        try:
+            self._loop(job, watch=True)
+        except DivergedError as error:
+            return error
+        return DivergedError("the simulation stopped before the end of the run")
+
+    def _say_divergence(self, model: Any, data: Any) -> str | None:
+        """Joint, time and value of what is beyond all bounds; None: nothing is."""
+        kinds = self.mujoco.mjtWarning
+        for kind, what, per in (
+            (kinds.mjWARN_BADQACC, "acceleration", "/s^2"),
+            (kinds.mjWARN_BADQVEL, "speed", "/s"),
+            (kinds.mjWARN_BADQPOS, "position", ""),
+        ):
+            found = data.warning[int(kind)]
+            if not found.number:
+                continue
+            i = int(found.lastinfo)
+            of_position = kind == kinds.mjWARN_BADQPOS
+            if of_position:
+                joint = int(np.searchsorted(model.jnt_qposadr, i, side="right")) - 1
+            else:
+                joint = int(model.dof_jntid[i])
+            values = {"acceleration": data.qacc, "speed": data.qvel, "position": data.qpos}[what]
+            first = (model.jnt_qposadr if of_position else model.jnt_dofadr)[joint]
+            type_of = int(model.jnt_type[joint])
+            unit = "m" if type_of == 2 or (type_of == 0 and i - first < 3) else "rad"
+            name = model.joint(joint).name or f"number {joint}"
+            return (
+                f"joint {name!r} diverged at {data.time:.4g} s: its {what} is {values[i]:.3g} "
+                f"{unit}{per}; give the MJCF a shorter timestep, or bound the parameters"
+            )
+        return None
+
+    def _reads_forces(self, readers: Sequence[int]) -> bool:
+        """Whether a channel shows accelerations or forces, which depend on the command itself."""
+        if not hasattr(self.plain, "sensor_needstage"):
+            return True
+        last = int(self.mujoco.mjtStage.mjSTAGE_ACC)
+        first, width = self.plain.sensor_adr, self.plain.sensor_dim
+        late = [
+            range(int(first[i]), int(first[i]) + int(width[i]))
+            for i in range(self.plain.nsensor)
+            if int(self.plain.sensor_needstage[i]) == last
+        ]
+        return any(entry in own for entry in readers for own in late)
+
+    def _ctrl_of(self, actuator: int) -> int:
+        """Index of the command of an actuator, of the first where it has several."""
+        firsts = getattr(self.plain, "actuator_ctrladr", None)
+        return actuator if firsts is None else int(firsts[actuator])
 
     def _find_readers(self, run: Run) -> list[int]:
         """Entry of ``sensordata`` for each channel."""
         width = run.measured.shape[1]
         if self.channels is None:
-            if self.model.nsensordata != width:
+            if self.plain.nsensordata != width:
                 raise ValueError(
-                    f"the MJCF has {self.model.nsensordata} sensor values for {width} channels; "
+                    f"the MJCF has {self.plain.nsensordata} sensor values for {width} channels; "
                     "state options.channels: {CHANNEL: SENSOR}"
                 )
             return list(range(width))
         out = []
         for name in self.channels.values():
             entry = _ENTRY.fullmatch(name)
-            sensor = self._find_index("sensor", entry[1] if entry else name, "options.channels")
-            out.append(int(self.model.sensor_adr[sensor]) + (int(entry[2]) if entry else 0))
+            sensor = self.numbers.find("sensor", entry[1] if entry else name, "options.channels")
+            out.append(int(self.plain.sensor_adr[sensor]) + (int(entry[2]) if entry else 0))
         return out
 
     def _list_controls(self, run: Run) -> Array:
-        """(num_samples, num_actuators) in the order of the actuators."""
-        out = np.zeros((len(run.time_s), self.model.nu))
+        """(num_samples, num_controls) in the order of MuJoCo's controls."""
+        out = np.zeros((len(run.time_s), self.plain.nu))
         given = self.commands
-        if given is None and len(run.command) == 1 and self.model.nu == 1:
+        if given is None and len(run.command) == 1 and self.plain.nu == 1:
             return np.asarray(next(iter(run.command.values())), dtype=np.float64)[:, None]
         for command in run.command:
             name = command if given is None else given.get(command)
             if name is not None:
-                out[:, self._find_index("actuator", name, "options.commands")] = run.command[
-                    command
-                ]
+                index = self.numbers.find("actuator", name, "options.commands")
+                out[:, self._ctrl_of(index)] = run.command[command]
         return out
 
     def _push_joints(self, force: PlaceForces) -> Callable[[Any, Any], None]:
         """What MuJoCo calls for passive forces: the forces at the joints that are the places."""
-        joints = [self._find_index("joint", name, "hooks.force") for name in force.places]
-        rates = [int(self.model.jnt_dofadr[j]) for j in joints]
-        places = [int(self.model.jnt_qposadr[j]) for j in joints]
+        joints = [self.numbers.find("joint", name, "hooks.force") for name in force.places]
+        rates = [int(self.plain.jnt_dofadr[j]) for j in joints]
+        places = [int(self.plain.jnt_qposadr[j]) for j in joints]
 
         def push(model: Any, data: Any) -> None:
             data.qfrc_passive[rates] += force(data.time, data.qpos[places], data.qvel[rates])
 
         return push
 
-    def _reset_numbers(self) -> None:
-        """Numbers that parameters may have changed, as the file has them."""
-        for name in ("body_mass", "body_inertia", *_JOINT.values(), "jnt_stiffness"):
-            getattr(self.model, name)[:] = getattr(self.plain, name)
-        for name in ("actuator_gainprm", "actuator_biasprm"):
-            getattr(self.model, name)[:] = getattr(self.plain, name)
-        for name in ("density", "viscosity"):
-            setattr(self.model.opt, name, getattr(self.plain.opt, name))
-        self.model.opt.gravity[:] = self.plain.opt.gravity
 
-    def _set_number(self, path: str, value: float) -> str:
-        """Set one number; "start" where it is a start value."""
-        m, (kind, *rest) = self.model, path.split(".")
-        if kind == "gravity" and not rest:
-            m.opt.gravity[:] = (0.0, 0.0, -value)
-        elif kind in ("density", "viscosity") and not rest:
-            setattr(m.opt, kind, value)
-        elif kind == "body" and len(rest) == 2 and rest[1] == "mass":
-            i = self._find_index("body", rest[0], "parameters")
-            m.body_inertia[i] = self.plain.body_inertia[i] * value / self.plain.body_mass[i]
-            m.body_mass[i] = value
-        elif kind == "joint" and len(rest) == 2:
-            return self._set_joint(self._find_index("joint", rest[0], "parameters"), rest[1], value)
-        elif kind == "actuator" and len(rest) == 2 and rest[1] == "gain":
-            m.actuator_gainprm[self._find_index("actuator", rest[0], "parameters"), 0] = value
-        else:
-            raise ValueError(
-                f"parameter {path!r} is none of body.NAME.mass, joint.NAME.damping (armature, "
-                "frictionloss, stiffness, start, start_rate), actuator.NAME.gain, gravity, "
-                "density, viscosity"
-            )
-        return "model"
+def _ignore(_: str) -> None:
+    """What MuJoCo warns of is looked at after each run."""
 
-    def _set_joint(self, joint: int, what: str, value: float) -> str:
-        m = self.model
-        if what in ("start", "start_rate"):
-            return "start"
-        if what == "stiffness":
-            m.jnt_stiffness[joint] = value
-        elif what in _JOINT:
-            getattr(m, _JOINT[what])[int(m.jnt_dofadr[joint])] = value
-        else:
-            known = [*_JOINT, "stiffness", "start", "start_rate"]
-            raise ValueError(f"a joint has no {what!r}{did_you_mean(what, known)}")
-        return "model"
 
-    def _find_index(self, kind: str, name: str, where: str) -> int:
-        objects: Callable[[int], Any] = getattr(self.model, kind)
-        count = {"body": "nbody", "joint": "njnt", "sensor": "nsensor", "actuator": "nu"}[kind]
-        known = [objects(i).name for i in range(getattr(self.model, count))]
-        if name not in known:
-            raise ValueError(
-                f"{where}: the MJCF has no {kind} {name!r}{did_you_mean(name, known)}; "
-                f"it has {', '.join(known)}"
-            )
-        return known.index(name)
+def _find_rollout() -> Any:
+    """MuJoCo's own loop over many simulations; None: the version has none yet."""
+    try:
+        from mujoco import rollout
+    except ImportError:
+        return None
+    return getattr(rollout, "Rollout", None)
+
+
+def _list_ratios(mujoco: Any, text: str, files: Mapping[str, bytes]) -> tuple[int, ...]:
+    """Actuators whose kv the file states as a damping ratio."""
+    spec = mujoco.MjSpec.from_string(text, assets=dict(files))
+    return tuple(i for i, a in enumerate(spec.actuators) if a.biasprm[2] > 0.0)
+
+
+#: What a word of a file means otherwise since a version: version, word, what
+MEANS_OTHERWISE = (
+    ((3, 15), "dampratio", "the damping follows from the inertia that the actuator moves with all "
+     "joints free; before it was that of its own joint with the others held"),
+    ((3, 17), "young", "of a flex of one dimension bends it; before it was ignored"),
+    ((3, 12), "dcmotor", "has gains in torque, and `input` names its commands; before they were "
+     "in volt"),
+)  # fmt: skip
+
+
+def version_notes(text: str, version: str) -> list[str]:
+    """What a file means otherwise under other versions of MuJoCo, a sentence each.
+
+    Args:
+        text: The file with what it includes.
+        version: Version that is installed.
+    """
+    own = tuple(int(n) for n in re.findall(r"\d+", version)[:2])
+    out = []
+    for since, word, meaning in MEANS_OTHERWISE:
+        if re.search(rf"\b{word}\b", text):
+            number = ".".join(map(str, since))
+            side = "this is so here" if own >= since else "this is not so here yet"
+            out.append(f"`{word}`: since MuJoCo {number} {meaning}; {side} ({version})")
+    return out

@@ -23,9 +23,10 @@ from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import PredictionError
 from diffsim.systems.outside.forces import ForceKnots, PlaceForces, Term
-from diffsim.systems.outside.source import Predict, Source, offers_of
+from diffsim.systems.outside.source import Call, Predict, PredictMany, Source, offers_of
 
 Array = NDArray[np.float64]
+Arrays = list[Array]
 MAX_KEPT = 64  # records
 
 
@@ -68,12 +69,27 @@ def call(predict: Predict, label: str, job: Job) -> Array:
     try:
         given = predict(dict(job.values), job.run, **more)
     except Exception as error:
-        at = ", ".join(f"{k} = {v:.6g}" for k, v in job.values.items()) or "no parameters"
-        raise SimulatorError(
-            f"simulator {label} failed in run {job.run.name} at {at}: "
-            f"{type(error).__name__}: {error}"
-        ) from error
+        raise _word_error(error, label, job) from error
     return _shape_channels(given, label, job)
+
+
+def call_many(predict_many: PredictMany, label: str, jobs: Sequence[Job], threads: int) -> Arrays:
+    """Channels of several jobs, by a simulator that takes them at once; see ``call``."""
+    calls = [Call(dict(j.values), j.run, j.forces, j.numerics.time_step) for j in jobs]
+    out = []
+    for job, given in zip(jobs, predict_many(calls, threads), strict=True):
+        if isinstance(given, Exception):
+            raise _word_error(given, label, job) from given
+        out.append(_shape_channels(given, label, job))
+    return out
+
+
+def _word_error(error: Exception, label: str, job: Job) -> SimulatorError:
+    """What went wrong, with the run and the parameters that caused it."""
+    at = ", ".join(f"{k} = {v:.6g}" for k, v in job.values.items()) or "no parameters"
+    return SimulatorError(
+        f"simulator {label} failed in run {job.run.name} at {at}: {type(error).__name__}: {error}"
+    )
 
 
 def _shape_channels(given: Any, label: str, job: Job) -> Array:
@@ -232,7 +248,17 @@ class OutsideModel(SimModel):
                 "takes no force; write predict(parameters, run, force) and call "
                 "force(time, positions, velocities) at each step"
             )
+        simulator = getattr(self.predict_run, "__self__", None)
+        self.run_many: PredictMany | None = getattr(simulator, "predict_many", None)
+        self._count_steps = getattr(simulator, "count_steps", None)
         self._pool: ProcessPoolExecutor | None = None
+
+    def cost(self, run: Run, numerics: Numerics | None = None) -> float:
+        """Weighted steps of one prediction; counted where the simulator counts its own."""
+        if self._count_steps is None:
+            return super().cost(run, numerics)
+        finer = (numerics or Numerics()).time_step
+        return self.run_cost + float(self._count_steps(run)) / finer
 
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes, side by side where there are workers."""
@@ -240,16 +266,9 @@ class OutsideModel(SimModel):
         # jobs that are alike are one; forces, which have no key, are each their own
         keys = [Records.key(job) or index for index, job in enumerate(jobs)]
         todo = {k: j for k, j in zip(keys, jobs, strict=True) if self.made.get(j) is None}
-        if self.workers < 2 or len(todo) < 2:
+        if len(todo) < 2 or (self.workers < 2 and self.run_many is None):
             return [scene.simulate() for scene in scenes]
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                self.workers,
-                get_context("spawn"),
-                initializer=_begin_process,
-                initargs=(self.source,),
-            )
-        done = dict(zip(todo, self._pool.map(_run_job, todo.values()), strict=True))
+        done = dict(zip(todo, self._run_jobs(list(todo.values())), strict=True))
         out = []
         for scene, key, job in zip(scenes, keys, jobs, strict=True):
             record = done[key] if key in done else self.made.get(job)
@@ -257,6 +276,20 @@ class OutsideModel(SimModel):
         for key, job in todo.items():
             self.made.keep(job, done[key])
         return out
+
+    def _run_jobs(self, jobs: Sequence[Job]) -> Arrays:
+        """Records of several jobs: by the simulator's own threads, else by processes."""
+        if self.run_many is not None:
+            with self.one_at_a_time:
+                return call_many(self.run_many, self.source.label, jobs, self.workers)
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(
+                self.workers,
+                get_context("spawn"),
+                initializer=_begin_process,
+                initargs=(self.source,),
+            )
+        return list(self._pool.map(_run_job, jobs))
 
     def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics

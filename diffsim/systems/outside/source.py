@@ -6,7 +6,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -14,9 +14,28 @@ from typing import Any
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.inside import inside
+from diffsim.data.study import Run
 from diffsim.systems.outside.environment import Environment, SteppedSimulator
+from diffsim.systems.outside.forces import PlaceForces
 
 OFFERS = ("force", "time_step")
+
+
+@dataclass(frozen=True, eq=False)
+class Call:
+    """One call of a simulator that takes several at once (``predict_many``).
+
+    Attributes:
+        parameters: Values by name.
+        run: Run with the commands as the actuators hear them.
+        force: Forces that it is asked to add; None: none.
+        time_step: Factor on its own step.
+    """
+
+    parameters: Mapping[str, float]
+    run: Run
+    force: PlaceForces | None = None
+    time_step: float = 1.0
 
 
 Predict = Callable[..., Any]
@@ -28,6 +47,10 @@ num_channels), or a mapping of channels by name. What it takes beside these it o
 function (time, positions, velocities) -> forces at the places; ``time_step``, a factor on its own
 step.
 """
+
+
+PredictMany = Callable[[Sequence[Call], int], list[Any]]
+"""Several calls at once, on so many threads of its own: channels or the error of each."""
 
 
 @dataclass(frozen=True)

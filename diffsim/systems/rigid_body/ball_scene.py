@@ -56,7 +56,7 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False)
-class Eye:
+class PinholeCamera:
     """The camera, but for what is fitted of it.
 
     Attributes:
@@ -88,7 +88,7 @@ class BallStage:
     pair: Pair | None
     rows: Sequence[tuple[str, int, int]]
     frame: Tensor
-    eye: Eye | None
+    eye: PinholeCamera | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,8 @@ from diffsim.systems.rigid_body.ball_scene import (
     BallBody,
     BallScene,
     BallStage,
-    Eye,
     Pair,
+    PinholeCamera,
 )
 from diffsim.systems.rigid_body.ball_starts import SPIN_SD, BallStarts
 from diffsim.systems.rigid_body.camera import in_free_flight, on_plane, plain_camera
@@ -66,7 +66,7 @@ class Balls:
         bodies: The balls.
         contacts: Which of them touch what.
         height: Height of the ground [m]; None: no ground.
-        gravity: [m/s^2].
+        gravity: Strength of gravity [m/s^2].
         measures: What the channels show.
         up: Axis of the recorded frame that points up.
         starts: Which runs share a start.
@@ -239,7 +239,7 @@ class Balls:
             out["sidespin"] = Quantity(value=0.0, sd=SPIN_SD, unit="m/s")
         return out
 
-    def _build_stage(self, channels: Sequence[str], eye: Eye | None) -> BallStage:
+    def _build_stage(self, channels: Sequence[str], eye: PinholeCamera | None) -> BallStage:
         index = {b.name: i for i, b in enumerate(self.bodies)}
         rows = {c: (k, index[m.body], i) for m in self.measures for k, i, c in m.rows()}
         for names in (CLICK_CHANNELS, ("corner_u_px", "corner_v_px")):
@@ -292,7 +292,7 @@ class Balls:
         table = np.column_stack([data[c] for c in given.columns])
         return Points(table[:, :2], table[:, 2:])
 
-    def _find_eye(self, points: Points | None) -> tuple[Eye | None, dict[str, Quantity]]:
+    def _find_eye(self, points: Points | None) -> tuple[PinholeCamera | None, dict[str, Quantity]]:
         """The camera before its fit, and what is fitted of it."""
         camera = self.camera
         if camera is None:
@@ -308,7 +308,7 @@ class Balls:
             shift = shift or tuple(
                 Quantity(value=float(t), sd=SHIFT_SD, unit="m") for t in found["T_m"]
             )
-        eye = Eye(
+        eye = PinholeCamera(
             torch.tensor(rotation, dtype=torch.float64), camera.size[1], plain_camera(camera.size)
         )
         turn = Quantity(value=0.0, sd=camera.turn_sd, unit="rad")
@@ -320,7 +320,7 @@ class Balls:
         run: Run,
         body: Body,
         study: Study,
-        eye: Eye | None,
+        eye: PinholeCamera | None,
         camera: Mapping[str, Quantity],
     ) -> Array:
         """Places of a ball as a run shows them, (num_samples, 3) [m] with z up; NaN if unseen."""

@@ -32,7 +32,7 @@ class BallStarts:
         starts: Which runs share a start.
         runs: Runs of the study.
         seen: Places of a ball as a run shows them.
-        gravity: [m/s^2].
+        gravity: Strength of gravity [m/s^2].
         filmed: Balls that a camera shows: in flight their distance is told by their fall alone.
     """
 

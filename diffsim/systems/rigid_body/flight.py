@@ -29,7 +29,7 @@ class BallFlight:
     """Place and velocity over ``span``.
 
     Attributes:
-        span: (K,) [s].
+        span: Duration of each flight, (K,) [s].
         place, velocity: Coefficients of powers of time over span, (K, degree + 1, 3) [m, m/s].
     """
 
@@ -70,7 +70,7 @@ class BallFlight:
         """When the center comes down to a height, by Newton's method, (K,) [s].
 
         Args:
-            height: (K,) [m].
+            height: Height above the ground, (K,) [m].
             first: First guess, (K,) [s].
         """
         time = first
@@ -89,7 +89,7 @@ def fall_time(height: Tensor, speed: Tensor, gravity: Tensor) -> Tensor:
     Args:
         height: Above the level of landing, (K,) [m].
         speed: Upward, (K,) [m/s].
-        gravity: (K,) [m/s^2].
+        gravity: Strength of gravity, (K,) [m/s^2].
     """
     root = (speed**2 + 2.0 * gravity * height).clamp(min=0.0) + 1e-12
     return (speed + root.sqrt()) / gravity

@@ -42,7 +42,7 @@ class Laws:
         tilt: (..., 2) slope of the table, downhill positive [rad].
         air_drag: Deceleration over speed squared [1/m].
         inertia: Moment of inertia over mass and squared radius, I / (m r^2) [-].
-        gravity: [m/s^2].
+        gravity: Strength of gravity [m/s^2].
     """
 
     table_friction: Tensor

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from diffsim.core.inertia import inertia_mistake
 from diffsim.core.schema_numbers import Kilograms, KilogramSquareMeters, Meters, Radians, Seconds
 from diffsim.core.schema_paths import PathInside
 from diffsim.systems.description import Part, Quantity
@@ -63,6 +64,12 @@ class Body(Part):
             raise ValueError("give a box, a sphere, or mass and inertia")
         if self.inertia is not None and (self.mass is None or len(self.inertia) != 3):
             raise ValueError("inertia needs three moments and the mass")
+        if self.inertia is not None and (
+            said := inertia_mistake(
+                (*self.inertia, 0.0, 0.0, 0.0), [f"inertia[{k}]" for k in (0, 1, 2, "", "", "")]
+            )
+        ):
+            raise ValueError(said)
         return self
 
     @property

@@ -32,7 +32,7 @@ from diffsim.systems.rigid_body.windows import (
 )
 
 Array = NDArray[np.float64]
-NEAR = 0.03  # of the shortest edge
+REST_EDGE_SHARE = 0.03  # of the shortest edge
 MIN_RESTS = 5  # tosses whose heights at rest tell their scatter
 #: Turn from the recorded frame to the one whose z points up, as a rotation vector [rad].
 UP = {
@@ -53,7 +53,7 @@ class TossedBody:
         body: The body.
         ground: Its contact with the ground; None: it is never touched.
         height: Height of the ground [m].
-        gravity: [m/s^2].
+        gravity: Strength of gravity [m/s^2].
         measures: What the channels show.
         up: Axis of the recorded frame that points up.
         window: How much of a toss counts; None: all, in free flight.
@@ -233,7 +233,7 @@ class TossedBody:
         complete = poses.turn is not None and np.isfinite(poses.place).any(axis=0).all()
         if window is not None and self.body.box is not None and complete:
             half = np.array([0.5 * q.value for q in self.body.edges])
-            near = window.near or NEAR * 2.0 * float(half.min())
+            near = window.near or REST_EDGE_SHARE * 2.0 * float(half.min())
             found = first_touch(filled(poses), half, near, self.height)
             if found is not None:
                 corner, touch = found.corner, found.touch

@@ -113,7 +113,7 @@ def start_facts(run: Run, poses: RecordedPoses, gravity: float) -> dict[str, flo
     Args:
         run: Recorded toss.
         poses: Its motion.
-        gravity: [m/s^2].
+        gravity: Strength of gravity [m/s^2].
     """
     few = slice(0, max(min(_FRAMES_AT_START, len(run.time_s)), 3))
     time = run.time_s[few] - run.time_s[0]

@@ -101,7 +101,7 @@ class RodDescription(RodKeys):
             facts={
                 IN_TIME: self.is_in_time,
                 LATE_RECORD: not commands,
-                "few_poses": not self.is_in_time and not self.effects.only,
+                "few_poses": not self.is_in_time and self.effects.only is None,
                 "weighs": any(self.gravity),
                 "tendons": bool(self.tendons),
                 "several_tendons": len(self.tendons) > 1,

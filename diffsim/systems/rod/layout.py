@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 TIP = "tip"  # name of the free end, before its mass
-FEWEST = 2  # elements between two places where something begins or ends
+MIN_SPAN_ELEMENTS = 2  # elements between two places where something begins or ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def rod_shape(at: Array, radius: Array, cells: int, breaks: Sequence[float]) -> 
     knots = np.unique(np.round([*at, *inner], 9))
     parts = [np.zeros(1)]
     for low, high in itertools.pairwise(knots):
-        count = max(FEWEST, round(cells * (high - low) / (at[-1] - at[0])))
+        count = max(MIN_SPAN_ELEMENTS, round(cells * (high - low) / (at[-1] - at[0])))
         parts.append(np.linspace(low, high, count + 1)[1:])
     edges = np.concatenate(parts)
     middles = 0.5 * (edges[1:] + edges[:-1])

@@ -49,7 +49,7 @@ def _at_once(hooks: Sequence[tuple[int, SoftScene, Force]]) -> _Together | None:
     alike = all(same_surroundings(scene, s, hook.reads) for _, s, _ in others)
     if not others or not hook.leading_axes or not alike:
         return None
-    one = hook.beside([h for _, _, h in others])
+    one = hook.stacked_with([h for _, _, h in others])
     return None if one is None else _Together.of(scene, one, {p: _ONE for p, _, _ in hooks})
 
 

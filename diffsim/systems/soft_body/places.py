@@ -18,7 +18,7 @@ from diffsim.mesh.reference import hex_shape, hex_shape_derivatives
 Array = NDArray[np.float64]
 AnyMesh = HexMesh | TetMesh
 
-NEAR = 1e-4  # of the body's largest extent: how far nodes may be off a plane
+PLANE_EXTENT_SHARE = 1e-4  # of the body's largest extent: how far nodes may be off a plane
 INSIDE = 1e-6  # of an element: how far a point may be outside of it
 
 
@@ -86,7 +86,7 @@ class Region(Part):
         return found
 
     def _mark_inside(self, points: Array, mesh: AnyMesh) -> NDArray[np.bool_]:
-        tolerance = NEAR * float((mesh.x_rest.amax(0) - mesh.x_rest.amin(0)).max())
+        tolerance = PLANE_EXTENT_SHARE * float((mesh.x_rest.amax(0) - mesh.x_rest.amin(0)).max())
         inside = np.ones(len(points), dtype=bool)
         for axis, bound in enumerate((self.x, self.y, self.z)):
             if bound is None:

@@ -87,7 +87,7 @@ class Force:
         """
         return None
 
-    def beside(self, others: Sequence[Force]) -> Force | None:
+    def stacked_with(self, others: Sequence[Force]) -> Force | None:
         """This force and others in one: each at its own one of the states (1 + n, num_nodes, 3) of
         a moment, so that derivatives evaluate them at once; None: each is evaluated alone.
 

@@ -58,7 +58,7 @@ class _Knots(Force):
             return None
         return ratio(self._rows, other._rows)
 
-    def beside(self, others: Sequence[Force]) -> Force | None:
+    def stacked_with(self, others: Sequence[Force]) -> Force | None:
         """Signals on the same knots, with the same shapes."""
         alike = [o for o in others if isinstance(o, _Knots) and self._is_like(o)]
         if len(alike) < len(others):

@@ -114,7 +114,7 @@ def test_it_flies_in_closed_loop_and_says_what_was_assumed():
         ("mass: 1.2 kg", "mass: -1", "mass: must be above 0"),
         ("mass: 1.2 kg", "mass: 1.2 m", "mass: "),
         ("inertia: [0.011, 0.012, 0.02]", "inertia: [1, 2]", "needs 3 numbers"),
-        ("inertia: [0.011, 0.012, 0.02]", "inertia: [1, 2, -3]", "inertia must be symmetric"),
+        ("inertia: [0.011, 0.012, 0.02]", "inertia: [1, 2, -3]", "izz. must be above 0"),
         ("spin: ccw", "spin: left", r"rotors\[0\].spin: must be 'cw' or 'ccw'"),
         ("max_thrust: 8 N, ", "", "without model, max_thrust must be given"),
         ("radius: 5 inch", "model: kde2814_10in, radius: 5 inch", "model gives radius"),

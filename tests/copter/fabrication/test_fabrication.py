@@ -84,6 +84,18 @@ def test_prints_keep_the_size_of_the_parts(plans, name):
         assert 0.8 < share <= 1.0 + 1e-9
 
 
+def test_screws_weigh_what_their_steel_does(plans):
+    """A head of 5.5 x 3 mm with a socket of 2.5 mm, a thread of its pitch diameter, 2.675 mm."""
+    steel = 7850.0
+    head = steel * 1e-9 * (math.pi / 4.0 * 5.5**2 * 3.0 - 0.866 * 2.5**2 * 1.3)
+    lines = {line for p in plans.values() for line in p.consumables if "M3 screw" in line.item}
+    assert len({line.item for line in lines}) >= 2
+    for line in lines:
+        length = float(line.item.split()[-2])
+        thread = steel * 1e-9 * math.pi / 4.0 * 2.675**2 * length
+        assert line.mass / line.quantity == pytest.approx(head + thread, rel=0.03)
+
+
 @pytest.mark.parametrize("name", shipped_designs())
 def test_bill_adds_up_to_the_design(plans, name):
     found = plans[name]

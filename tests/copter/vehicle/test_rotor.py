@@ -266,3 +266,14 @@ def test_figure():
 
     figure = rotor_fit(fit_rotor(synthetic(noise=0.05)))
     assert len(figure.axes) == 8
+
+
+@pytest.mark.parametrize("name", rotor_names())
+def test_power_is_voltage_times_current_at_any_voltage(name):
+    rotor = rotor_model(name)
+    thrust = torch.linspace(0.1, 1.0, 5, dtype=torch.float64) * rotor.max_thrust
+    for voltage in (0.8, 1.0, 1.3):
+        volts = voltage * float(rotor.nominal_voltage)
+        torch.testing.assert_close(volts * rotor.current(thrust, volts), rotor.power(thrust))
+    nominal = float(rotor.nominal_voltage)
+    torch.testing.assert_close(nominal * rotor.current(thrust), rotor.power(thrust))

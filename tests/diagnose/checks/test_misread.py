@@ -8,7 +8,7 @@ import pytest
 from diffsim.data.command_jumps import jumps_of, without_jumps
 from diffsim.data.study import Command
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.checks.misread import settled, without_misread
+from diffsim.diagnose.checks.misread import choose_commands, without_misread
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.identify import DiagnosisSettings, SearchSettings
 from diffsim.systems.registry import setup_of
@@ -67,7 +67,7 @@ def test_what_is_commanded_and_what_does_not_jump_stays_as_it_is():
 
 def test_a_model_that_does_not_use_the_command_takes_it_without_jumps():
     run = study_of(SMOOTH, recorded(SMOOTH)).runs[1]
-    found, count = settled(run, (LOAD_CELL,), lambda r: r.measured, np.ones(1))
+    found, count = choose_commands(run, (LOAD_CELL,), lambda r: r.measured, np.ones(1))
     assert count == 4 and found is not run
 
 

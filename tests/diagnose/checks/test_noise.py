@@ -8,6 +8,7 @@ from diffsim.data.steps import step_of
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.checks.noise import (
     COLORED,
+    REPEATED,
     STATED,
     ArWhitener,
     fit_ar,
@@ -246,3 +247,52 @@ def test_what_a_recorded_column_does_is_no_noise_of_repeats(differs, source):
     noise = noise_floor(runs, [Channel("x", "m", "position", sd=0.9)], left)
     assert noise.source == (source,)
     assert np.isnan(noise.scatter_ratio[0]) == differs
+
+
+def poses(rng, loud=1.0, num_channels=6):
+    """Nineteen poses of a rod, each read twice: one sample a run; the first channel may be loud."""
+    runs = [
+        make_run(rng.normal(size=(1, num_channels)), f"pose{k}_{again}", f"pose{k}")
+        for k in range(19)
+        for again in "ab"
+    ]
+    for run in runs:
+        run.measured[:, 0] *= loud
+    channels = [Channel(f"x{c}_m", "m", "position", sd=1.0) for c in range(num_channels)]
+    return noise_floor(runs, channels, {run.name: run.measured for run in runs})
+
+
+@pytest.mark.reference
+def test_chance_alone_is_no_scatter_of_few_repeats():
+    """A ratio of 1.4 in any of six channels, nineteen degrees of freedom each: one in 23 draws."""
+    rng = np.random.default_rng(0)
+    drawn = [poses(rng) for _ in range(150)]
+    assert np.mean([np.max(floor.scatter_ratio) > 1.4 for floor in drawn]) > 0.01
+    assert sum(not floor.is_repeatable for floor in drawn) <= 2
+    np.testing.assert_array_equal(drawn[0].scatter_freedom, 19.0)
+    assert sum(not poses(rng, loud=2.5).is_repeatable for _ in range(9)) >= 8
+
+
+def test_scatter_that_raw_repeats_do_not_have_is_none():
+    """A drift by the order of runs, as a model has it: its repeats differ, the recorded do not."""
+    rng, channel = np.random.default_rng(1), Channel("x_m", "m", "position", sd=0.1)
+    runs = [make_run(0.1 * rng.normal(size=(300, 1)), f"r{i}") for i in range(2)]
+    left = {run.name: run.measured + 0.5 * i for i, run in enumerate(runs)}
+    noise = noise_floor(runs, [channel], left)
+    assert noise.is_repeatable and noise.source == ("repeats",)
+    np.testing.assert_allclose(noise.sd, 0.1, rtol=0.1)
+
+
+def test_one_pair_of_repeats_tells_the_color_of_noise_but_not_its_size():
+    """Sixty samples that remember ten have few independent ones: the stated sd is better."""
+    a, channel = np.array([0.9]), Channel("x_m", "m", "position", sd=0.1)
+    usual = np.sqrt(1.0 - 0.9**2)
+    records = [0.1 * usual * colored(s, 60, a)[:, None] for s in range(2)]
+    runs = [make_run(y, f"r{i}") for i, y in enumerate(records)]
+    noise = noise_floor(runs, [channel], {r.name: r.measured for r in runs})
+    assert noise.source == (REPEATED,) and noise.sd == 0.1
+    assert noise.whitener.coefficients[0][0] > 0.6
+    # n / (1 + 2 sum rho_k^2) of an autoregressive process of first order, of one difference
+    (rho,) = noise.whitener.coefficients[0]
+    expected = 60.0 * (1.0 - rho**2) / (1.0 + rho**2)
+    np.testing.assert_allclose(noise.scatter_freedom, expected, rtol=1e-9)

@@ -14,7 +14,7 @@ from diffsim.diagnose.discover.forms import (
     FACTORS_THROUGH_ZERO,
     FORMS,
     FORMS_THROUGH_ZERO,
-    ToldLaw,
+    LawMisfit,
     fit_forms,
 )
 
@@ -53,7 +53,7 @@ THROUGH_ZERO = [
 def told_of(truth, low, high, sd=1e-3, of_number=False):
     """A law that the record tells at each point by itself."""
     u = np.linspace(low, high, 61)
-    return ToldLaw(u, np.eye(61) / sd, np.asarray(truth(u)) / sd, of_number)
+    return LawMisfit(u, np.eye(61) / sd, np.asarray(truth(u)) / sd, of_number)
 
 
 def values_of(told):
@@ -170,6 +170,6 @@ def test_what_the_record_does_not_tell_weighs_nothing():
     is_known = u < MID
     values = np.where(is_known, 2.0 * (u - MID), 50.0)
     sd = np.where(is_known, 1e-3, 1e3)
-    found = fit_forms(ToldLaw(u, np.diag(1.0 / sd), values / sd))
+    found = fit_forms(LawMisfit(u, np.diag(1.0 / sd), values / sd))
     line = next(f for f in found if f.form is FORMS[0])
     assert line.size == pytest.approx(2.0, rel=1e-2)

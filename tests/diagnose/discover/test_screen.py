@@ -102,7 +102,7 @@ def cost_of(problem, factors):
 @pytest.mark.reference
 def test_what_a_record_tells_is_the_misfit_of_all_factors(problem):
     missing, slopes, columns, folds = problem
-    root, target = weigher(missing, slopes, folds).told(columns)
+    root, target = weigher(missing, slopes, folds).misfit_of(columns)
     tried = np.random.default_rng(1).normal(size=(5, columns.shape[1]))
     told = [np.sum((target - root @ f) ** 2) for f in tried]
     expected = [cost_of(problem, f) for f in tried]
@@ -120,7 +120,7 @@ def test_beside_a_law_evidence_is_that_of_both(problem):
         stats.multivariate_normal(zero, plain + a**2 * second @ second.T).logpdf(missing) - without
         for a in AMPLITUDES
     ]
-    nats, _ = weigher(missing, slopes, folds).beside(first).gain(second)
+    nats, _ = weigher(missing, slopes, folds).with_columns(first).gain(second)
     assert nats == pytest.approx(special.logsumexp(each) - np.log(len(each)), abs=1e-9)
 
 

@@ -7,8 +7,9 @@ import pytest
 
 from diffsim.diagnose.faults.evidence import positive_quadrant
 from diffsim.diagnose.faults.given import take_apart
+from diffsim.diagnose.faults.goals import rows_at
 from diffsim.diagnose.faults.learn import log_posterior
-from diffsim.diagnose.faults.local import local_at, problem_of
+from diffsim.diagnose.faults.local import problem_of
 from diffsim.diagnose.faults.marginal import Priors, without
 from diffsim.identify.problem import Problem
 from diffsim.identify.whitening import WhiteNoise
@@ -28,9 +29,9 @@ def test_slopes_along_spreads_are_those_of_differences():
     effects = {e.name: e for e in problem.effects}
     point = np.zeros(len(problem.names))
     locals_ = {
-        g.label: local_at(
+        g.label: rows_at(
             problem_of(problem, g), given.layout, point, [effects[c] for c in g.known or ()]
-        )
+        ).plain
         for g in given.groups
     }
     at = 0.4 * rng.standard_normal(len(given.layout.families))

@@ -3,7 +3,7 @@ import pytest
 from scipy.signal import lfilter
 
 from diffsim.data.study import Run
-from diffsim.diagnose.judge.gain import compared, share_removed
+from diffsim.diagnose.judge.gain import Gain, compared, share_removed
 from tests.diagnose import linear
 
 STEP_S = 0.01
@@ -98,8 +98,20 @@ def test_more_than_all_of_the_error_says_that_the_noise_is_not_what_was_stated()
     """218 % removed was "confirmed": a third of the stated noise was left."""
     found = share_removed(quieter(np.random.default_rng(4), 0.4, 1.3), seed=0)
     assert found.value > 1.2 and found.low > 1.0
-    assert found.status == "not confirmed"
-    assert found.words.endswith("not confirmed; the noise is not what was stated.")
+    assert found.status == "confirmed" and np.sqrt(found.left) == pytest.approx(0.4, abs=0.02)
+    assert found.words.endswith("confirmed; the stated noise is too large, 40% of it is left.")
+
+
+def test_next_to_nothing_and_a_fit_that_ran_away_refute_nothing():
+    """A left-out fit that was 442 times as wrong, -195,430 of the share, refuted a cause."""
+    rng = np.random.default_rng(6)
+    worse = share_removed(blocks(rng, null_error=1.0, left=30.0), seed=0)
+    assert worse.status == "withdrawn"
+    away = share_removed(blocks(rng, null_error=1.0, left=1e5), seed=0)
+    assert away.high < 0.0 and away.status == "cannot be judged" and "ran away" in away.words
+    nothing = Gain(-0.4, -0.6, -0.2, 0.01, 20)
+    assert nothing.status == "cannot be judged" and "next to nothing" in nothing.words
+    assert Gain(-0.4, -0.6, -0.2, 0.1, 20).status == "withdrawn"
 
 
 def test_noise_that_is_hardly_less_than_stated_is_confirmed():

@@ -47,11 +47,13 @@ def test_a_gain_that_is_worse_than_a_constant_is_said():
         "a constant would leave 2.5 mm."
     )
     head = judged_headline([row], None, extended=True)
-    assert head == ("On unseen runs there is no skill: error 9 to 3 mm, a constant leaves 2.5 mm.")
+    assert head == (
+        "The extended model has no skill: error on unseen runs 9 to 3 mm, a constant leaves 2.5 mm."
+    )
     for better in (3.0, 2.99, 5.0, None):
         skilled = replace(row, constant=better)
         assert no_skill_words([skilled]) == []
-        assert judged_headline([skilled], None, extended=True).startswith("The extended model")
+        assert judged_headline([skilled], None, extended=True).startswith("With the extended")
     assert (
         "the first reading, held, would leave 1 mm" in no_skill_words([replace(row, held=1.0)])[0]
     )

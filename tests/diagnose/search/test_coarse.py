@@ -87,7 +87,7 @@ def test_a_dear_first_answer_simulates_finely_only_to_be_corrected():
     assert fine < 0.2 * steps[1.0]  # all were at the refined step before
     # the answer is of the finer settings, which a saved model goes on with
     assert report.settings["numerics"]["time_step"] < 1.0
-    assert report.best.problem.stands_for == Numerics(**report.settings["numerics"])
+    assert report.best.problem.reference_numerics == Numerics(**report.settings["numerics"])
     gate = next(g for g in report.gates if g.name == "coarse")
     assert gate.passed and "corrected by finer simulations" in gate.note
     assert any("coarse" in s and s.startswith("A first answer") for s in report.sentences)

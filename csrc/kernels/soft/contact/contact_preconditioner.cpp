@@ -41,6 +41,34 @@ int aligned_axis(const double* n) {
   return -1;
 }
 
+// Entries of columns that are summed at once, in the nearest cache.
+constexpr std::int64_t kStrip = 1024;
+
+struct WeightedColumn {
+  const double* column;
+  double weight;
+};
+
+/// Adds rows [begin, begin + size) of weighted columns to a strip, four columns in a pass over it.
+void add_columns(const std::vector<WeightedColumn>& columns, std::int64_t begin, std::int64_t size,
+                 double* __restrict strip) {
+  constexpr std::size_t kTogether = 4;
+  std::size_t i = 0;
+  for (; i + kTogether <= columns.size(); i += kTogether) {
+    const WeightedColumn* c = &columns[i];
+    const double *c0 = c[0].column + begin, *c1 = c[1].column + begin;
+    const double *c2 = c[2].column + begin, *c3 = c[3].column + begin;
+    const double w0 = c[0].weight, w1 = c[1].weight, w2 = c[2].weight, w3 = c[3].weight;
+    for (std::int64_t j = 0; j < size; ++j)
+      strip[j] += (c0[j] * w0 + c1[j] * w1) + (c2[j] * w2 + c3[j] * w3);
+  }
+  for (; i < columns.size(); ++i) {
+    const double* c0 = columns[i].column + begin;
+    const double w0 = columns[i].weight;
+    for (std::int64_t j = 0; j < size; ++j) strip[j] += c0[j] * w0;
+  }
+}
+
 }  // namespace
 
 void ContactPreconditioner::make_rows() {
@@ -186,16 +214,19 @@ bool ContactPreconditioner::prepare_tangent() {
 }
 
 void ContactPreconditioner::subtract_columns(Vector& z) const {
-  constexpr std::int64_t kTile = 512;
-  const std::int64_t n = system_.model().num_nodes;
-  pool_.run((n + kTile - 1) / kTile, [&](std::int64_t task) {
-    const std::int64_t first = task * kTile, last = std::min(n, first + kTile);
-    for (std::size_t i = 0; i < active_.size(); ++i) {
-      const double* f = multiplier_.data() + 3 * i;
-      const double* column[3];
-      for (int a = 0; a < 3; ++a) column[a] = columns_->column(active_[i], a);
-      for (std::int64_t j = first; j < last; ++j)
-        for (int a = 0; a < 3; ++a) z[at(3 * j + a)] -= column[a][j] * f[a];
+  std::vector<WeightedColumn> columns[3];  // of each axis; most multipliers of a slip are zero
+  for (int a = 0; a < 3; ++a)
+    for (std::size_t i = 0; i < active_.size(); ++i)
+      if (const double f = multiplier_[3 * i + at(a)]; f != 0.0)
+        columns[a].push_back({columns_->column(active_[i], a), f});
+  pool_.run_ranges(system_.model().num_nodes, kStrip, [&](std::int64_t begin, std::int64_t end) {
+    double strip[kStrip];
+    for (int a = 0; a < 3; ++a) {
+      if (columns[a].empty()) continue;
+      const std::int64_t size = end - begin;
+      std::fill_n(strip, size, 0.0);
+      add_columns(columns[a], begin, size, strip);
+      for (std::int64_t j = 0; j < size; ++j) z[at(3 * (begin + j) + a)] -= strip[j];
     }
   });
 }

@@ -103,7 +103,7 @@ def outline_frame(
             below (x forward, y right), (n, 2) [-].
         mounts: Places on top where other parts fit, name to (x, y), as the outline [-].
         length, width: What outline and mounts are scaled by along x and y [m]; parameters.
-        thickness: [m].
+        thickness: Thickness [m].
     """
     vertices, faces = fan_prism(np.asarray(outline, dtype=np.float64), thickness)
     patches = {}
@@ -153,7 +153,7 @@ def mesh_frame(
         mounts: Flat patches, name to ``center`` [m] at scale 1 and outward ``normal``, which must
             be along an axis: any other turns as the frame is stretched, which is not linear.
         scale_x, scale_y, scale_z: Parameters [-].
-        density: [kg/m^3].
+        density: Density [kg/m^3].
 
     Raises:
         MeshError: not closed.

@@ -35,7 +35,7 @@ def imported_mesh(
 
     Args:
         file: The surface [m].
-        density: [kg/m^3].
+        density: Density [kg/m^3].
         scale: Factors along x, y, z.
     """
     vertices, faces = closed_surface(file)
@@ -75,7 +75,7 @@ def imported_motor(
 
     Args:
         file: The surface, frame NED, shaft along z [m].
-        density: [kg/m^3].
+        density: Density [kg/m^3].
         rotor: Name of the rotor's model.
         spin: "cw" or "ccw".
         flip_prop: The propeller pushes instead of pulling.

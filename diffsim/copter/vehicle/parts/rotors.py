@@ -26,7 +26,7 @@ class RotorData:
         torque_ratio: lambda, torque per thrust [m].
         max_thrust: u_max [N].
         motor_mass: Motor with its mounting ring [kg].
-        propeller_mass: [kg].
+        propeller_mass: Mass of the propeller [kg].
         motor_price, propeller_price: [EUR].
         measured: Whether torque ratio and thrust come from a bench.
     """

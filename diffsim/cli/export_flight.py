@@ -1,0 +1,251 @@
+"""What an exported model holds of an answer, and what the rest costs: the export is simulated.
+
+A target carries a cause where a constant of it reads the cause. What a cause that is not carried is
+worth is the difference of the model with and without it; what the export as a whole is worth is its
+own error on the study's runs.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from diffsim.cli.diagnose_export import flown_constants, is_text
+from diffsim.core.expression import parse_expression
+from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.units import factor
+from diffsim.data.study import Channel, Run, Study
+from diffsim.identify.model_file import SavedModel, rebuilt
+from diffsim.identify.setup import DiagnosisSetup
+from diffsim.systems.outside import joint_drive
+from diffsim.systems.registry import setup_of
+
+Array = NDArray[np.float64]
+MUJOCO = "mujoco"
+FLOWN = ("kp", "load_inertia", "load_moment")  # constants that a drive on a joint needs to be flown
+MAX_RUNS = 20  # that an export is flown on
+STEP_S = 0.0005  # s
+CARRIED_FILE = "carried.json"
+POSITION, POWER = "goal", "powered"  # commands of a drive
+
+
+@dataclass(frozen=True)
+class CarriedCause:
+    """A named cause, and whether a target has it.
+
+    Attributes:
+        cause: Its name.
+        by: Constants of the target that read it; empty: it is not carried.
+        cost: Mean difference of the model with and without it, by channel, in shown units.
+    """
+
+    cause: str
+    by: tuple[str, ...]
+    cost: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Mean errors of a run in the shown unit of its channel.
+
+    Attributes:
+        run: Name of the run.
+        model: Of the answer's own model.
+        export: Of the exported one.
+        apart: Of the one against the other.
+    """
+
+    run: str
+    model: float
+    export: float
+    apart: float
+
+
+def runs_to_fly(study: Study) -> tuple[Run, ...]:
+    """Test runs, or all where there are none; at most ``MAX_RUNS``, evenly taken."""
+    runs = [run for run in study.runs if run.use == "test"] or list(study.runs)
+    step = max(math.ceil(len(runs) / MAX_RUNS), 1)
+    return tuple(runs[::step])
+
+
+class Answer:
+    """A saved model that is simulated with and without its causes.
+
+    Args:
+        study: The study.
+        saved: Its answer.
+    """
+
+    def __init__(self, study: Study, saved: SavedModel):
+        self.saved, self.study = saved, saved.framed(study)
+        self.setup: DiagnosisSetup = setup_of(self.study)
+        self.runs = runs_to_fly(study)
+        self._whole = self.records(saved)
+
+    def records(self, saved: SavedModel) -> dict[str, Array]:
+        """Channels of each run, (num_samples, num_channels)."""
+        model = rebuilt(saved, self.setup)
+        with torch.no_grad():
+            return {r.name: model.predict(r, model.at_prior()).numpy() for r in self.runs}
+
+    def record(self, run: Run) -> Array:
+        """Channels of a run with all causes."""
+        return self._whole[run.name]
+
+    def causes(self) -> dict[str, tuple[str, ...]]:
+        """Components that are not nothing, by cause."""
+        out: dict[str, tuple[str, ...]] = {}
+        for effect in self.setup.effects:
+            own = [f"{effect.name}.{c}" if c else effect.name for c in effect.components]
+            own = [c for c in (effect.name, *own) if self.saved.values.get(c)]
+            if own and any(c in self.saved.components for c in own):
+                out[effect.name] = tuple(dict.fromkeys(own))
+        return out
+
+    def cost(self, components: Sequence[str]) -> dict[str, float]:
+        """Mean difference that some components make, by channel, in shown units."""
+        without = replace(
+            self.saved, values={**self.saved.values, **dict.fromkeys(components, 0.0)}
+        )
+        records = self.records(without)
+        out = {}
+        for k, channel in enumerate(self.study.channels):
+            off = [np.abs(records[r.name][:, k] - self.record(r)[:, k]) for r in self.runs]
+            out[channel.name] = _times(channel) * float(np.nanmean(np.concatenate(off)))
+        return out
+
+
+def list_carried(answer: Answer, program: str) -> list[CarriedCause]:
+    """Each named cause, the constants that carry it, and what it is worth.
+
+    Args:
+        answer: The saved model.
+        program: Name of the program in the study's `export`.
+    """
+    formulas = answer.study.export.get(program, {})
+    read = {
+        name: set(parse_expression(text).names)
+        for name, text in formulas.items()
+        if not is_text(text)
+    }
+    out = []
+    for cause, components in answer.causes().items():
+        by = tuple(name for name, own in read.items() if own & {cause, *components})
+        out.append(CarriedCause(cause, by, answer.cost(components)))
+    return out
+
+
+def fly(constants: Mapping[str, float], run: Run) -> Array:
+    """Angles of an exported drive in MuJoCo at the samples of a run, (num_samples,).
+
+    Args:
+        constants: Constants of the run.
+        run: Run with the commands ``goal`` and, where its torque may be off, ``powered``.
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(joint_drive.model_text(constants, STEP_S, delayed=False))
+    data, drive = mujoco.MjData(model), joint_drive.JointDrive(constants)
+    time = run.time_s
+    goal, powered = np.asarray(run.command[POSITION]), run.command.get(POWER)
+    measured = run.measured[np.isfinite(run.measured[:, 0]), 0]
+    data.time, data.qpos[0] = float(time[0]), float(measured[0])
+    drive.begin(model, float(goal[0]))
+    count = int(np.ceil((time[-1] - time[0]) / STEP_S - 1e-6))
+    steps = time[0] + STEP_S * np.arange(count + 1)
+    goals = np.interp(steps, time, goal)
+    held = np.clip(np.searchsorted(time, steps + 1e-9, side="right") - 1, 0, None)
+    power = np.ones(len(steps)) if powered is None else np.asarray(powered)[held]
+    out = np.empty(count + 1)
+    for k in range(count + 1):
+        out[k] = data.qpos[0]
+        drive.set_control(model, data, float(goals[k]), float(power[k]))
+        mujoco.mj_step(model, data)
+    return np.interp(time, steps, out)
+
+
+def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
+    """Errors of the exported drive and of the model, run by run; or why it cannot be flown.
+
+    Args:
+        answer: The saved model.
+        formulas: Constants of the drive that the target has.
+    """
+    lacks = [n for n in FLOWN if n not in formulas]
+    if lacks:
+        return f"export.mujoco has no {', '.join(lacks)}, so there is no drive on a joint to fly"
+    if POSITION not in {name for run in answer.runs for name in run.command}:
+        return f"no command {POSITION!r}, which a drive on a joint follows"
+    try:
+        import mujoco  # noqa: F401
+    except ImportError:
+        return "MuJoCo is not installed: pip install mujoco"
+    out = []
+    times = _times(answer.study.channels[0])
+    study = replace(answer.study, export={MUJOCO: formulas})
+    for run in answer.runs:
+        constants = flown_constants(study, answer.saved, MUJOCO, run)
+        flown, own, seen = fly(constants, run), answer.record(run)[:, 0], run.measured[:, 0]
+        good = is_read(seen)
+        off = [np.abs(a - b)[good].mean() for a, b in ((own, seen), (flown, seen), (flown, own))]
+        out.append(Flight(run.name, *(times * float(v) for v in off)))
+    return out
+
+
+def is_read(position: Array) -> NDArray[np.bool_]:
+    """Samples that are no single misreadings: near the median of the five around them."""
+    padded = np.pad(position, 2, mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 5)
+    away = np.abs(position - np.nanmedian(around, axis=1))
+    usual = 1.4826 * float(np.nanmedian(np.abs(position - np.nanmedian(position)))) + 1e-12
+    return np.asarray(np.isfinite(position) & (away < usual))
+
+
+def write_drive(answer: Answer, out: Path) -> list[Path]:
+    """The drive's MJCF of the first run, its callback, and the constants of each run."""
+    runs = {r.name: flown_constants(answer.study, answer.saved, MUJOCO, r) for r in answer.runs}
+    first = next(iter(runs.values()))
+    return [
+        write_text_atomic(out / "drive.xml", joint_drive.model_text(first, STEP_S)),
+        write_text_atomic(out / "joint_drive.py", inspect.getsource(joint_drive)),
+        write_json_atomic(out / "mujoco_runs.json", runs),
+    ]
+
+
+def say_flights(flights: list[Flight] | str, channel: Channel) -> str:
+    """How the export does on the runs, in a sentence."""
+    if isinstance(flights, str):
+        return f"Not flown: {flights}."
+    unit = channel.shown_unit or channel.unit
+    own, export, apart = (
+        float(np.mean([getattr(f, name) for f in flights])) for name in ("model", "export", "apart")
+    )
+    return (
+        f"Flown in MuJoCo on {len(flights)} runs: {export:.3g} {unit} from what was measured, "
+        f"the model itself {own:.3g} {unit}; {apart:.3g} {unit} from one another."
+    )
+
+
+def say_carried(found: Sequence[CarriedCause], study: Study, program: str) -> list[str]:
+    """The list of what is carried and of what is not, a line each."""
+    units = {c.name: c.shown_unit or c.unit for c in study.channels}
+    out = []
+    for carried in found:
+        cost = ", ".join(f"{v:.3g} {units[name]} of {name}" for name, v in carried.cost.items())
+        how = f"carried by {', '.join(carried.by)}" if carried.by else f"not carried to {program}"
+        out.append(f"  {carried.cause}: {how}; it is worth {cost}")
+    return out or [f"  no cause is named: {program} gets the fitted model as it is"]
+
+
+def _times(channel: Channel) -> float:
+    """Factor from a channel's unit to the one that it is shown in."""
+    if channel.shown_unit is None:
+        return 1.0
+    return factor(channel.unit, channel.shown_unit)

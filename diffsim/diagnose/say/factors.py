@@ -1,0 +1,95 @@
+"""Sizes that are factors of a slip: a gear counted twice, degrees for radians, a sign turned."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from diffsim.diagnose.judge.records import CauseRow, Interval
+
+WIDEST = 0.06  # of a factor: a wider interval holds it by chance
+SAME = 0.03  # of a factor: closer ones are one
+GAINS = ("command_gain", "sensor_scale")  # causes whose size is a factor less one
+#: Factors, and the slip that each is a sign of
+SLIPS: tuple[tuple[float, str], ...] = (
+    (4.0, "is a gear counted twice"),
+    (0.25, "is a gear counted twice"),
+    (2.0, "is one of two counted, or a diameter for a radius"),
+    (0.5, "is one of two counted, or a radius for a diameter"),
+    (-1.0, "is the sign turned"),
+    (math.pi / 180.0, "are degrees read as radians"),
+    (180.0 / math.pi, "are radians read as degrees"),
+    (math.pi / 30.0, "are rpm read as rad/s"),
+    (30.0 / math.pi, "are rad/s read as rpm"),
+    (2.0 * math.pi, "are turns read as radians"),
+    (0.5 / math.pi, "are radians read as turns"),
+    (9.80665, "are kilograms-force read as newtons"),
+    (1.0 / 9.80665, "are newtons read as kilograms-force"),
+    (1000.0, "is a unit a thousand times too small"),
+    (0.001, "is a unit a thousand times too large"),
+)
+_INERTIAS = ("kg", "g", "kg m^2", "g m^2")
+
+
+def factor_words(found: Interval) -> str:
+    """What a factor is a sign of, such as "4.00 times: is a gear counted twice?"; or nothing.
+
+    Args:
+        found: Factor with its 90 % interval.
+    """
+    for factor, slip in SLIPS:
+        if found.low <= factor <= found.high and found.high - found.low <= WIDEST * abs(factor):
+            return f"{found.value:.3g} times: {slip}?"
+    return ""
+
+
+def gain_words(row: CauseRow) -> str:
+    """What the gain of a drive or the scale of a sensor is a sign of; or nothing."""
+    if not row.name.startswith(GAINS) or row.unit != "-" or len(row.size) != 1:
+        return ""
+    size = next(iter(row.size.values()))
+    return factor_words(Interval(1.0 + size.value, 1.0 + size.low, 1.0 + size.high))
+
+
+def sheet_words(rows: Sequence[tuple[CauseRow, float]]) -> list[str]:
+    """Numbers of a data sheet that are off by a factor of a slip, those by one factor as one.
+
+    Args:
+        rows: Findings in the unit in which they are read, and what the data sheet says.
+    """
+    found: dict[str, tuple[float, list[CauseRow]]] = {}
+    for row, stated in rows:
+        size = next(iter(row.size.values()))
+        if stated == 0.0:
+            continue
+        low, high = sorted((size.low / stated, size.high / stated))
+        value = size.value / stated
+        if words := factor_words(Interval(value, low, high)):
+            key = next((k for k, (f, _) in found.items() if _is_same(f, value)), words)
+            found.setdefault(key, (value, []))[1].append(row)
+    return [_say(words, value, rows) for words, (value, rows) in found.items()]
+
+
+def _is_same(one: float, other: float) -> bool:
+    return abs(one - other) <= SAME * abs(one)
+
+
+def _say(words: str, value: float, rows: Sequence[CauseRow]) -> str:
+    names = [row.words for row in rows]
+    several = ", ".join(names[:-1]) + f" and {names[-1]} are all" if len(names) > 1 else ""
+    out = f"{several or f'{names[0]} is'} {words}"
+    if value > 0.0 and all(row.unit in _INERTIAS for row in rows):
+        out += (
+            f" The twin of inertias {value:.3g} times as large is a drive {1.0 / value:.3g} times "
+            "as strong: a scale, or a measured force, decides."
+        )
+    return out[:1].upper() + out[1:]
+
+
+def stated_of(row: CauseRow) -> float | None:
+    """The number of the data sheet in a finding's note; None: it holds none."""
+    text = row.note.partition("data sheet: ")[2].partition(" ")[0]
+    try:
+        return float(text)
+    except ValueError:
+        return None

@@ -1,0 +1,1 @@
+"""Two versions of the search on the same drawn cases: what is right, open, wrong, and its cost."""

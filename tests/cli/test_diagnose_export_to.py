@@ -1,0 +1,186 @@
+"""`diagnose export --to`: the whole answer, what it carries and what not, flown on the runs."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from diffsim.cli import main
+from diffsim.cli.diagnose_export import say_interval
+from diffsim.identify.ranges import Range
+from tests.systems.outside.test_mjcf import XML as PENDULUM
+
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoco)")
+
+TIME = 0.02 * np.arange(75)
+GOALS = {"steps": np.where(TIME > 0.3, 0.9, -0.3), "drop": np.minimum(2.0 * TIME, 1.2)}
+POWER = {"steps": np.ones_like(TIME), "drop": np.where(TIME < 0.9, 1.0, 0.0)}
+SETUP = {"mass_kg": 0.7, "arm_m": 0.12, "arm_mass_kg": 0.04}
+SERVO = {
+    "name": "servo",
+    "like": "position_servo",
+    "channels": [{"name": "position", "column": "position"}],
+    "commands": [{"name": "goal", "column": "goal"}, {"name": "powered", "column": "powered"}],
+    "runs": [
+        {"file": "steps.csv", "setup": {**SETUP, "kp": 16}},
+        {"file": "drop.csv", "setup": {**SETUP, "kp": 8}},
+    ],
+}
+NUMBERS = {"error_gain": 0.16, "kt": 2.2, "resistance": 4.2, "armature": 0.02, "coulomb": 0.1,
+           "zero": 0.02, "open_drag": 0.02}  # fmt: skip
+CAUSES = {"delay_of_goal": 0.05, "rate_limit_of_goal": 0.2, "load_friction": 0.15,
+          "starting_duty": 0.04, "quantization_of_goal": 0.05}  # fmt: skip
+
+
+UNITS = {"delay_of_goal": "s", "rate_limit_of_goal": "s/command", "quantization_of_goal": "command",
+         "error_gain": "1/rad", "kt": "N m/A", "resistance": "ohm", "armature": "kg m^2",
+         "coulomb": "N m", "zero": "rad", "open_drag": "N m s",
+         "viscous_friction_at_hinge": "N m s/rad", "added_spring_at_hinge": "N m/rad"}  # fmt: skip
+
+
+def entries(values):
+    return {n: {"value": v, "sd": 0.01 * v, "unit": UNITS.get(n, "-")} for n, v in values.items()}
+
+
+def write_answer(folder, numbers, causes):
+    saved = {"model": "x", "study": "x", "verdict": "named"}
+    saved |= {"parameters": entries(numbers), "effects": entries(causes)}
+    (folder / "answer").mkdir()
+    (folder / "answer/extended_model.yaml").write_text(yaml.safe_dump(saved))
+
+
+@pytest.fixture(scope="module")
+def servo(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("servo")
+    for name, goal in GOALS.items():
+        table = np.column_stack([TIME, goal, 0.5 * goal, POWER[name]])
+        header = "time_s,goal,position,powered"
+        np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=header, comments="")
+    (folder / "study.yaml").write_text(yaml.safe_dump(SERVO))
+    write_answer(folder, NUMBERS, CAUSES)
+    return folder
+
+
+def export(folder, target):
+    code = main(
+        ["diagnose", "export", str(folder), "--to", target, "--out", str(folder / "answer")]
+    )
+    assert code == 0
+    return json.loads((folder / "answer/carried.json").read_text())
+
+
+def test_an_answer_flies_in_mujoco_as_it_does_here(servo, capsys):
+    found = export(servo, "mujoco")
+    causes = {c["cause"]: c for c in found["causes"]}
+    carried = {name for name, c in causes.items() if c["by"]}
+    assert carried == {"delay_of_goal", "rate_limit_of_goal", "load_friction", "starting_duty"}
+    assert causes["quantization_of_goal"]["cost"]["position"] > 1.0
+    said = capsys.readouterr().out
+    assert "  quantization_of_goal: not carried to mujoco; it is worth " in said
+    assert "  delay_of_goal: carried by delay_s; it is worth " in said
+    assert "Flown in MuJoCo on 2 runs: " in said
+    # what is not carried, and MuJoCo's steps of the first order: mrad
+    missed = causes["quantization_of_goal"]["cost"]["position"]
+    assert len(found["flights"]) == 2
+    for flight in found["flights"]:
+        assert flight["apart"] < 4.0 + 1.5 * missed
+        assert flight["export"] == pytest.approx(flight["model"], rel=0.15)
+
+
+def test_what_is_written_stands_alone(servo):
+    """The callback is imported from its file, and the MJCF opened by MuJoCo itself."""
+    export(servo, "mujoco")
+    path = servo / "answer/joint_drive.py"
+    assert "diffsim" not in path.read_text().replace("`diffsim diagnose", "")
+    spec = importlib.util.spec_from_file_location("written_drive", path)
+    written = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(written)
+    runs = json.loads((servo / "answer/mujoco_runs.json").read_text())
+    plain = mujoco.MjModel.from_xml_path(str(servo / "answer/drive.xml"))
+    assert plain.actuator_gainprm[0, 0] == pytest.approx(runs["steps"]["kp"])
+    assert runs["steps"]["kp"] == pytest.approx(2.0 * runs["drop"]["kp"])
+    assert plain.dof_armature[0] == 0.02
+    model = mujoco.MjModel.from_xml_string(written.model_text(runs["steps"]))
+    data, drive = mujoco.MjData(model), written.JointDrive(runs["steps"])
+    drive.begin(model, 0.0)
+    while data.time < 3.0:
+        drive.set_control(model, data, 0.5)
+        mujoco.mj_step(model, data)
+    assert data.qpos[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_bam_and_urdf_say_what_they_cannot_carry(servo, capsys):
+    by = {c["cause"]: c["by"] for c in export(servo, "bam")["causes"]}
+    assert by["load_friction"] and not by["delay_of_goal"] and not by["starting_duty"]
+    assert json.loads((servo / "answer/bam.json").read_text())["model"] == "m3"
+    worse = export(servo, "urdf")
+    assert not any(c["by"] for c in worse["causes"] if c["cause"] != "rate_limit_of_goal")
+    assert '<dynamics damping="1.17' in (servo / "answer/joint.urdf.xml").read_text()
+    assert np.mean([f["apart"] for f in worse["flights"]]) > 10.0
+    assert "not carried to urdf" in capsys.readouterr().out
+
+
+def test_yaml_has_every_number_and_form(servo):
+    found = export(servo, "yaml")
+    assert all(c["by"] for c in found["causes"])
+    answer = yaml.safe_load((servo / "answer/answer.yaml").read_text())
+    assert answer["parameters"]["kt"]["value"] == 2.2
+    cause = answer["causes"]["load_friction"]
+    assert cause["low"] < 0.15 < cause["high"] and "torques on the gear" in cause["form"]
+
+
+def test_a_study_of_a_mujoco_model_gets_its_own_model_back(tmp_path, capsys):
+    time = 0.02 * np.arange(60)
+    table = np.column_stack([time, np.sin(5.0 * time), 0.2 * np.sin(4.0 * time)])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="time_s,moment,angle", comments="")
+    (tmp_path / "rod.xml").write_text(PENDULUM)
+    study = {
+        "name": "rod",
+        "channels": [{"name": "angle", "unit": "rad", "sd": 0.001}],
+        "commands": [{"name": "moment", "unit": "N m"}],
+        "runs": [{"file": "a.csv"}],
+        "model": {
+            "system": "outside",
+            "simulator": "diffsim.systems.outside.mjcf:Mjcf",
+            "commands_are": "held",
+            "options": {"model": "rod.xml", "channels": {"angle": "angle"}},
+            "parameters": {"body.rod.mass": {"value": 0.4, "percent": 10},
+                           "joint.hinge.damping": {"value": 0.06, "percent": 50}},
+            "start": {"joint.hinge.start": {"value": 0.0, "sd": 0.1, "per": "run"}},
+            "hooks": {"force": {"hinge": {"unit": "N m", "typical": 0.1, "distance": 0.5,
+                                          "speed": 2}}},
+        },
+    }  # fmt: skip
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
+    numbers = {"body.rod.mass": 0.5, "joint.hinge.damping": 0.03, "joint.hinge.start@a": 0.1}
+    causes = {"viscous_friction_at_hinge": 0.05, "added_spring_at_hinge": 0.4, "lag_of_command": 0}
+    write_answer(tmp_path, numbers, {n: v for n, v in causes.items() if v})
+    found = export(tmp_path, "mujoco")
+    assert {c["cause"]: c["by"] for c in found["causes"]} == {
+        "viscous_friction_at_hinge": ["joint.hinge.damping"],
+        "added_spring_at_hinge": ["joint.hinge.stiffness"],
+    }
+    (flight,) = found["flights"]
+    assert flight["apart"] < 2e-4 < flight["export"], "six digits, forces of RK4 and of the joint"
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "answer/model.xml"))
+    assert model.dof_damping[0] == pytest.approx(0.08) and model.body("rod").mass == 0.5
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (Range(1.18, 1.1, 2e10), "(at least 1.1; the runs do not bound it above)"),
+        (Range(1e-3, 1e-9, 1.2e-3), "(at most 0.0012; the runs do not bound it below)"),
+        (Range(1.0, 1e-9, 1e9), "(the runs do not bound it)"),
+        (Range(0.01, 0.0, 0.03), "(at most 0.03)"),
+        (Range(1.2, 1.1, 1.3), "(1.1 to 1.3)"),
+        (Range(-0.2, -0.3, 0.3), "(-0.3 to 0.3)"),
+        (Range(2.0, 2.0, 2.0), ""),
+    ],
+)
+def test_an_interval_without_an_end_is_said_in_words(found, words):
+    assert say_interval(found).strip() == words

@@ -1,0 +1,68 @@
+"""Sizes that are factors of a slip, in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from diffsim.diagnose.judge.records import CauseRow, Interval
+from diffsim.diagnose.say.factors import factor_words, gain_words, sheet_words, stated_of
+
+ROW = CauseRow(
+    name="command_gain_of_drive",
+    words="command gain of drive",
+    origin="effect",
+    status="certain",
+    probability=1.0,
+    size={"size": Interval(3.0, 2.97, 3.02)},
+    unit="-",
+    smallest_visible={"size": 1e-3},
+    shown_unit="%",
+)
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (Interval(4.0, 3.98, 4.02), "4 times: is a gear counted twice?"),
+        (Interval(0.2501, 0.249, 0.252), "0.25 times: is a gear counted twice?"),
+        (Interval(-1.0, -1.01, -0.99), "-1 times: is the sign turned?"),
+        (Interval(0.01746, 0.0174, 0.0175), "0.0175 times: are degrees read as radians?"),
+        (Interval(9.79, 9.7, 9.9), "9.79 times: are kilograms-force read as newtons?"),
+        (Interval(4.0, 3.0, 5.0), ""),  # wide: a dozen factors would do
+        (Interval(1.0, 0.99, 1.01), ""),
+        (Interval(3.3, 3.25, 3.35), ""),
+    ],
+)
+def test_a_factor_of_a_slip_is_asked_for(found, words):
+    assert factor_words(found) == words
+
+
+def test_a_gain_is_one_and_its_size():
+    assert gain_words(ROW) == "4 times: is a gear counted twice?"
+    assert gain_words(replace(ROW, name="sensor_scale_of_angle")) != ""
+    assert gain_words(replace(ROW, name="load_friction")) == ""
+    assert gain_words(replace(ROW, name="command_offset", unit="rad")) == ""
+
+
+def test_numbers_that_are_off_by_one_factor_are_one_finding_with_its_twin():
+    def inertia(name, value, stated, unit="kg"):
+        return replace(
+            ROW, name=name, words=name, unit=unit, shown_unit=None, origin="data sheet",
+            size={"size": Interval(value, 0.995 * value, 1.005 * value)},
+            note=f"data sheet: {stated} +- 0.05 (3 sd)",
+        )  # fmt: skip
+
+    rows = [inertia("mass of upper", 0.25, 1.0), inertia("mass of fore", 0.3, 1.2)]
+    (said,) = sheet_words([(row, stated_of(row)) for row in rows])
+    assert said == (
+        "Mass of upper and mass of fore are all 0.25 times: is a gear counted twice? The twin of "
+        "inertias 0.25 times as large is a drive 4 times as strong: a scale, or a measured force, "
+        "decides."
+    )
+    friction = inertia("friction", 0.4, 0.1, "N m")
+    (said,) = sheet_words([(friction, 0.1)])
+    assert said == "Friction is 4 times: is a gear counted twice?"
+    assert sheet_words([(inertia("mass", 0.8, 1.0), 1.0), (friction, 0.0)]) == []
+    assert stated_of(replace(friction, note="nothing")) is None

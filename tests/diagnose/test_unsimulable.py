@@ -1,0 +1,25 @@
+"""A candidate that cannot be moved at the plain fit ends no diagnosis: it alone is not judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from diffsim.data.study import Study
+from diffsim.diagnose import diagnose
+from diffsim.identify import DiagnosisSettings, SearchSettings
+from tests.diagnose import linear
+from tests.diagnose.say.test_causes import PUSH, causes, recorded
+
+
+def test_a_candidate_that_cannot_be_moved_is_not_judged():
+    def burst(scene, size, run):
+        return replace(scene, record=scene.record + (1e300 * size) ** 3)
+
+    wild = replace(linear.line("wild"), apply=burst)
+    runs = tuple(recorded(f"r{k}", k, {PUSH: 3.0}) for k in range(6))
+    study = Study("lines", "copter", linear.CHANNELS, runs)
+    settings = DiagnosisSettings(search=SearchSettings(num_refits=4))
+    report = diagnose(study, linear.model(), (wild, PUSH), seed=0, settings=settings)
+    assert report.named == ("push",)
+    row = causes(report)["wild"]
+    assert row.status == "not judged" and "not even a small size" in row.note
