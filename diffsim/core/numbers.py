@@ -42,6 +42,17 @@ def is_mapped(value: Tensor) -> bool:
     return False
 
 
+def without_mapping(value: Tensor) -> Tensor:
+    """A tensor without its outermost axes that ``torch.func.vmap`` maps, if nothing else is in it.
+
+    What a derivative is asked of within them stays mapped, for ``require_constant`` to refuse.
+    """
+    inner = value
+    while is_mapped(inner) and is_batched(inner):
+        inner = unwrapped(inner)
+    return inner
+
+
 def require_unmapped(**given: Tensor) -> None:
     """Refuse tensors that ``torch.func.vmap`` maps, where numbers decide what is computed.
 

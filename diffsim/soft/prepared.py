@@ -12,6 +12,7 @@ from torch import Tensor
 
 from diffsim.core.check import require_constant
 from diffsim.core.layer import is_followed, is_kernel_alone
+from diffsim.core.numbers import values_of, without_mapping
 from diffsim.core.torch_names import has_modes
 from diffsim.soft import _ops_step
 from diffsim.soft._arrays import StepArrays
@@ -57,8 +58,12 @@ def _require_own_shape(body: Solid) -> None:
     if not hasattr(body, "x_rest"):
         raise TypeError(f"body must be a SoftBody, got {type(body).__name__}")
     hint = "no gradient by the rest shape is computed; parameters of a shape move its mesh"
-    require_constant("x_rest", body.x_rest, hint)
-    if body.x_rest is not body.mesh.x_rest and not torch.equal(body.x_rest, body.mesh.x_rest):
+    own, whole = body.x_rest, body.mesh.x_rest
+    require_constant("x_rest", without_mapping(own), hint)
+    if own is whole or torch.compiler.is_compiling():  # a graph has no values
+        return
+    numbers = values_of(own)  # of a stack of bodies (torch.func.stack_module_state) all at once
+    if numbers.shape[-2:] != whole.shape or not bool((numbers == whole).all()):
         raise ValueError(
             "x_rest of a body must be its mesh's, float64; make a new body of a mesh with other "
             "positions (functional_call cannot change the shape)"

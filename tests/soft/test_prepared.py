@@ -262,3 +262,40 @@ def test_what_is_kept_has_no_gradient_and_keeps_no_body():
         assert gone() is None
     finally:
         gc.enable()
+
+
+def test_ensembles_and_graphs_take_a_body():
+    """A stack of bodies of one mesh is its loop; graphs ask no values; shapes have no gradient."""
+    bodies = [forced()[0] for _ in range(2)]
+    bodies[1].youngs_modulus.data *= 1.5
+    start = bodies[0].rest_state()
+    start = soft.State(start.x, 0.1 * noise(*start.x.shape, seed=6) * ~bodies[0].fixed)
+    stacked = torch.func.stack_module_state(bodies)
+
+    def run(parameters, buffers):
+        return torch.func.functional_call(bodies[0], (parameters, buffers), (start,)).x
+
+    together = torch.func.vmap(run)(*stacked)
+    alone = torch.stack([body(start).x for body in bodies])
+    assert not torch.equal(alone[0], alone[1])
+    torch.testing.assert_close(together, alone, rtol=1e-12, atol=0.0)
+
+    class Scene(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.body = bodies[0]
+
+        def forward(self, x, v):
+            return self.body(soft.State(x, v)).x
+
+    graph = torch.export.export(Scene(), (start.x, start.v)).module()
+    torch.testing.assert_close(graph(start.x, start.v), alone[0], rtol=1e-12, atol=0.0)
+
+    def by_shape(x_rest):
+        return torch.func.functional_call(bodies[0], {"x_rest": x_rest}, (start,)).x.sum()
+
+    shapes = torch.stack([bodies[0].x_rest] * 2)
+    with pytest.raises((NotImplementedError, ValueError), match="x_rest"):
+        torch.func.vmap(torch.func.grad(by_shape))(shapes)
+    with pytest.raises(ValueError, match="x_rest of a body must be its mesh's"):
+        torch.func.vmap(by_shape)(1.1 * shapes)
