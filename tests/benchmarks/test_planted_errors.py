@@ -179,7 +179,9 @@ def test_unknown_names_are_refused(capsys: pytest.CaptureFixture[str]):
 
 def test_drawn_errors_fit_the_tree(monkeypatch):
     """From a seed the same ones, each a text that stands once, of Python that can be read."""
-    monkeypatch.setattr(drawn_errors, "tests_of", lambda file: ["tests/test_house.py", "b"])
+    monkeypatch.setattr(
+        drawn_errors, "nearest_tests", lambda file, line: ["tests/test_house.py", "b"]
+    )
     drawn = drawn_errors.draw(5, 20, nearest=1)
     assert drawn == drawn_errors.draw(5, 20, nearest=1)
     assert drawn != drawn_errors.draw(6, 20, nearest=1)
