@@ -147,7 +147,7 @@ def apart(rows: Sequence[ApartRow]) -> Table:
         columns=["number", "of", "size (90 % interval)", "over the others", "unit", "differs"],
         rows=[_apart(row) for row in rows],
         caption="Over the others: the number less the median of the other groups, with its 90 % "
-        "interval. It differs where all these differences together are that large by chance once "
+        "interval; of two batches, the mean of one less that of the other. It differs where all these differences together are that large by chance once "
         "in a hundred times. Else groups may still differ by what the interval holds.",
         emphasis=[i for i, row in enumerate(rows) if row.differs],
     )
