@@ -91,7 +91,11 @@ class BenchDescription(FormulaKeys):
             unknowns=unknown_laws(library),
             settings=settings_with(advised, self.effort),
             laws=OdeLaws(
-                library=library, model=library.model, whole=library.study, make=self.setup
+                library=library,
+                model=library.model,
+                study=library.study,
+                whole=library.study,
+                make=self.setup,
             ),
         )
 
