@@ -5,6 +5,7 @@ Every key is told once, in its description; docs/study_keys.md is written from t
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -43,10 +44,6 @@ from diffsim.data.study_types import (
     ZeroTime,
     in_own_unit,
 )
-
-
-def _plain_name(given: str) -> str:
-    return require_file_name("name", given)
 
 
 def _wrap_name(given: Any) -> Any:
@@ -428,7 +425,7 @@ class RunEntry(RunKeys):
 class StudyFile(Part):
     """What was measured, what was commanded, in which runs, of which system."""
 
-    name: Annotated[str, AfterValidator(_plain_name)] = Field(
+    name: Annotated[str, AfterValidator(partial(require_file_name, "name"))] = Field(
         description="Short name, as reports and the folder of results show it"
     )
     like: PathInside | None = Field(

@@ -152,7 +152,7 @@ def test_another_design_is_off_by_the_same_share_of_its_mass(tmp_path, vehicle):
     torch.testing.assert_close(found, by_hand, rtol=1e-12, atol=1e-14)
 
 
-@pytest.mark.cpu(20)
+@pytest.mark.story
 def test_a_design_for_the_diagnosed_copter_serves_it_better_than_one_for_the_plain(tmp_path):
     plain = WaypointTask(num_episodes=4, num_waypoints=1, seconds=1.0, dt=0.02)
     vehicle = plain.airframe.vehicle(plain.airframe.conventional)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -19,7 +19,6 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.law import (
     FEWEST_VALUES,
     LASTING,
-    LAWS,
     VALUE,
     Entry,
     Gains,
@@ -27,12 +26,11 @@ from diffsim.identify.law import (
     Law,
     Memory,
     Variable,
-    numbers_of,
     put_variable,
     reading_entries,
 )
 from diffsim.identify.problem import Problem
-from diffsim.identify.setup import DiagnosisSetup, law_effect
+from diffsim.identify.setup import LawPort, law_effect
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.ode.applying import entering, symbol
 from diffsim.systems.ode.described import FormulaSystem
@@ -56,23 +54,15 @@ _RATE = "hidden_rate"
 _LASTING, _REACH, _SWING, _SLOW = "lasting", "slip_reach", "swing_rate", "slow_speed"
 
 
-@dataclass(frozen=True, eq=False)
-class OdeLaws:
-    """Entries and variables of a described system (``identify.law.LawPort``).
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OdeLaws(LawPort):
+    """Entries and variables of a described system.
 
     Attributes:
         library: Names and usual magnitudes of the described system.
-        make: Function (study) -> setup, of a study whose frame holds laws.
-        whole: Study with runs to test by; None: the library's has all.
     """
 
     library: Library
-    make: Callable[[Study], DiagnosisSetup]
-    whole: Study | None = None
-
-    def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> OdeLaws:
-        """The same for a study of more runs, whose setup another function makes."""
-        return replace(self, make=make, whole=study)
 
     @property
     def system(self) -> FormulaSystem:
@@ -375,8 +365,8 @@ class OdeLaws:
     def _place(self, name: str) -> Place:
         return next(place for place, _ in self.library.places if place.name == name)
 
-    def block(self, law: Law) -> Mapping[str, Any]:
-        """A law as a cause of formulas, as ``effects.own`` takes it."""
+    def action(self, law: Law) -> Mapping[str, Any]:
+        """What a law changes, in the keys of a cause of formulas."""
         entry, variable = law.entry, law.variable
         term = put_variable(law.term, variable)
         target = {"adds_to": entry.target}
@@ -389,25 +379,8 @@ class OdeLaws:
                 target = {"adds_to": place.force}
         elif entry.kind == "number":
             target, term = {"multiplies": entry.target}, f"1 + ({term})"
-        return {
-            "name": law.name,
-            **target,
-            "term": term,
-            "states": {s: {"rate": h.rate, "start": h.start} for s, h in variable.states.items()},
-            "shapes": {name: numbers_of(s) for name, s in law.shapes.items()},
-            "typical": law.typical,
-            "unit": law.unit,
-            "one_sided": not law.signed,
-            "scanned": True,
-            "family": "law",
-            "price": law.price,
-        }
-
-    def setup_with(self, blocks: Sequence[Mapping[str, Any]]) -> DiagnosisSetup:
-        """The system with laws among its candidate causes."""
-        study = self.whole or self.study
-        frame = {**study.frame, **self.library.model.frame, LAWS: [dict(b) for b in blocks]}
-        return self.make(replace(study, frame=frame))
+        states = {s: {"rate": h.rate, "start": h.start} for s, h in variable.states.items()}
+        return {**target, "term": term, "states": states}
 
 
 def _apply_terms(
