@@ -23,6 +23,7 @@ from benchmarks.nearest_tests import nearest_tests
 
 ROOT = Path(__file__).resolve().parents[1]
 HARMLESS = Path(__file__).with_name("harmless_errors.yaml")
+DEFAULTS = "tests/test_api.py"  # holds those of all public calls against docs/api.md
 FOLDERS = {"diffsim": "*.py", "csrc/kernels": "*.[ch]*"}
 SIGNS = {ast.Add: "-", ast.Sub: "+"}
 FACTORS = {ast.Mult: "/", ast.Div: "*"}
@@ -83,7 +84,8 @@ def draw(seed: int, num: int, nearest: int | None = None) -> list[Drawn]:
         ):
             continue  # what is dropped ends between brackets
         if tests := nearest_tests(name, _line_of(text, site))[:nearest]:
-            drawn[name] = _stated(name, text, site, tests)
+            of_all = [DEFAULTS] if site.kind == "default" and path.suffix == ".py" else []
+            drawn[name] = _stated(name, text, site, [*of_all, *tests])
     return list(drawn.values())
 
 

@@ -1,9 +1,10 @@
 """Which tests come nearest to a line: steps over names, from what holds it to what a test says.
 
-The nearest test says the name of the function or class that holds the line; the next one that of
-something which uses it, and so on. Names of Python are those of definitions, of kernels those under
-which the bindings make them known. Only modules above the file are walked, and only tests above it
-are found (``scripts/changed_tests.py``); those that no name leads to come last.
+A test is near that says the name of the function or class that holds the line, or that of something
+which uses it, and so on: every step counts a tenth, and a name the less, the more tests say it. A
+test of the same folder counts more. Names of Python are those of definitions, of kernels those
+under which the bindings make them known. Only modules above the file are walked, and only tests
+above it are found (``scripts/changed_tests.py``); those that no name leads to come last.
 """
 
 from __future__ import annotations
@@ -11,36 +12,40 @@ from __future__ import annotations
 import ast
 import importlib.util
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[1]
-FAR = 99  # steps to a test that no name leads to
-READS_TEXT = "tests/benchmarks/test_planted_errors.py"  # of every planted line: sees no answer
+LOOK_AT_TEXT = (  # and see no answer: of every planted line, of what git knows
+    "tests/benchmarks/test_planted_errors.py",
+    "tests/test_changed.py",
+)
 
 
 def nearest_tests(file: str, line: int) -> list[str]:
-    """Test files of all modules above a line, the nearest first: its own, fewest steps, its room.
+    """Test files of all modules above a line, the nearest first, before all its own.
 
     Args:
         file: Path in the tree.
         line: Number of the line, from 1.
     """
     changed = _changed_tests()
-    found = [t for t in changed.tests_of([file]) if t not in (*changed.ALWAYS, READS_TEXT)]
+    found = [t for t in changed.tests_of([file]) if t not in (*changed.ALWAYS, *LOOK_AT_TEXT)]
     steps = _steps_over_names(file, line)
     parts = Path(file).with_suffix("").parts
     room, stem = (parts[2] if parts[0] == "csrc" else parts[1]), parts[-1].strip("_")
 
-    def far(test: str) -> tuple[bool, int, int, int, str]:
+    said = {test: _words_of_file(test) & steps.keys() for test in found}
+    sayers = Counter(word for words in said.values() for word in words)
+
+    def far(test: str) -> tuple[bool, float, str]:
         own = Path(test).stem == f"test_{stem}"
         shared = len(set(Path(test).parts) & set(parts)) + (f"tests/{room}/" in test)
-        said = [steps[word] for word in _words_of_file(test) & steps.keys()]
-        near = min(said, default=FAR)
-        return not own, near, -shared, -said.count(near), test
+        near = sum(0.1 ** steps[word] / sayers[word] for word in said[test])
+        return not own, -near * (1 + shared), test
 
     return sorted(found, key=far)
 
@@ -94,7 +99,17 @@ def _definitions(path: str) -> list[tuple[str, set[str]]]:
     """Names that a file defines, with the words that their definitions say."""
     if not path.endswith(".py"):
         return []
-    return list(_definitions_in(ast.parse((ROOT / path).read_text(encoding="utf-8")).body))
+    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+    return [*_definitions_in(tree.body), *_entries_of(tree)]
+
+
+def _entries_of(tree: ast.AST) -> Iterator[tuple[str, set[str]]]:
+    """Keys of tables, by which tests ask for what stands there."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Dict):
+            for key, value in zip(node.keys, node.values, strict=True):
+                if isinstance(key, ast.Constant) and isinstance(key.value, str):
+                    yield key.value, _words(value)
 
 
 def _definitions_in(body: list[ast.stmt]) -> Iterator[tuple[str, set[str]]]:
@@ -110,8 +125,9 @@ def _definitions_in(body: list[ast.stmt]) -> Iterator[tuple[str, set[str]]]:
             yield node.name, _words(node)
         elif isinstance(node, (ast.Assign, ast.AnnAssign)):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            said = _words(node.value) if node.value else set()
-            yield from ((t.id, said) for t in targets if isinstance(t, ast.Name))
+            yield from ((t.id, _words(node)) for t in targets if isinstance(t, ast.Name))
+        elif isinstance(node, ast.If):
+            yield from _definitions_in([*node.body, *node.orelse])
 
 
 @cache
@@ -129,9 +145,8 @@ def _words(tree: ast.AST) -> set[str]:
             words.add(node.attr)
         elif isinstance(node, ast.alias):
             words.add(node.name.rpartition(".")[2])
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if node.value.isidentifier():
-                words.add(node.value)
+        elif isinstance(node, ast.Constant) and str(node.value).isidentifier():
+            words.add(str(node.value))
     return words
 
 

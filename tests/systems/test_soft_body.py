@@ -204,6 +204,16 @@ def test_drags_and_friction_of_a_body_that_moves_as_a_whole():
     torch.testing.assert_close(forces(friction, v), size(-0.02, 0.02, 0.0))
 
 
+@pytest.mark.parametrize("name", ["linear_drag", "quadratic_drag", "dry_friction"])
+def test_what_resists_has_the_derivative_of_its_odd_law_at_rest(name):
+    """As differences across rest have it: finite, though a speed's root has none there."""
+    scene = CAUSES[name].apply(scene_of(beam(), RUN), size(7.0), RUN)
+    found = torch.autograd.functional.jacobian(lambda v: forces(scene, v), size(0.0, 0.0, 0.0))
+    step = 1e-7 * torch.eye(3).double()
+    expected = torch.stack([forces(scene, d) - forces(scene, -d) for d in step], 1) / 2e-7
+    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-6)
+
+
 def test_stiffening_force_is_that_of_its_energy():
     scene = scene_of(beam(), RUN)
     rng = np.random.default_rng(0)
