@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Literal
 
@@ -53,12 +53,12 @@ class Grid:
         """
         gaps = np.diff(seconds)
         counts = np.maximum(np.ceil(gaps / step - 1e-6), 1.0).astype(int)
-        parts = [
-            start + gap * np.arange(count) / count
-            for start, gap, count in zip(seconds, gaps, counts, strict=False)
-        ]
         samples = np.concatenate([[0], np.cumsum(counts)])
-        times = np.concatenate([*parts, seconds[-1:]])
+        at = np.arange(samples[-1]) - np.repeat(samples[:-1], counts)
+        parts = np.repeat(seconds[:-1], counts) + np.repeat(gaps, counts) * at / np.repeat(
+            counts, counts
+        )
+        times = np.concatenate([parts, seconds[-1:]])
         times[samples] = seconds
         return cls(torch.from_numpy(times), torch.from_numpy(samples), seconds)
 
@@ -80,15 +80,16 @@ class Grid:
         if isinstance(values, Tensor):
             return self._read_tensor(values, held)
         if held:
-            return torch.from_numpy(np.ascontiguousarray(values[self._last_sample()]))
+            return torch.from_numpy(np.ascontiguousarray(values[self._last_sample]))
         return torch.from_numpy(np.interp(self.times.numpy(), self.seconds, values))
 
+    @cached_property
     def _last_sample(self) -> NDArray[np.int64]:
         """Index of the sample at or before each time."""
         return np.searchsorted(self.seconds, self.times.numpy(), side="right") - 1
 
     def _read_tensor(self, values: Tensor, held: bool) -> Tensor:
-        left = torch.from_numpy(self._last_sample())
+        left = torch.from_numpy(self._last_sample)
         if held:
             return values[..., left]
         left = left.clamp(max=max(len(self.seconds) - 2, 0))

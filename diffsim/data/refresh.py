@@ -76,7 +76,8 @@ class _Lags:
     def fit(self, period: float) -> tuple[float, float, float]:
         """Best phase [s], squares that its sawtooth explains, and how much of it is there."""
         phases = period * np.arange(PHASES) / PHASES
-        lag = -self.velocity * age(self.times, period, phases[:, None])
+        old = age(self.times, period, 0.0) - phases[:, None]
+        lag = -self.velocity * np.where(old < 0.0, old + period, old)
         teeth = lag - _smooth(lag)
         along = teeth @ np.where(self.velocity != 0.0, self.off, 0.0)
         squares = np.maximum((teeth**2).sum(-1), TINY)
@@ -100,10 +101,13 @@ def _smooth(values: Array, derivative: int = 0) -> Array:
 def _smoother(derivative: int) -> Array:
     """What ``WINDOW`` values make of each of them: the middle row holds anywhere, those before and
     after it at the ends of a record. A filter made for each call fits the ends anew each time."""
-    from scipy.signal import savgol_filter  # dear to load
+    from numpy.polynomial.polynomial import polyder, polyvander
 
-    made = savgol_filter(np.eye(WINDOW), WINDOW, DEGREE, deriv=derivative, axis=0)
-    return np.asarray(made)
+    at = np.arange(WINDOW) - WINDOW // 2.0
+    shown = polyder(np.eye(DEGREE + 1), derivative)
+    return np.asarray(
+        polyvander(at, DEGREE - derivative) @ shown @ np.linalg.pinv(polyvander(at, DEGREE))
+    )
 
 
 def age(times: Array, period: float, phase: float | Array) -> Array:

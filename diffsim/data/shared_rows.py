@@ -54,6 +54,9 @@ def shared_stretches(
     if not hashes:
         return
     every, of, row = np.concatenate(hashes), np.concatenate(places), np.concatenate(rows)
+    ordered = np.sort(every)
+    if not (ordered[1:] == ordered[:-1]).any():
+        return  # far faster to tell than where they are
     order = np.argsort(every, kind="stable")
     every, of, row = every[order], of[order], row[order]
     starts = np.flatnonzero(np.append(True, every[1:] != every[:-1]))
@@ -90,11 +93,10 @@ def _windows(values: Array, *, distinct: bool) -> tuple[Hashes, NDArray[np.int64
     seen = there.any(axis=1)
     good = np.convolve(seen, np.ones(STRETCH), mode="valid") > STRETCH - 0.5
     if distinct:
-        part = np.lib.stride_tricks.sliding_window_view(row, STRETCH)
-        near = np.zeros(count, dtype=bool)
         for gap in range(1, STRETCH):
-            near |= (part[:, gap:] == part[:, :-gap]).any(axis=1)
-        good &= ~near
+            equal = row[gap:] == row[:-gap]
+            for first in range(STRETCH - gap):
+                good &= ~equal[first : first + count]
     at = np.flatnonzero(good)
     return window[at], at
 

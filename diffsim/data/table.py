@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.progress import say_stage
 from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
 from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES
 
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
 MAX_LINE = 4_000_000  # characters
+ROWS_SHOWN = 20_000  # rows after which reading says how far it is
 MISSING = ("nan", "na", "n/a", "#n/a", "n.a.", "null", "none", "-", "--", "---", "----")
 _OTHER_TIME = re.compile(r"^(t|time|timestamp|time_?ms|time_?us|t_s|t_ms|seconds)$", re.IGNORECASE)
 
@@ -453,6 +455,8 @@ def _all_numbers_of(
 
     def filled(lines: Iterable[str], before: int) -> Iterator[str]:
         for number, line in enumerate(lines, before + 1):
+            if number % ROWS_SHOWN == 0:
+                say_stage(f"reading {path.name}, row {number}")
             if not line.isspace():
                 numbers.append(number)
                 yield line

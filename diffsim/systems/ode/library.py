@@ -172,7 +172,8 @@ def _widen_scale(known: CommandScale | None, scene: OdeScene, name: str) -> Comm
     u = scene.inputs[name].detach()
     low, high = float(u.min()), float(u.max())
     steps = scene.grid.times.diff()
-    rate = float((u.diff(dim=-1).abs() / steps).quantile(0.9)) if len(steps) else 0.0
+    rates = (u.diff(dim=-1).abs() / steps).numpy()
+    rate = float(np.quantile(rates, 0.9)) if len(steps) else 0.0
     rests = leaves_zero(u.numpy())
     if known is None:
         return CommandScale(low, high, rate, rests)

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from diffsim.core.progress import say_stage
 from diffsim.data.study import Run
 from diffsim.identify.model import SimModel
 from diffsim.systems.ode.scene import OdeScene
@@ -70,6 +71,7 @@ def cut_run(run: Run, model: SimModel) -> tuple[Piece, ...]:
         run: Recorded run.
         model: Plain model, whose scenes are :class:`OdeScene`.
     """
+    say_stage(f"asking how far the start of run {run.name} tells")
     scene = model.scene(run, model.at_prior())
     assert isinstance(scene, OdeScene)
     with torch.no_grad():
