@@ -187,6 +187,6 @@ def _say_difference(row: ApartRow, others: str) -> str:
     word = "more" if over.value > 0.0 else "less"
     verb = "have" if row.others else "has"
     return (
-        f"{row.fact.capitalize()} {row.label} {verb} {abs(over.value):.3g}{after_number(unit)} {word} "
-        f"{words_of(row.name)} than {others} ({low:.3g} to {high:.3g}; 90 % interval)."
+        f"{row.fact.capitalize()} {row.label} {verb} {abs(over.value):.3g}{after_number(unit)} "
+        f"{word} {words_of(row.name)} than {others} ({low:.3g} to {high:.3g}; 90 % interval)."
     )

@@ -352,7 +352,8 @@ def doubts_of_unseen(gain: Gain | None, errors: Sequence[ErrorRow]) -> Iterator[
         errors: Errors on runs that were not fitted.
     """
     if gain is not None and (why := _is_unconfirmed(gain)):
-        yield f"{why} on test runs"
+        bought = f"a value fitted to test runs is {gain.farthest:.2g} sd from what is stated"
+        yield bought if gain.is_bought else f"{why} on test runs"
     left = max((r / n for r, n in _pool_errors(errors).values()), default=0.0)
     if left > MUCH_UNSEEN:
         yield f"the error on unseen runs is {left:.2g} times the noise"

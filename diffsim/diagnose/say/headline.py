@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby, product
+from types import MappingProxyType
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from diffsim.diagnose.judge.records import (
     CauseRow,
     ErrorRow,
 )
+from diffsim.diagnose.judge.unseen import OF_ONE_RUN
 from diffsim.diagnose.say.wording import (
     Answer,
     capital,
@@ -64,13 +67,26 @@ def headline(
     return " ".join([first, *_second(answer, errors, failed, gained), *_noise(errors, gained)])
 
 
-def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended: bool) -> str:
-    """The errors of a saved model on new runs in a sentence.
+def first_of(said: str) -> str:
+    """The first sentence of a headline; a point within it, as of a number, ends none."""
+    return re.split(r"(?<=\.) (?=Not certain: |No gain is known: |The stated noise )", said)[0]
+
+
+def judged_headline(
+    errors: Sequence[ErrorRow],
+    gained: Gain | None,
+    *,
+    extended: bool,
+    gains: Mapping[str, Gain] = MappingProxyType({}),
+) -> str:
+    """The errors of a saved model on new runs in a sentence; first, where some kinds of runs get
+    worse and others better, which.
 
     Args:
         errors: Errors on the runs; none where no run could be simulated.
         gained: Gain over all of them; None: not known.
         extended: Whether the model names a cause.
+        gains: Gain by run.
     """
     if not errors:
         return "No run could be simulated."
@@ -81,7 +97,26 @@ def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended
     if ending.startswith("no skill"):
         with_model = f"The extended model has {ending}."
     doubts = [f"Not certain: {why}." for why in _of_gain(gained)]
-    return " ".join([with_model, *doubts, *_noise(errors, gained)])
+    return " ".join([*_by_kind(gains), with_model, *doubts, *_noise(errors, gained)])
+
+
+def _by_kind(gains: Mapping[str, Gain]) -> list[str]:
+    """Which kinds of runs get better and which worse, where both are: "better on gravity (2 of 2),
+    worse on heavy (8 of 8)"."""
+    kinds: dict[str, list[Gain]] = {}
+    for run, gain in gains.items():
+        kinds.setdefault(OF_ONE_RUN.sub("", run), []).append(gain)
+    said: dict[str, list[str]] = {"Better": [], "worse": []}
+    for kind, own in kinds.items():
+        num_worse = sum(gain.status == "withdrawn" for gain in own)
+        num_better = sum(gain.is_above_zero for gain in own)
+        if num_worse != num_better:
+            verb, most = ("worse", num_worse) if num_worse > num_better else ("Better", num_better)
+            said[verb].append(f"{kind} ({most} of {len(own)})" if len(own) > 1 else kind)
+    if not all(said.values()):
+        return []
+    parts = [f"{verb} on {_join(names[:MAX_NAMES])}" for verb, names in said.items()]
+    return [f"{', '.join(parts)}."]
 
 
 def _first_that_fits(said: Sequence[str], endings: Sequence[str]) -> str:
@@ -137,6 +172,8 @@ def _of_gain(gained: Gain | None) -> list[str]:
         return []
     if gained.status == "cannot be judged":
         return ["unseen runs cannot judge it"]
+    if gained.is_bought:
+        return [f"a value fitted to unseen runs is {gained.farthest:.2g} sd from what is stated"]
     return ["no gain is confirmed on unseen runs"]
 
 

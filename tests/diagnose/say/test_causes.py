@@ -19,12 +19,11 @@ from diffsim.diagnose.judge.preconditions import singled_out
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
 from diffsim.diagnose.say.causes import CauseEvidence, _rise_without
-from diffsim.diagnose.say.headline import _on_unseen, headline
+from diffsim.diagnose.say.headline import _on_unseen, first_of, headline
 from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from diffsim.identify.model import Parameter, SimModel
 from tests.diagnose import linear
-from tests.diagnose.say import first_of
 
 QUICK = DiagnosisSettings(search=SearchSettings(num_refits=4))
 PUSH, OTHER = linear.line("push"), linear.line("other", family="twins")
