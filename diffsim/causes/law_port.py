@@ -33,7 +33,7 @@ from diffsim.causes.plant import Plant
 from diffsim.causes.ports import OF_FORCES
 from diffsim.causes.scene import ForceLaw, grid_of
 from diffsim.causes.signals import Grid
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Run
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 from diffsim.identify.law import (
     FEWEST_VALUES,
@@ -62,11 +62,9 @@ class PortLaws(LawPort):
 
     Attributes:
         offered: Makes the ports; asked for when laws are looked for, and not before.
-        study: Study with the recordings as the system cuts it, without runs to test by.
     """
 
     offered: Callable[[], Plant | None]
-    study: Study
 
     @cached_property
     def plant(self) -> Plant:

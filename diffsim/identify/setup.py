@@ -51,11 +51,13 @@ class LawPort(ABC):
 
     Attributes:
         model: Plain model.
+        study: Study with the recordings as the system cuts it.
         whole: Study as it was recorded, with the runs to test by.
         make: Function (study) -> setup, of a study whose frame holds laws.
     """
 
     model: SimModel
+    study: Study
     whole: Study
     make: Callable[[Study], DiagnosisSetup]
 

@@ -21,7 +21,7 @@ from diffsim.core.check import (
 )
 from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
-from diffsim.core.numbers import values_of
+from diffsim.core.numbers import require_unmapped, values_of
 from diffsim.core.record import warn
 from diffsim.core.torch_names import on_constants
 from diffsim.mesh.core import HexMesh, Mesh, TetMesh
@@ -136,6 +136,7 @@ def safe_share(mesh: HexMesh | TetMesh, x: Tensor, moved: Tensor, *, least: floa
     """
     require_number("least", least, above=0.0, below=1.0)
     x, moved = (require(n, t, (mesh.num_nodes, 3)) for n, t in (("x", x), ("moved", moved)))
+    require_unmapped(x=x, moved=moved)
     with on_constants():
         start, step = values_of(x), values_of(moved) - values_of(x)
         bound = least * _quality(mesh, mesh.x_rest)

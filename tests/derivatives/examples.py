@@ -378,6 +378,9 @@ def _rolled() -> dict[str, Any]:
 CALL |= {
     "SoftBody.physics": lambda: {"density": real(1.5), "youngs_modulus": real(30.0),
                                  "x_rest": deformed(irregular_mesh("hex"), 0.1)},
+    "SoftBody.rest_state": lambda: {
+        "physics": _body().physics(x_rest=deformed(irregular_mesh("hex"), 0.1)),
+    },
     "rollout": _rolled,
     "rollout_tangents": lambda: {
         **_rolled(), "count": 1, "directions": soft.Directions(v=noise(1, 12, 3)),

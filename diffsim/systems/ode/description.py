@@ -138,7 +138,11 @@ class OdeDescription(FormulaKeys):
             unknown_forces(library),
             settings=settings_with(DiagnosisSettings(), self.effort),
             laws=OdeLaws(
-                library=library, model=library.model, whole=library.study, make=self.setup
+                library=library,
+                model=library.model,
+                study=library.study,
+                whole=library.study,
+                make=self.setup,
             ),
         )
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.law import (
     FEWEST_VALUES,
@@ -34,7 +34,7 @@ from diffsim.identify.setup import LawPort, law_effect
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.ode.applying import entering, symbol
 from diffsim.systems.ode.described import FormulaSystem
-from diffsim.systems.ode.keys import FormulaKeys, Place
+from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import TIME, Change, filled, named, product
 from diffsim.systems.ode.scene import OdeScene, at_start
@@ -70,16 +70,6 @@ class OdeLaws(LawPort):
         return self.library.system
 
     @property
-    def study(self) -> Study:
-        """Study with the recordings."""
-        return self.library.study
-
-    @property
-    def keys(self) -> FormulaKeys:
-        """Keys of the description."""
-        return self.system.keys
-
-    @property
     def entries(self) -> Sequence[Entry]:
         """Places, rates that nothing else tells, numbers, inputs and channels."""
         return tuple(self._list_entries())
@@ -96,7 +86,7 @@ class OdeLaws(LawPort):
                 continue
             yield Entry("rate", state, "1/s", self._usual_rate(state))
         used = self._names_in_use()
-        for name, q in self.keys.parameters.items():
+        for name, q in self.system.keys.parameters.items():
             if name not in used:
                 continue
             if q.sd is not None and q.sd >= abs(q.value):  # a share of what may be zero says little
@@ -133,11 +123,11 @@ class OdeLaws(LawPort):
 
     def _list_plain(self) -> Iterator[Variable]:
         motion, runs = self.system.motion, self.study.fit_runs
-        names = dict.fromkeys((*motion.states, *self.system.held, *self.keys.define))
+        names = dict.fromkeys((*motion.states, *self.system.held, *self.system.keys.define))
         units = self._units()
         for name in names:
             yield Variable(name, name, units.get(name, "-"), is_turn=True)
-        for channel, text in self.keys.readings.items():
+        for channel, text in self.system.keys.readings.items():
             if text.strip() not in names:
                 yield Variable(channel, f"({text})", units.get(channel, "-"), is_turn=True)
         for column in self.system.columns:
@@ -153,7 +143,7 @@ class OdeLaws(LawPort):
         out = {c.name: c.unit for c in self.study.channels}
         out |= {c.name: c.unit for c in self.study.commands if c.unit}
         out |= {c.name: c.unit for c in self.study.columns if c.unit}
-        for channel, text in self.keys.readings.items():
+        for channel, text in self.system.keys.readings.items():
             out.setdefault(text.strip(), out[channel])
         for place in self.system.motion.places:
             out[place.position] = place.position_unit
