@@ -45,7 +45,8 @@ def parts_of(name: str) -> tuple[list[Part], Array, float | None, int]:
         raise ValueError("its groups have faults that differ")
     inputs = inputs_of(study, seed=0, budget="quick")
     report = library_answer(inputs)
-    parts = unfitted_parts(report.best, report.study.select_runs)
+    channels, select = report.study.channels, report.study.select_runs
+    parts = unfitted_parts(report.best, channels, select, plain=report.null)
     known, tests = like_unseen(parts, report.floor.sd), len(report.study.test_runs)
     return known, report.floor.sd, band_share(report.errors), tests
 

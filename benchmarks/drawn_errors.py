@@ -11,19 +11,19 @@ reason, in ``harmless_errors.yaml``, and leave the count.
 from __future__ import annotations
 
 import ast
-import importlib.util
 import random
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import yaml
 
+from benchmarks.nearest_tests import nearest_tests
+
 ROOT = Path(__file__).resolve().parents[1]
 HARMLESS = Path(__file__).with_name("harmless_errors.yaml")
+DEFAULTS = "tests/test_api.py"  # holds those of all public calls against docs/api.md
 FOLDERS = {"diffsim": "*.py", "csrc/kernels": "*.[ch]*"}
 SIGNS = {ast.Add: "-", ast.Sub: "+"}
 FACTORS = {ast.Mult: "/", ast.Div: "*"}
@@ -83,9 +83,14 @@ def draw(seed: int, num: int, nearest: int | None = None) -> list[Drawn]:
             text[: site.start] + site.new + text[site.end :]
         ):
             continue  # what is dropped ends between brackets
-        if tests := tests_of(name)[:nearest]:
-            drawn[name] = _stated(name, text, site, tests)
+        if tests := nearest_tests(name, _line_of(text, site))[:nearest]:
+            of_all = [DEFAULTS] if site.kind == "default" and path.suffix == ".py" else []
+            drawn[name] = _stated(name, text, site, [*of_all, *tests])
     return list(drawn.values())
+
+
+def _line_of(text: str, site: Site) -> int:
+    return text.count("\n", 0, site.start) + 1
 
 
 def _is_python(text: str) -> bool:
@@ -109,7 +114,7 @@ def _stated(name: str, text: str, site: Site, tests: list[str]) -> Drawn:
         first -= 1
         start -= len(lines[first])
     new = old[: site.start - start] + site.new + old[site.end - start :]
-    number = text.count("\n", 0, site.start) + 1
+    number = _line_of(text, site)
     stem = re.sub(r"\W+", "-", name.removeprefix("diffsim/").rpartition(".")[0])
     was = " ".join(text[site.start : site.end].split())
     return Drawn(
@@ -196,31 +201,6 @@ def _sites_of_kernel(text: str) -> Iterator[Site]:
                 for found in re.finditer(re.escape(old), code):
                     yield Site(at + found.start(), at + found.end(), new, kind)
         at += len(line)
-
-
-@cache
-def _changed_tests() -> ModuleType:
-    path = ROOT / "scripts" / "changed_tests.py"
-    spec = importlib.util.spec_from_file_location("changed_tests", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def tests_of(file: str) -> list[str]:
-    """Test files of all modules above a file, the nearest first: its own, its folder's, others."""
-    changed = _changed_tests()
-    found = [t for t in changed.tests_of([file]) if t not in changed.ALWAYS]
-    parts = Path(file).with_suffix("").parts
-    room, stem = (parts[2] if parts[0] == "csrc" else parts[1]), parts[-1].strip("_")
-
-    def far(test: str) -> tuple[bool, int, str]:
-        own = Path(test).stem == f"test_{stem}"
-        shared = len(set(Path(test).parts) & set(parts)) + (f"tests/{room}/" in test)
-        return not own, -shared, test
-
-    return sorted(found, key=far)
 
 
 def read_harmless() -> dict[str, str]:

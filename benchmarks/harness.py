@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import os
 import sys
 import time
@@ -17,7 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import torch
 
-from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
+from diffsim.core.files import read_kept, to_plain, write_json_atomic, write_text_atomic
 from diffsim.core.progress import show_progress
 from labs.machine import code_fingerprint, machine
 
@@ -138,9 +137,8 @@ class Store:
         return self.folder / f"{part.name.replace('/', '__')}.json"
 
     def _read(self, part: Part, say: Callable[[str], None]) -> dict[str, Any] | None:
-        try:
-            kept = json.loads(self._path(part).read_text(encoding="utf-8"))
-        except (FileNotFoundError, json.JSONDecodeError):
+        kept = read_kept(self._path(part))
+        if kept is None:
             return None
         same = (kept["settings"], kept["fingerprint"]) == (
             to_plain(part.settings),

@@ -446,9 +446,8 @@ class Record:
 
     def keep(self, plan: Sequence[Planted]) -> None:
         """Drop what is not in the plan any more."""
-        names, selections = {e.name for e in plan}, {" ".join(e.selection) for e in plan}
+        names = {error.name for error in plan}
         self.errors = {n: row for n, row in self.errors.items() if n in names}
-        self.clean = {n: row for n, row in self.clean.items() if n in selections}
 
     def add(self, error: Planted, outcome: Outcome) -> None:
         """Keep the outcome of an error."""
@@ -483,14 +482,17 @@ def outcome_of(
     tests: WarmTests,
     limit: float,
 ) -> Outcome:
-    """The outcome of an error, after its tests were seen to pass without it."""
+    """The outcome of an error; the test that failed was seen to pass without it."""
     if error.is_compiled and (missing := lacking()):
         how = f"pip install -c constraints.txt {' '.join(missing)}"
         return Outcome(state=UNBUILT, by=how)
+    found = try_one(error, untouched, folder, tests, limit)
+    if found.state != CAUGHT:
+        return found
+    if (untouched / found.by.partition("::")[0]).is_file():  # a test, and no word of a signal
+        error = replace(error, tests=(found.by.partition("[")[0],), only="")
     clean = record.clean_outcome(error, untouched, tests, limit)
-    if clean.state != MISSED:
-        return Outcome(state=UNFIT if clean.state == UNFIT else RED, by=clean.by)
-    return try_one(error, untouched, folder, tests, limit)
+    return found if clean.state == MISSED else Outcome(state=RED, by=clean.by)
 
 
 def run_plan(

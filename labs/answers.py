@@ -14,6 +14,7 @@ def answer_of(report: Report) -> dict[str, Any]:
     stated = [row for row in report.causes if row.probability is not None]
     return {
         "verdict": report.verdict,
+        "headline": report.headline,
         "sentences": list(report.sentences),
         "named": sorted(report.named),
         "laws": [] if report.described is None else [law.name for law in report.described.laws],

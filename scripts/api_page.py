@@ -1,4 +1,4 @@
-"""Write the tables of docs/api.md: what each room offers, from its ``__all__`` and docstrings.
+"""Write the tables of docs/api.md: what each room offers, from ``__all__``, docstrings, signatures.
 
 python scripts/api_page.py
 """
@@ -32,11 +32,36 @@ def first_line(thing: object) -> str:
     return " ".join(line.strip() for line in lines).replace("|", "\\|")
 
 
+def defaults(thing: object) -> str:
+    """Numbers, flags and words that a call takes where none are given; of methods too."""
+    called = {"": thing}
+    if inspect.isclass(thing):
+        own = {n: getattr(f, "__func__", f) for n, f in vars(thing).items() if n[0] != "_"}
+        made = thing.__new__ if issubclass(thing, tuple) else thing.__init__
+        called = {"": made} | {f".{n}": f for n, f in own.items()}
+    found = []
+    for name, function in called.items():
+        if inspect.isfunction(inspect.unwrap(function)):
+            taken = inspect.signature(function).parameters.values()
+            plain = [p for p in taken if isinstance(p.default, (bool, int, float, str))]
+            said = ", ".join(f"{p.name}={p.default!r}" for p in plain)
+            found += [f"{name}({said})" if name else said] if said else []
+    return "; ".join(f"`{one}`" for one in found)
+
+
 def table(name: str) -> str:
     """The section of one package."""
     package = importlib.import_module(name)
-    rows = [f"| `{n}` | {first_line(getattr(package, n))} |" for n in sorted(package.__all__)]
-    head = [f"### {name}", "", first_line(package), "", "| name | what |", "|---|---|"]
+    things = {n: getattr(package, n) for n in sorted(package.__all__)}
+    rows = [f"| `{n}` | {first_line(thing)} | {defaults(thing)} |" for n, thing in things.items()]
+    head = [
+        f"### {name}",
+        "",
+        first_line(package),
+        "",
+        "| name | what | defaults |",
+        "|---|---|---|",
+    ]
     return "\n".join([*head, *rows])
 
 

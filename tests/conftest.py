@@ -6,6 +6,7 @@ import gc
 import os
 import time
 from collections import Counter
+from pathlib import Path
 
 # Two workers of one thread each; libraries read these when they are first loaded.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -17,10 +18,22 @@ from tests.cpu_seconds import CpuSeconds  # noqa: E402
 
 COLLECTION_S = pytest.StashKey[float]()
 """CPU seconds of this process up to its first test."""
+TESTS = Path(__file__).parent
+STORY_ROOMS = {TESTS / room for room in ("benchmarks", "labs", "rl", "systems/published")}
+"""Rooms of the tier ``story``: studies, and scripts beside the library. A run that names one of
+them, or a file there, has it all the same."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(CpuSeconds())
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out the rooms of stories where stories are left out and the room is not named."""
+    if "not story" not in config.option.markexpr or collection_path not in STORY_ROOMS:
+        return None
+    named = (config.invocation_params.dir / arg.partition("::")[0] for arg in config.args)
+    return None if any(path.resolve().is_relative_to(collection_path) for path in named) else True
 
 
 @pytest.hookimpl(wrapper=True)

@@ -87,7 +87,8 @@ def is_checked(public) -> bool:
     list(filter(is_checked, PUBLIC)),
     ids=lambda public: public.name.removeprefix("diffsim."),
 )
-def test_spoiled_arguments_are_refused_by_name(public):
+def test_spoiled_arguments_are_refused_by_name(public, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # a wrong path may be one to write to
     function, given = example_of(public)
     before = rows(function(given))
     parts = {k: v for k, v in given.items() if isinstance(v, dict)}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 import torch
 from torch import Tensor
-from torch.func import jacfwd, jacrev, jvp, vjp, vmap
+from torch.func import jacfwd, jacrev, jvp, linearize, vjp, vmap
 
 from diffsim import contact, soft, stokes
 from diffsim.copter import hover, lqr
@@ -223,3 +223,16 @@ def test_second_derivatives(made):
     change = (slope(x + step) - slope(x - step)) / 2.0
     moved = (hessians[0] * step).sum(tuple(range(x.ndim, 2 * x.ndim)))
     torch.testing.assert_close(moved, change, rtol=1e-6, atol=1e-13)
+
+
+@pytest.mark.parametrize("made", LAYERS, ids=lambda f: f.__name__)
+@pytest.mark.filterwarnings("ignore:Attempted to insert a get_attr Node")
+def test_linearize_gives_what_jvp_does_or_is_refused(made):
+    layer, x = made()
+    direction = noise(*x.shape, seed=7)
+    try:
+        moved = linearize(layer, x)[1](direction)
+    except NotImplementedError as error:
+        assert "torch.func.jvp" in str(error)
+    else:
+        torch.testing.assert_close(moved, jvp(layer, (x,), (direction,))[1], rtol=1e-12, atol=0.0)

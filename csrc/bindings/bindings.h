@@ -18,6 +18,7 @@ void bind_copter_flight(nb::module_& m);
 void bind_copter_control(nb::module_& m);
 void bind_cpu(nb::module_& m);
 void bind_ode(nb::module_& m);
+void bind_rod(nb::module_& m);
 void bind_signals(nb::module_& m);
 void bind_soft(nb::module_& m);
 void bind_soft_contact(nb::module_& m);

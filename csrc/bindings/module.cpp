@@ -14,6 +14,7 @@ DIFFSIM_EXPAND(DIFFSIM_MODULE, m) {
   diffsim::bind_copter_control(m);
   diffsim::bind_cpu(m);
   diffsim::bind_ode(m);
+  diffsim::bind_rod(m);
   diffsim::bind_signals(m);
   diffsim::bind_soft(m);
   diffsim::bind_soft_contact(m);

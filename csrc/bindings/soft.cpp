@@ -19,6 +19,7 @@ void bind_arrays(nb::module_& m) {
       .def_rw("damp_mu", &SoftArrays::damp_mu)
       .def_rw("damp_lambda", &SoftArrays::damp_lambda)
       .def_rw("pressure", &SoftArrays::pressure)
+      .def_rw("tables", &SoftArrays::tables)
       .def_rw("y", &SoftArrays::y)
       .def_rw("force", &SoftArrays::force)
       .def_rw("target", &SoftArrays::target)
@@ -45,6 +46,7 @@ void bind_prepared(nb::module_& m) {
   nb::class_<SoftPattern>(m, "SoftPattern")
       .def_prop_ro("num_nodes", [](const SoftPattern& p) { return p.model().num_nodes; })
       .def_prop_ro("num_weights", [](const SoftPattern& p) { return p.model().num_weights; })
+      .def_prop_ro("num_tables", [](const SoftPattern& p) { return p.model().tables_size(); })
       .def_prop_ro("num_blocks", [](const SoftPattern& p) { return p.model().num_blocks(); });
   nb::class_<ConstantSystem>(m, "ConstantSystem")
       .def_prop_ro("plan",

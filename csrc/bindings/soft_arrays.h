@@ -10,7 +10,7 @@ namespace diffsim {
 /// diffsim/soft/_arrays.py; here and there every array is passed on by its name.
 struct SoftArrays {
   Address weights = 0, fiber_stiffness = 0, activation = 0, damp_mu = 0, damp_lambda = 0;
-  Address pressure = 0;
+  Address pressure = 0, tables = 0;
   Address y = 0, force = 0, target = 0, guess = 0, inertia = 0, x_frame = 0, x_velocity = 0;
 
   bool per_member = false;  // parameters and inertia have a batch axis
@@ -49,6 +49,7 @@ struct SoftArrays {
     grads.parameters.x_frame = out(x_frame);
     grads.parameters.x_velocity = out(x_velocity);
     grads.parameters.pressure = out(pressure);
+    grads.parameters.tables = out(tables);
     return grads;
   }
 
@@ -68,6 +69,7 @@ struct SoftArrays {
     rates.parameters.x_frame = in(x_frame);
     rates.parameters.x_velocity = in(x_velocity);
     rates.parameters.pressure = in(pressure);
+    rates.parameters.tables = in(tables);
     return rates;
   }
 };

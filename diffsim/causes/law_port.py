@@ -33,24 +33,22 @@ from diffsim.causes.plant import Plant
 from diffsim.causes.ports import OF_FORCES
 from diffsim.causes.scene import ForceLaw, grid_of
 from diffsim.causes.signals import Grid
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Run
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 from diffsim.identify.law import (
     FEWEST_VALUES,
     LASTING,
-    LAWS,
     Entry,
     Gains,
     Law,
     Variable,
-    numbers_of,
     put_variable,
     reading_entries,
 )
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
-from diffsim.identify.setup import DiagnosisSetup, law_effect
+from diffsim.identify.setup import LawPort, law_effect
 
 Array = NDArray[np.float64]
 _HIDDEN, _LASTING = "hidden", "lasting"
@@ -58,27 +56,15 @@ _USUAL = 0.1  # factor of a number, of which slopes are asked
 _OUTER = 1.0  # percent of the positions of a place that its usual range leaves out at each end
 
 
-@dataclass(frozen=True, eq=False)
-class PortLaws:
-    """Entries and variables of a system by its ports (``identify.setup.LawPort``).
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PortLaws(LawPort):
+    """Entries and variables of a system by its ports.
 
     Attributes:
         offered: Makes the ports; asked for when laws are looked for, and not before.
-        study: Study with the recordings as the system cuts it, without runs to test by.
-        model: Plain model.
-        make: Function (study) -> setup, of a study whose frame holds laws.
-        whole: Study as it was recorded.
     """
 
     offered: Callable[[], Plant | None]
-    study: Study
-    model: SimModel
-    make: Callable[[Study], DiagnosisSetup]
-    whole: Study
-
-    def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> PortLaws:
-        """The same for a study of more runs, whose setup another function makes."""
-        return replace(self, make=make, whole=study)
 
     @cached_property
     def plant(self) -> Plant:
@@ -175,10 +161,6 @@ class PortLaws:
                 out.append(name)
         return out
 
-    def drives(self, run: Run, most_knots: int) -> tuple[Effect, ...]:
-        """None: a simulation is not led along its recording."""
-        return ()
-
     def gains(self, problem: Problem, x: Array, entry: Entry) -> Gains | None:
         """What a unit at an entry does along a run; None where only a simulation tells."""
         (run,) = problem.runs
@@ -264,8 +246,8 @@ class PortLaws:
         shapes = {n: ShapeKeys(value=v) for n, v in variable.numbers.items()}
         return _formula(text, names, _memories_of(variable), shapes)
 
-    def block(self, law: Law) -> Mapping[str, Any]:
-        """A law as a row that a user could have written under ``effects.own``."""
+    def action(self, law: Law) -> Mapping[str, Any]:
+        """Where a law acts and how, in the keys of a row."""
         entry, variable = law.entry, law.variable
         term = put_variable(law.term, variable)
         acts: dict[str, Any] = {
@@ -274,25 +256,8 @@ class PortLaws:
             "number": {"at": "number", "scale": [entry.target], "map": term},
             "force": {"at": "force", "of": [entry.target], "law": term},
         }[entry.kind]
-        memories = _memories_of(variable)
-        return {
-            "name": law.name,
-            **acts,
-            **({"memories": {n: m.model_dump() for n, m in memories.items()}} if memories else {}),
-            "shapes": {name: numbers_of(s) for name, s in law.shapes.items()},
-            "typical": law.typical,
-            "unit": law.unit,
-            "one_sided": not law.signed,
-            "scanned": True,
-            "tries": [-1.0, 1.0],
-            "family": "law",
-            "price": law.price,
-        }
-
-    def setup_with(self, blocks: Sequence[Mapping[str, Any]]) -> DiagnosisSetup:
-        """The system with laws among its candidate causes."""
-        frame = {**self.whole.frame, **self.model.frame, LAWS: [dict(b) for b in blocks]}
-        return self.make(replace(self.whole, frame=frame))
+        memories = {n: m.model_dump() for n, m in _memories_of(variable).items()}
+        return {**acts, **({"memories": memories} if memories else {}), "tries": [-1.0, 1.0]}
 
 
 def _point_of(problem: Problem, x: Array) -> tuple[Tensor, dict[Effect, Tensor]]:

@@ -15,6 +15,7 @@ from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.faults import FaultReport, FaultVerdict, judge_faults
 from diffsim.diagnose.faults.groups import groups_of
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.systems.registry import setup_of
 
 FAULTS_FILE = "faults.json"
@@ -140,7 +141,7 @@ def lines(report: FaultReport) -> list[str]:
 def _paragraph(verdict: FaultVerdict) -> list[str]:
     said = f" (said: {verdict.said})" if verdict.said not in ("", "-") else ""
     out = [f"{verdict.title}{said}: {verdict.status}", f"  {_of_what(verdict)}"]
-    out.append(f"  {verdict.words}")
+    out += [f"  {verdict.words}", f"  next: {verdict.next_words}"]
     for size in verdict.sizes:
         i, unit = size.interval, after_number(size.unit)
         out.append(f"  {size.cause} {i.value:.3g}{unit} (90 %: {i.low:.3g} to {i.high:.3g})")
@@ -152,7 +153,8 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
         )
     else:
         least = sorted(verdict.smallest_visible.items(), key=lambda item: item[1])[:4]
-        out.append("  smallest visible: " + ", ".join(f"{c} {v:.2g}" for c, v in least))
+        seen = ", ".join(f"{words_of(c)} {v:.2g}" for c, v in least)
+        out.append(f"  smallest visible: {seen}")
     if verdict.set_aside:
         out.append(f"  set aside: {'; '.join(verdict.set_aside)}")
     return out

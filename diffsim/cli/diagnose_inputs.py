@@ -29,7 +29,9 @@ from diffsim.systems.registry import setup_of
 
 MAX_PATH = 200  # longer texts of a description are no paths
 # a first answer fits as a full one does: looser fits named other causes of the arm and the starfish
-SEARCH: dict[str, Any] = {"scan_steps": 16e6, "refit_steps": 16e6, "law_steps": None}
+FIRST_STEPS = 16e6  # weighted, of a first answer
+SEARCH: dict[str, Any] = {"scan_steps": FIRST_STEPS, "refit_steps": FIRST_STEPS, "law_steps": None}
+FULL_TIMES = 5.0  # a full answer may cost as many first ones
 FIRST: dict[str, Any] = {"first_mesh": 2.0, "dear_steps": 0.3e6, "again_steps": 16e6}
 
 
@@ -186,7 +188,12 @@ def _with_budget(settings: DiagnosisSettings, budget: str | float) -> DiagnosisS
         ValueError: neither quick, full nor a count.
     """
     if budget == FULL:
-        return settings
+        most = FULL_TIMES * FIRST_STEPS
+        own = settings.search
+        ends = {name: min(getattr(own, name), most) for name in ("scan_steps", "refit_steps")}
+        # laws share them, so that the whole ends there, unless the study asks for its own
+        laws = None if own.law_steps is None or not own.law_steps < most else own.law_steps
+        return replace(settings, search=replace(own, **ends, law_steps=laws))
     if budget == QUICK:
         return replace(settings, search=replace(settings.search, **SEARCH), **FIRST)
     if isinstance(budget, str) or not budget > 0.0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -23,7 +24,7 @@ from diffsim.cli.diagnose_files import (
     lacking,
 )
 from diffsim.cli.diagnose_init import init
-from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
+from diffsim.cli.diagnose_inputs import FIRST_STEPS, changed, inputs_of, read_study
 from diffsim.cli.diagnose_judged import write_judged
 from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
@@ -39,11 +40,20 @@ from diffsim.diagnose.checks.whole_record import column_problems
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.apart import apart_words
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.described import require_same_kind
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.own_values import OwnRow, own_words
 from diffsim.diagnose.judge.records import OutsideRow, band_words, no_skill_words
-from diffsim.diagnose.refit import advise, advise_narrowing, extend, fit_null, rival_sets
+from diffsim.diagnose.judge.rivals import cause_words
+from diffsim.diagnose.refit import (
+    advise,
+    advise_narrowing,
+    extend,
+    fit_null,
+    rival_sets,
+    wanted_columns,
+)
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
@@ -55,6 +65,7 @@ CACHE, JUDGE_FILE, JUDGE_PAGE, NEXT_FILE = "interrupted", "judge.json", "judge.h
 FAULTS_PAGE = "faults.html"
 RECORD = "record"  # verdict where the record itself is at fault
 MAX_OUTSIDE = 3  # lines per run; the file holds all
+JUDGED_ERRORS = ("before", "after", "noise", "constant", "held", "command", "without")
 MAX_FITTED = 4  # values in a run's line; the file holds all
 
 
@@ -167,6 +178,13 @@ def _explain(args: argparse.Namespace) -> None:
         shutil.rmtree(out / CACHE, ignore_errors=True)
     elif cache.is_dir():
         print(f"going on with what an interrupted diagnosis left in {cache}")
+    steps = inputs.setup.settings.search.refit_steps
+    if steps > FIRST_STEPS and not args.quiet:
+        print(
+            f"a full answer: at most {steps / 1e6:.0f} million simulated steps, by their weight; "
+            f"a first one (--quick) takes {FIRST_STEPS / 1e6:.0f} million, about a minute",
+            file=sys.stderr,
+        )
     with progress_bar("diagnose") as progress:
         report = diagnosed(inputs, progress=progress, cache=cache)
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
@@ -290,10 +308,10 @@ def _judge(args: argparse.Namespace) -> None:
     found = judge_saved(inputs, saved, args.runs)
     for line in found.differences:
         print(line)
-    heads = (f"{h:>9}" for h in ("before", "after", "noise", "constant", "held", "without"))
+    heads = (f"{h:>9}" for h in JUDGED_ERRORS)
     print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
     for row in found.errors:
-        values = (row.before, row.after, row.noise, row.constant, row.held, row.without)
+        values = (getattr(row, which) for which in JUDGED_ERRORS)
         numbers = " ".join(f"{'-' if v is None else f'{v:.3g}':>9}" for v in values)
         fitted = f"{row.num_fitted} value{'' if row.num_fitted == 1 else 's'}"
         print(f"{row.run:<24} {row.kind:<14} {numbers}  {row.unit:<8} {fitted}")
@@ -302,14 +320,23 @@ def _judge(args: argparse.Namespace) -> None:
     for name, why in found.failed.items():
         print(f"run {name} could not be simulated, so no gain is quoted: {why}")
     if saved.components and found.gain is not None:
+        single = {} if len(found.gains) < 2 else {f"Run {n}": g for n, g in found.gains.items()}
+        for what, gain in {**single, **{f"Runs {n}": g for n, g in found.kinds.items()}}.items():
+            share = f"{gain.value:.0%} ({gain.low:.0%} to {gain.high:.0%})"
+            print(f"{what}: {share} of the error above the noise is removed: {gain.status}")
         print(found.gain.words)
+    for line in cause_words(found.causes, {name: words_of(name) for name in found.causes}):
+        print(line)
     for line in no_skill_words(found.errors):
         print(line)
     if held := band_words(found.errors):
         print(held)
     for name in found.runs:
         _tell_outside(name, [far for far in found.outside if far.run == name])
-    said = judged_headline(found.errors, found.gain, extended=bool(saved.components))
+    said = judged_headline(
+        found.errors, found.gain, extended=bool(saved.components), gains=found.gains
+    )
+    print(said)
     content = {"study": inputs.study.name, "model": str(saved.path), "headline": said}
     print(f"wrote {write_json_atomic(out / JUDGE_FILE, {**content, **found.to_dict()})}")
     for path in write_judged(out, inputs.study, found):
@@ -415,6 +442,8 @@ def _next(args: argparse.Namespace) -> None:
     inputs, out = _inputs(args, study, with_bank=True)
     sets, why = rival_sets(saved)
     print(why)
+    for line in wanted_columns(saved):
+        print(line)
     refined = saved["settings"].get("numerics")
     numerics = Numerics(**refined) if refined else None
     advice: NextRun | Narrowing | None

@@ -256,8 +256,9 @@ def did_you_mean(value: str, known: Iterable[str]) -> str:
 
 def require_indices(name: str, value: Tensor, size: int, of: str) -> Tensor:
     """Check that integer indices lie in [0, size)."""
-    if value.numel() and (int(value.min()) < 0 or int(value.max()) >= size):
-        bad = value[(value < 0) | (value >= size)].flatten()
+    numbers = values_of(value)
+    if numbers.numel() and (int(numbers.min()) < 0 or int(numbers.max()) >= size):
+        bad = numbers[(numbers < 0) | (numbers >= size)].flatten()
         raise ValueError(
             f"{name} must hold indices of {of} in [0, {size}), got {int(bad[0])}"
             + (f" and {bad.numel() - 1} more out of range" if bad.numel() > 1 else "")

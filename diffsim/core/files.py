@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -91,6 +92,21 @@ def write_json_atomic(path: str | Path, value: Any) -> Path:
     """Write strict JSON; numpy scalars, arrays and paths are converted, NaN becomes null."""
     text = json.dumps(to_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
     return write_text_atomic(path, text + "\n")
+
+
+def read_kept(path: Path) -> dict[str, Any] | None:
+    """A result that was kept as JSON; None where there is none, or half of one."""
+    try:
+        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, json.JSONDecodeError):
+        return None
+    return kept
+
+
+def digest_of(value: Any) -> str:
+    """SHA-256 of what ``write_json_atomic`` can write."""
+    text = json.dumps(to_plain(value), sort_keys=True)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 def to_plain(value: Any) -> Any:

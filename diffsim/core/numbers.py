@@ -6,7 +6,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.torch_names import is_batched, is_in_func, is_wrapped, on_constants, unwrapped
+from diffsim.core.torch_names import (
+    is_batched,
+    is_in_func,
+    is_recorded,
+    is_wrapped,
+    on_constants,
+    unwrapped,
+)
 
 #: Standard over median absolute deviation of a normal distribution: 1 / Phi^-1(3/4).
 SD_OVER_MAD = 1.4826
@@ -17,7 +24,16 @@ def values_of(value: Tensor) -> Tensor:
 
     A mapped tensor refuses to say whether its entries are, say, finite; the tensor behind it does
     not, for all items at once.
+
+    Raises:
+        NotImplementedError: PyTorch records what is computed, for other numbers than these.
     """
+    if is_recorded() and not torch.compiler.is_compiling():
+        raise NotImplementedError(
+            "torch.func.linearize and make_fx record operations for any numbers, but here numbers "
+            "decide what is computed; take torch.func.jvp for each direction, which differentiates "
+            "at these, or jacfwd for all"
+        )
     if not is_in_func():
         return value.detach()
     while is_wrapped(value):

@@ -10,7 +10,7 @@ operations.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -52,7 +52,7 @@ class Call(dict[str, Tensor]):
         sizes: Sizes by the names that shapes use.
     """
 
-    def __init__(self, tensors: Mapping[str, Tensor], options: dict[str, Any]):
+    def __init__(self, tensors: Iterable[tuple[str, Tensor]], options: dict[str, Any]):
         super().__init__(tensors)
         self.options = options
         self.sizes: dict[str, Any] = {}
@@ -60,6 +60,14 @@ class Call(dict[str, Tensor]):
     def addresses(self, *names: str, prefix: str = "") -> dict[str, int]:
         """Where tensors lie, all or some, by name or by that of ``prefix`` + name."""
         return {name: self[prefix + name].data_ptr() for name in names or self}
+
+
+class _Layout(NamedTuple):
+    """What follows from the options and shapes of a call, and so holds for the next one like it."""
+
+    key: Any
+    sizes: dict[str, Any]
+    outputs: list[tuple[Any, ...]]
 
 
 Kernel = Callable[[Call], None]
@@ -75,8 +83,8 @@ class Op:
         inputs, outputs: What holds for each tensor, by name and in order.
         kernel: Fills the outputs of a call.
         options: Arguments after the inputs that are no tensors, as in a schema of PyTorch.
-        sizes: Sizes that options and inputs tell, by name; all else is read from shapes, and
-            numbers among the options are sizes, too.
+        sizes: Sizes that options and shapes of inputs tell, by name; all else is read from shapes,
+            and numbers among the options are sizes, too.
         reads: Inputs and outputs that derivatives read; None: all inputs.
         adjoint: Kernel of the adjoint, of a call that has ``grad_NAME``, too.
         tangent: Kernel along one direction, of a call that has ``d_NAME``, too.
@@ -118,6 +126,7 @@ class Op:
         self.in_torch, self._kernel, self._sizes, self._owner = in_torch, kernel, sizes, owner
         self._option_types, self._dropped, self._skips_still = options, dropped, skips_still
         self._option_names = [option.split()[-1] for option in options.split(", ") if option]
+        self._last = _Layout(None, {}, [])
         self.reads = list(self.inputs if reads is None else reads)
         self.arguments = [*self.inputs, *self._option_names]
         self._moving = [n for n, spec in self.inputs.items() if spec.smooth]
@@ -149,20 +158,35 @@ class Op:
 
     # A call.
 
-    def _bind(self, args: tuple[Any, ...]) -> Call:
-        """Tensors, options and sizes of a call."""
+    def _bind(self, args: tuple[Any, ...], sizes: dict[str, Any] | None = None) -> Call:
+        """Tensors, options and sizes of a call; ``sizes`` where they are known."""
         count = len(self.inputs)
         call = Call(
-            dict(zip(self.inputs, args[:count], strict=True)),
+            zip(self.inputs, args[:count], strict=True),
             dict(zip(self._option_names, args[count:], strict=True)),
         )
-        call.sizes.update(call.options)
-        call.sizes.update(self._sizes(call))
+        if sizes is not None:
+            call.sizes = sizes
+        else:
+            call.sizes.update(call.options)
+            call.sizes.update(self._sizes(call))
         return call
 
     def _run_kernel(self, *args: Any) -> Any:
         """The kernel, as PyTorch and its callers call it."""
+        count = len(self.inputs)
+        tensors, known = args[:count], self._last
+        key = args[count:], [(value.shape, value.dtype) for value in tensors]
+        if key == known.key and all([v.is_cpu and v.is_contiguous() for v in tensors]):
+            return self._fill(self._bind(args, known.sizes), known.outputs, self._kernel)
         call = self._bind(args)
+        self._check(call)
+        shapes = self._shape_outputs(call)
+        self._last = _Layout(key, call.sizes, shapes)
+        return self._fill(call, shapes, self._kernel)
+
+    def _check(self, call: Call) -> None:
+        """Refuse tensors that the kernel cannot read; others become contiguous."""
         sizes = call.sizes
         for name, spec in self.inputs.items():
             value = call[name]
@@ -189,24 +213,28 @@ class Op:
                 )
             if not value.is_contiguous():
                 call[name] = value.contiguous()
-        return self._fill(call, self._kernel)
 
     def _fake(self, *args: Any) -> Any:
         """The results without their numbers."""
         call = self._bind(args)
         for name, spec in self.inputs.items():
             _shape(spec, call[name].shape, call)
-        return self._fill(call, lambda _: None)
+        return self._fill(call, self._shape_outputs(call), lambda _: None)
 
-    def _fill(self, call: Call, kernel: Kernel) -> Any:
+    def _shape_outputs(self, call: Call) -> list[tuple[Any, ...]]:
+        # not empty_like: what it is like may be an expanded view, kernels write densely
+        return [
+            tuple(call[spec.like].shape) if spec.like else resolve(spec, call.sizes)
+            for spec in self.outputs.values()
+        ]
+
+    def _fill(self, call: Call, shapes: list[tuple[Any, ...]], kernel: Kernel) -> Any:
         first = next(iter(call.values()))
-        for name, spec in self.outputs.items():
-            # not empty_like: what it is like may be an expanded view, kernels write densely
-            shape = call[spec.like].shape if spec.like else resolve(spec, call.sizes)
+        for (name, spec), shape in zip(self.outputs.items(), shapes, strict=True):
             new = first.new_zeros if spec.zeroed else first.new_empty
             call[name] = new(shape, dtype=spec.dtype)
         kernel(call)
-        results = tuple(call[name] for name in self.outputs)
+        results = tuple([call[name] for name in self.outputs])
         return results if len(results) > 1 else results[0]
 
     # Its derivatives.

@@ -16,6 +16,8 @@ from typing import Any
 from tqdm import tqdm
 
 PERIOD_S = 10.0  # between two lines, whichever bars they are of
+IN_NOTEBOOK = "ipykernel"  # the module that runs a notebook's cells: a cell redraws a line
+USUAL_COLUMNS = 80
 STAGE_S = 2.0  # between two lines of what has no bar
 
 
@@ -194,7 +196,7 @@ def show_progress(
     disable: bool = False,
     **look: Any,
 ) -> tqdm | ProgressLines:
-    """A bar where standard error is a terminal, else lines; used as ``tqdm`` is.
+    """A bar in a terminal or a notebook's cell, else lines; used as ``tqdm`` is.
 
     Args:
         iterable: See ``ProgressLines``, as for ``desc``, ``total``, ``initial`` and ``unit``.
@@ -206,11 +208,20 @@ def show_progress(
         return tqdm(iterable, disable=True)
     said: dict[str, Any] = {"desc": desc, "total": total, "initial": initial}
     said |= {"unit": unit, "leave": leave}
-    if not sys.stderr.isatty():
+    if not (sys.stderr.isatty() or IN_NOTEBOOK in sys.modules):
         return ProgressLines(iterable, **said)
+    look.setdefault("ncols", _columns())  # a line that is wrapped is drawn anew below itself
     if os.environ.get("NO_COLOR"):
         look["colour"] = None  # over TQDM_COLOUR
     return tqdm(iterable, **said, **look)
+
+
+def _columns() -> int:
+    """Width of the terminal; of one that does not say, as a notebook's, the usual one."""
+    try:
+        return os.get_terminal_size(sys.stderr.fileno()).columns or USUAL_COLUMNS
+    except (OSError, ValueError):
+        return USUAL_COLUMNS
 
 
 def _in_short(value: Any) -> str:

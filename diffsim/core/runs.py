@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -17,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from diffsim.core.errors import DiffsimError
-from diffsim.core.files import to_plain, write_json_atomic
+from diffsim.core.files import digest_of, read_kept, to_plain, write_json_atomic
 from diffsim.core.interrupts import postponed_interrupts
 from diffsim.core.workers import one_thread
 
@@ -166,8 +164,8 @@ def run_kept(
     found: dict[str, Result] = {}
     say = done or (lambda name, result: None)
     for name, item in items.items():
-        kept = _read(folder / f"{name}.json")
-        if kept is not None and kept.get("of") == _digest(item):
+        kept = read_kept(folder / f"{name}.json")
+        if kept is not None and kept.get("of") == digest_of(item):
             found[name] = kept["result"]
             say(name, found[name])
     missing = [name for name in items if name not in found]
@@ -175,20 +173,9 @@ def run_kept(
     def keep(k: int, result: Result) -> None:
         name = missing[k]
         plain = to_plain(result)
-        write_json_atomic(folder / f"{name}.json", {"of": _digest(items[name]), "result": plain})
+        write_json_atomic(folder / f"{name}.json", {"of": digest_of(items[name]), "result": plain})
         found[name] = plain
         say(name, plain)
 
     run_each(function, [items[name] for name in missing], executor, done=keep)
     return {name: found[name] for name in items}
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, json.JSONDecodeError):
-        return None
-
-
-def _digest(item: Any) -> str:
-    return hashlib.sha256(json.dumps(to_plain(item), sort_keys=True).encode("utf-8")).hexdigest()

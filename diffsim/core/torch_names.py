@@ -65,6 +65,12 @@ def has_function_modes() -> bool:
     return torch._C._len_torch_function_stack() > 0
 
 
+def is_recorded() -> bool:
+    """Whether ``make_fx`` records the ops that are called, for ``torch.func.linearize`` too."""
+    tracer = sys.modules.get("torch.fx.experimental.proxy_tensor") if has_modes() else None
+    return tracer is not None and tracer.get_proxy_mode() is not None
+
+
 def is_watched() -> bool:
     """Whether a compiler, tracer, profiler or mode follows the calls of ops."""
     return (

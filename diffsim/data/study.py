@@ -33,6 +33,8 @@ class Channel:
         sensor: Instrument that shows it, such as "camera"; None: not stated.
         shown_formula: The value that a user reads, in ``shown_unit``, as a formula of the channel's
             own name, where the channel is a scaled reading; None: only units differ.
+        lower, upper: How far the rig may travel [unit]: runs that go beyond are not advised. None:
+            not stated.
     """
 
     name: str
@@ -42,6 +44,8 @@ class Channel:
     shown_unit: str | None = None
     sensor: str | None = None
     shown_formula: str | None = None
+    lower: float | None = None
+    upper: float | None = None
 
 
 @dataclass(frozen=True)

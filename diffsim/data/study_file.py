@@ -159,7 +159,8 @@ def _channel(entry: ChannelEntry) -> Channel:
     shown = _choose_shown_unit(entry)
     kind = entry.kind or _KINDS.get(si.unit, "quantity")
     sd = None if entry.sd is None else si.factor * entry.sd
-    return Channel(entry.name, si.unit, kind, sd, shown, entry.sensor, entry.shown_formula)
+    ends = (None if v is None else si.factor * v + si.offset for v in (entry.lower, entry.upper))
+    return Channel(entry.name, si.unit, kind, sd, shown, entry.sensor, entry.shown_formula, *ends)
 
 
 def _choose_shown_unit(entry: ChannelEntry | CommandEntry) -> str | None:

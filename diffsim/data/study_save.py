@@ -81,7 +81,14 @@ def _put_in_place(new: Path, folder: Path) -> None:
     shutil.rmtree(old)
 
 
-_CHANNEL_KEYS = ("sd", "shown_unit", "sensor", "shown_formula")  # where they are stated
+_CHANNEL_KEYS = (
+    "sd",
+    "shown_unit",
+    "sensor",
+    "shown_formula",
+    "lower",
+    "upper",
+)  # where they are stated
 
 
 def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:

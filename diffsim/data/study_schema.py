@@ -5,6 +5,7 @@ Every key is told once, in its description; docs/study_keys.md is written from t
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -43,10 +44,6 @@ from diffsim.data.study_types import (
     ZeroTime,
     in_own_unit,
 )
-
-
-def _plain_name(given: str) -> str:
-    return require_file_name("name", given)
 
 
 def _wrap_name(given: Any) -> Any:
@@ -161,7 +158,20 @@ class Source(Part):
         return self
 
 
-class ChannelEntry(Source):
+class Limited(Source):
+    """A quantity with limits."""
+
+    lower: Number | None = None
+    upper: Number | None = None
+
+    @model_validator(mode="after")
+    def _check_bounds(self) -> Limited:
+        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
+            raise ValueError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}")
+        return self
+
+
+class ChannelEntry(Limited):
     """A measured quantity."""
 
     name: str = Field(description="Name that the model, reports and formulas use")
@@ -196,6 +206,10 @@ class ChannelEntry(Source):
         description="Of a scaled reading: what reports show, in `shown_unit`, as a formula of the "
         "channel's name, such as 0.2*sinh(0.01*scaled)/0.01 in kPa",
     )
+    lower: Number | None = Field(
+        None, description="How far the rig may travel, in `unit`: `next` advises no run beyond it"
+    )
+    upper: Number | None = Field(None, description="The other end of its travel, in `unit`")
 
     @model_validator(mode="before")
     @classmethod
@@ -204,10 +218,11 @@ class ChannelEntry(Source):
             if given.get("shown_unit") is None:
                 raise ValueError("shown_formula needs shown_unit, the unit of what it gives")
             parse_expression(given["shown_formula"], [str(given.get("name"))])
-        return in_own_unit(given, {"sd": "difference", "offset": "difference"})
+        ends = {"lower": "value", "upper": "value"}
+        return in_own_unit(given, {**ends, "sd": "difference", "offset": "difference"})
 
 
-class CommandEntry(Source):
+class CommandEntry(Limited):
     """A commanded quantity."""
 
     name: str = Field(description="Name that the model, reports and formulas use")
@@ -239,12 +254,6 @@ class CommandEntry(Source):
     def _with_units(cls, given: Any) -> Any:
         values = {"lower": "value", "upper": "value", "fill": "value"}
         return in_own_unit(given, {**values, "offset": "difference", "rate": "rate"})
-
-    @model_validator(mode="after")
-    def _check_bounds(self) -> CommandEntry:
-        if self.lower is not None and self.upper is not None and not self.lower < self.upper:
-            raise ValueError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}")
-        return self
 
 
 class Fact(Part):
@@ -416,7 +425,7 @@ class RunEntry(RunKeys):
 class StudyFile(Part):
     """What was measured, what was commanded, in which runs, of which system."""
 
-    name: Annotated[str, AfterValidator(_plain_name)] = Field(
+    name: Annotated[str, AfterValidator(partial(require_file_name, "name"))] = Field(
         description="Short name, as reports and the folder of results show it"
     )
     like: PathInside | None = Field(

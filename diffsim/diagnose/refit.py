@@ -9,22 +9,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice
+from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.core.threads import one_thread
 from diffsim.core.yaml_text import read_text
-from diffsim.data.study import Study
+from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_of
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain, gain
 from diffsim.diagnose.judge.ranges import ranges_of_fit
-from diffsim.diagnose.judge.records import CERTAIN, EFFECT
+from diffsim.diagnose.judge.records import CERTAIN, EFFECT, UNJUDGED
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun, narrowing, next_run
 from diffsim.diagnose.say.report import fit_to_dict, save_model
+from diffsim.diagnose.say.wording import MOST_LISTED
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
@@ -159,7 +163,8 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     refitted = refit(null, effects, inputs, start)
     runs = inputs.study.test_runs
     gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
-    band = band_of(refitted, null.study.channels, null.noise.sd, null.study.select_runs)
+    select = null.study.select_runs
+    band = band_of(refitted, null.study.channels, null.noise.sd, select, plain=null.fit)
     return Extension(null.study, null.fit, refitted, gained, saved.verdict, band, start)
 
 
@@ -253,7 +258,10 @@ def advise_narrowing(
     shared = [p.name for p in null.fit.problem.model.base if "@" not in p.name]
     off = [name for name in report.get("findings", ()) if name in shared]
     names = effect_coordinates(effects) or off or shared
-    return narrowing(refit(null, effects, inputs, {}), setup.bank, names) if names else None
+    if not names:
+        return None
+    fit = refit(null, effects, inputs, {})
+    return narrowing(fit, _within_travel([fit], setup.bank, null.study.channels), names)
 
 
 @one_thread
@@ -280,7 +288,57 @@ def advise(
         tuple(by_name[require_choice("effect", name, by_name)] for name in names) for names in sets
     ]
     null = fit_null(inputs, numerics)
-    return next_run([refit(null, effects, inputs, {}) for effects in chosen], setup.bank)
+    fits = [refit(null, effects, inputs, {}) for effects in chosen]
+    return next_run(fits, _within_travel(fits, setup.bank, null.study.channels))
+
+
+def _within_travel(
+    fits: Sequence[Fit], bank: Sequence[Run], channels: Sequence[Channel]
+) -> list[Run]:
+    """Runs that no fit takes beyond the stated travel of a channel; those that cannot be simulated
+    stay, and are told as such.
+
+    Raises:
+        ValueError: every run goes beyond it.
+    """
+    low = np.array([-np.inf if c.lower is None else c.lower for c in channels])
+    high = np.array([np.inf if c.upper is None else c.upper for c in channels])
+    if not np.isfinite([low, high]).any():
+        return list(bank)
+    kept = []
+    for run in bank:
+        try:
+            with torch.no_grad():
+                said = [fit.problem.predict(run, torch.from_numpy(fit.x)).numpy() for fit in fits]
+        except DiffsimError:
+            kept.append(run)
+            continue
+        if all(bool(((values >= low) & (values <= high)).all()) for values in said):
+            kept.append(run)
+    if not kept:
+        raise ValueError(
+            f"all {len(bank)} runs that could be recorded leave the travel (lower, upper) of a "
+            "channel; state smaller limits of the commands"
+        )
+    return kept
+
+
+def wanted_columns(report: Mapping[str, Any]) -> list[str]:
+    """What else to record, for causes that could not be judged without it, a sentence each.
+
+    Args:
+        report: Content of ``report.json``.
+    """
+    if report["verdict"] in ("none", "data_sheet"):
+        return []
+    needs: dict[str, list[str]] = {}
+    for row in report.get("causes", ()):
+        if row["status"] == UNJUDGED and row["note"]:
+            needs.setdefault(row["note"], []).append(row["words"])
+    return [
+        f"{', '.join(words[:MOST_LISTED])} could not be judged: record {need}"
+        for need, words in needs.items()
+    ]
 
 
 def refit(
@@ -323,4 +381,4 @@ def _is_or_are(names: Sequence[str]) -> str:
 
 
 def _words(names: Sequence[str]) -> str:
-    return " + ".join(names) if names else "no effect"
+    return " with ".join(map(words_of, names)) if names else "no effect"

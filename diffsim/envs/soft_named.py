@@ -1,143 +1,88 @@
-"""The soft-body tasks that have a name: robot, length of episode, control period, reward."""
+"""The soft-body tasks that have a name: robot, reward, and usual options such as the length.
+
+Their data sheets are those of the environments in ``diffsim.envs.registry``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 from diffsim.core.check import require_options
 from diffsim.envs.soft_jump import Jump
-from diffsim.envs.soft_tasks import Advance, Reach
+from diffsim.envs.soft_tasks import Advance, Reach, SoftTask
 from diffsim.systems import robots
 from diffsim.systems.robots import SoftRobot
 
 
-def _make_robot(make: Callable[..., SoftRobot], options: Mapping[str, Any] | None) -> SoftRobot:
-    """A robot from options; one that it does not have is refused with the closest names."""
-    require_options(f"robot {make.__name__}", options or {}, make)
-    return make(**(options or {}))
+class NamedSoftTask(SoftTask):
+    """A task whose robot is made of options.
+
+    Args:
+        robot: Arguments of the function that makes it; None: its defaults.
+        **options: Options of the reward and of every soft task, in place of the usual ones.
+
+    Attributes:
+        make: Function that makes the robot.
+        usual: Options where nothing else is asked for.
+    """
+
+    make: ClassVar[Callable[..., SoftRobot]]
+    usual: ClassVar[Mapping[str, Any]]
+
+    def __init__(self, *, robot: Mapping[str, Any] | None = None, **options: Any):
+        given = dict(robot or {})
+        require_options(f"robot {self.make.__name__}", given, self.make)
+        super().__init__(self.make(**given), **{**self.usual, **options})
 
 
-class StarfishSwim(Advance):
-    """See ``diffsim.envs.registry.StarfishSwimEnv``."""
+class StarfishSwim(NamedSoftTask, Advance):
+    """See ``StarfishSwimEnv``."""
 
-    name = "StarfishSwim"
-
-    def __init__(
-        self,
-        *,
-        num_steps: int = 200,
-        start_speed: float = 0.1,
-        robot: dict[str, Any] | None = None,
-        **options: Any,
-    ):
-        body = _make_robot(robots.starfish, robot)
-        super().__init__(body, num_steps, start_speed=start_speed, **options)
+    name, make = "StarfishSwim", staticmethod(robots.starfish)
+    usual = MappingProxyType({"num_steps": 200, "start_speed": 0.1})
 
 
-class SharkSwim(Advance):
-    """See ``diffsim.envs.registry.SharkSwimEnv``."""
+class SharkSwim(NamedSoftTask, Advance):
+    """See ``SharkSwimEnv``."""
 
-    name = "SharkSwim"
-
-    def __init__(
-        self,
-        *,
-        num_steps: int = 200,
-        start_speed: float = 0.1,
-        robot: dict[str, Any] | None = None,
-        **options: Any,
-    ):
-        body = _make_robot(robots.shark, robot)
-        super().__init__(body, num_steps, start_speed=start_speed, **options)
+    name, make = "SharkSwim", staticmethod(robots.shark)
+    usual = StarfishSwim.usual
 
 
-class QuadrupedWalk(Advance):
-    """See ``diffsim.envs.registry.QuadrupedWalkEnv``."""
+class QuadrupedWalk(NamedSoftTask, Advance):
+    """See ``QuadrupedWalkEnv``."""
 
-    name = "QuadrupedWalk"
-
-    def __init__(
-        self, *, num_steps: int = 100, robot: dict[str, Any] | None = None, **options: Any
-    ):
-        super().__init__(_make_robot(robots.quadruped, robot), num_steps, **options)
+    name, make = "QuadrupedWalk", staticmethod(robots.quadruped)
+    usual = MappingProxyType({"num_steps": 100})
 
 
-class CowWalk(Advance):
-    """See ``diffsim.envs.registry.CowWalkEnv``."""
+class CowWalk(NamedSoftTask, Advance):
+    """See ``CowWalkEnv``."""
 
-    name = "CowWalk"
-
-    def __init__(
-        self,
-        *,
-        num_steps: int = 60,
-        substeps: int = 10,
-        rise_weight: float = 0.3,
-        robot: dict[str, Any] | None = None,
-        **options: Any,
-    ):
-        super().__init__(
-            _make_robot(robots.cow, robot),
-            num_steps,
-            substeps=substeps,
-            rise_weight=rise_weight,
-            **options,
-        )
+    name, make = "CowWalk", staticmethod(robots.cow)
+    usual = MappingProxyType({"num_steps": 60, "substeps": 10, "rise_weight": 0.3})
 
 
-class TorusRoll(Advance):
-    """See ``diffsim.envs.registry.TorusRollEnv``."""
+class TorusRoll(NamedSoftTask, Advance):
+    """See ``TorusRollEnv``."""
 
-    name = "TorusRoll"
-
-    def __init__(
-        self,
-        *,
-        num_steps: int = 100,
-        substeps: int = 4,
-        robot: dict[str, Any] | None = None,
-        **options: Any,
-    ):
-        super().__init__(_make_robot(robots.torus, robot), num_steps, substeps=substeps, **options)
+    name, make = "TorusRoll", staticmethod(robots.torus)
+    usual = MappingProxyType({"num_steps": 100, "substeps": 4})
 
 
-class TendonReach(Reach):
-    """See ``diffsim.envs.registry.TendonReachEnv``."""
+class TendonReach(NamedSoftTask, Reach):
+    """See ``TendonReachEnv``."""
 
-    name = "TendonReach"
-
-    def __init__(
-        self,
-        *,
-        num_steps: int = 100,
-        goal_low: tuple[float, float, float] = (-0.12, -0.12, -0.06),
-        goal_high: tuple[float, float, float] = (0.12, 0.12, 0.02),
-        robot: dict[str, Any] | None = None,
-        **options: Any,
-    ):
-        super().__init__(
-            _make_robot(robots.tendon_arm, robot),
-            num_steps,
-            goal_low=goal_low,
-            goal_high=goal_high,
-            **options,
-        )
+    name, make = "TendonReach", staticmethod(robots.tendon_arm)
+    usual = MappingProxyType(
+        {"num_steps": 100, "goal_low": (-0.12, -0.12, -0.06), "goal_high": (0.12, 0.12, 0.02)}
+    )
 
 
-class SoftJumper(Jump):
-    """See ``diffsim.envs.registry.SoftJumperEnv``."""
+class SoftJumper(NamedSoftTask, Jump):
+    """See ``SoftJumperEnv``."""
 
-    name = "SoftJumper"
-
-    def __init__(
-        self,
-        *,
-        num_steps: int = 300,
-        substeps: int = 2,
-        robot: dict[str, Any] | None = None,
-        **options: Any,
-    ):
-        super().__init__(
-            _make_robot(robots.soft_jumper, robot), num_steps, substeps=substeps, **options
-        )
+    name, make = "SoftJumper", staticmethod(robots.soft_jumper)
+    usual = MappingProxyType({"num_steps": 300, "substeps": 2})

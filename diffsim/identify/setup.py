@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.law import Entry, Gains, Law, Variable
+from diffsim.identify.law import LAWS, Entry, Gains, Law, Variable, numbers_of
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
 from diffsim.identify.unknown import Unknown
@@ -44,33 +45,47 @@ class DiagnosisSetup:
     study: Study | None = None
 
 
-class LawPort(Protocol):
-    """What a system offers to laws that nobody listed."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LawPort(ABC):
+    """What a system offers to laws that nobody listed.
+
+    Attributes:
+        model: Plain model.
+        study: Study with the recordings as the system cuts it.
+        whole: Study as it was recorded, with the runs to test by.
+        make: Function (study) -> setup, of a study whose frame holds laws.
+    """
+
+    model: SimModel
+    study: Study
+    whole: Study
+    make: Callable[[Study], DiagnosisSetup]
 
     @property
+    @abstractmethod
     def entries(self) -> Sequence[Entry]:
         """Places where a term may be added."""
-        ...
 
+    @abstractmethod
     def variables(self) -> Sequence[Variable]:
         """What a term may depend on."""
-        ...
 
     def drives(self, run: Run, most_knots: int) -> Sequence[Effect]:
         """Free courses over a run, by which its simulation can be led along the recording; a
         component for each knot, at most so many in all."""
-        ...
+        return ()
 
+    @abstractmethod
     def gains(self, problem: Problem, x: Array, entry: Entry) -> Gains | None:
         """What a unit at an entry does along the simulation of a problem's one run at a point;
         None where terms must be simulated for that."""
-        ...
 
+    @abstractmethod
     def courses(self, problem: Problem, x: Array, variables: Sequence[Variable]) -> list[Array]:
         """Variables as a problem simulates them at a point, (num_samples, num_variables) for each
         of its runs."""
-        ...
 
+    @abstractmethod
     def terms(
         self, entry: Entry, variable: Variable, terms: Sequence[str], name: str, typical: float
     ) -> Effect:
@@ -83,19 +98,33 @@ class LawPort(Protocol):
             name: Name of the effect.
             typical: Factor that would be no surprise.
         """
-        ...
+
+    @abstractmethod
+    def action(self, law: Law) -> Mapping[str, Any]:
+        """Where a law acts and how, in the keys of a user's own cause."""
 
     def block(self, law: Law) -> Mapping[str, Any]:
-        """A law as a user would write it among the causes of his own."""
-        ...
+        """A law as a user would write it under ``effects.own``."""
+        return {
+            "name": law.name,
+            **self.action(law),
+            "shapes": {name: numbers_of(s) for name, s in law.shapes.items()},
+            "typical": law.typical,
+            "unit": law.unit,
+            "one_sided": not law.signed,
+            "scanned": True,
+            "family": "law",
+            "price": law.price,
+        }
 
     def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> LawPort:
         """The same for a study of more runs, whose setup another function makes."""
-        ...
+        return replace(self, make=make, whole=study)
 
     def setup_with(self, blocks: Sequence[Mapping[str, Any]]) -> DiagnosisSetup:
         """The system with laws among its candidate causes."""
-        ...
+        frame = {**self.whole.frame, **self.model.frame, LAWS: [dict(b) for b in blocks]}
+        return self.make(replace(self.whole, frame=frame))
 
 
 def law_effect(

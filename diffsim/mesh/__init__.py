@@ -2,6 +2,7 @@
 
 from diffsim.mesh import sdf
 from diffsim.mesh.box import hex_box, tet_box
+from diffsim.mesh.cage import Blend, Cage, safe_share
 from diffsim.mesh.cavities import cavities
 from diffsim.mesh.core import HexMesh, Mesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance
@@ -26,7 +27,7 @@ from diffsim.mesh.solids import (
     tet_sphere,
     tet_torus,
 )
-from diffsim.mesh.split import split_tets
+from diffsim.mesh.split import split_positions, split_tets
 from diffsim.mesh.stuffing import tet_from_sdf
 from diffsim.mesh.surface import (
     Surface,
@@ -40,6 +41,8 @@ from diffsim.mesh.voxels import hex_from_sdf
 __all__ = [
     "HEX_FROM_VTK",
     "VTK_FROM_HEX",
+    "Blend",
+    "Cage",
     "HexMesh",
     "Mesh",
     "Quality",
@@ -68,9 +71,11 @@ __all__ = [
     "remove_degenerate",
     "remove_unreferenced_nodes",
     "repair",
+    "safe_share",
     "save",
     "sdf",
     "shape_gradients",
+    "split_positions",
     "split_tets",
     "surface_quads",
     "surface_triangles",

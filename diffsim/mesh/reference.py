@@ -7,6 +7,8 @@ Tetrahedron with x(s) = x0 + s_1 (x1 - x0) + s_2 (x2 - x0) + s_3 (x3 - x0).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -75,18 +77,12 @@ def hex_jacobians(corners: Array, points: Array) -> Array:
     return jacobians.transpose(0, 2, 1, 3)
 
 
-def det3(m: Array) -> Array:
-    """Determinants of (..., 3, 3) matrices by the rule of Sarrus (ten times LAPACK's speed)."""
+def det3(m: Any) -> Any:
+    """Determinants of (..., 3, 3) matrices, arrays or tensors, by the rule of Sarrus (ten times
+    LAPACK's speed)."""
     a, b, c = m[..., 0, :], m[..., 1, :], m[..., 2, :]
     return (
         a[..., 0] * (b[..., 1] * c[..., 2] - b[..., 2] * c[..., 1])
         + a[..., 1] * (b[..., 2] * c[..., 0] - b[..., 0] * c[..., 2])
         + a[..., 2] * (b[..., 0] * c[..., 1] - b[..., 1] * c[..., 0])
     )
-
-
-def inv3(m: Array) -> Array:
-    """Inverses of (..., 3, 3) matrices by cofactors; the caller rules out singular ones."""
-    a, b, c = m[..., 0, :], m[..., 1, :], m[..., 2, :]
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
-    return cofactors / det3(m)[..., None, None]

@@ -15,6 +15,7 @@ from torch import Tensor
 from diffsim.core.check import did_you_mean, require, require_choice
 from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
+from diffsim.core.numbers import values_of
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.files import mesh_of, read_volume
 from diffsim.mesh.volume_files import VolumeFile
@@ -73,7 +74,7 @@ class RegionMesh:
                     f"{', '.join(self.names)}"
                 )
         missing = [name for name in self.names if name not in of]
-        loose = int((self.region < 0).sum())
+        loose = int((values_of(self.region) < 0).sum())
         if default is None and (missing or loose):
             what = [f"regions {', '.join(missing)}"] if missing else []
             what += [f"{loose} elements that are in no region"] if loose else []

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from diffsim.core.check import require
 from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.torch_names import on_constants
@@ -43,15 +45,39 @@ def split_tets(mesh: TetMesh) -> TetMesh:
     """
     if not isinstance(mesh, TetMesh):
         raise TypeError(f"mesh must be a TetMesh, got {type(mesh).__name__}")
-    tets, x = mesh.tets.numpy(), mesh.x_rest.numpy()
-    edges = np.sort(tets[:, TET_EDGES].reshape(-1, 2), axis=1)
+    middle = mesh.num_nodes + _edges(mesh)[1].reshape(-1, 6)
+    ten = np.concatenate([mesh.tets.numpy(), middle], axis=1)
+    nodes = split_positions(mesh, mesh.x_rest)
+    return TetMesh(nodes, torch.from_numpy(ten[:, EIGHTHS].reshape(-1, 4)))
+
+
+@checked
+def split_positions(mesh: TetMesh, x: Tensor) -> Tensor:
+    """Positions of the nodes of ``split_tets(mesh)`` whose coarse mesh lies at x.
+
+    Args:
+        mesh: The coarse mesh.
+        x: Positions of its nodes, (num_nodes, 3) [m].
+
+    Returns:
+        (num_nodes + num_edges, 3) [m]: x, then the midpoints of the edges. Gradient: x.
+    """
+    if not isinstance(mesh, TetMesh):
+        raise TypeError(f"mesh must be a TetMesh, got {type(mesh).__name__}")
+    x = require("x", x, (mesh.num_nodes, 3))
+    with on_constants():
+        ends = torch.from_numpy(_edges(mesh)[0])
+    return torch.cat([x, x[ends].mean(1)])
+
+
+def _edges(mesh: TetMesh) -> tuple[IntArray, IntArray]:
+    """Ends of all edges (num_edges, 2), and the edges of the tetrahedra (num_elements * 6,)."""
+    edges = np.sort(mesh.tets.numpy()[:, TET_EDGES].reshape(-1, 2), axis=1)
     unique, inverse = np.unique(edges, axis=0, return_inverse=True)
-    middle = len(x) + inverse.reshape(-1, 6)
-    ten = np.concatenate([tets, middle], axis=1)
-    nodes = np.concatenate([x, x[unique].mean(axis=1)])
-    return TetMesh(torch.from_numpy(nodes), torch.from_numpy(ten[:, EIGHTHS].reshape(-1, 4)))
+    return unique, inverse.reshape(-1)
 
 
+@on_constants()
 def join_eighths(mesh: TetMesh) -> IntArray:
     """Ten nodes of each tetrahedron that was split in eight, (num_elements / 8, 10).
 

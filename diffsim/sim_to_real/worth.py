@@ -8,11 +8,13 @@ from typing import Generic, TypeVar
 
 import torch
 
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.sim_to_real.tracking import EVALUATIONS, TrackingTask, best_command
 from diffsim.systems.twin import Twin
 
 SHARES = (1.0, 0.5, 0.0)  # of a cause's size: as it is, half mended, mended
 ALL = "all"
+UNSHOWN = 5e-3  # of a number: what its first digits do not show
 MISS = "miss"  # root mean square, in units of ``miss``
 Found = TypeVar("Found")
 
@@ -28,6 +30,8 @@ class Worth:
         unaware: With the cause, under the command that is best without it.
         of: What these are: "miss", root mean squares in units of ``miss``, less is better; or
             "travel" [m], more is better.
+        noise: What the search for a command leaves open: by how much its two best ends with the
+            cause differ, and what three digits do not show.
     """
 
     cause: str
@@ -36,6 +40,7 @@ class Worth:
     none: float
     unaware: float
     of: str = MISS
+    noise: float = 0.0
 
     @property
     def bought(self) -> float:
@@ -43,14 +48,21 @@ class Worth:
         return self.whole - self.none if self.of == MISS else self.none - self.whole
 
     @property
+    def is_nothing(self) -> bool:
+        """Whether mending the cause changes less than the search leaves open."""
+        return abs(self.bought) <= self.noise
+
+    @property
     def words(self) -> str:
         """A line for people."""
         unit = "" if self.of == MISS else " m"
-        return (
-            f"{self.cause}: best {self.of} {self.whole:.3g}{unit} with it, {self.half:.3g}{unit} "
+        name = "all causes" if self.cause == ALL else words_of(self.cause)
+        text = (
+            f"{name}: best {self.of} {self.whole:.3g}{unit} with it, {self.half:.3g}{unit} "
             f"with half, {self.none:.3g}{unit} without; {self.unaware:.3g}{unit} if the command "
             "does not know of it"
         )
+        return f"{text}; mending it buys nothing" if self.is_nothing else text
 
 
 @dataclass(frozen=True)
@@ -82,10 +94,12 @@ class TaskByShare(Generic[Found]):
             none = self.best(SHARES[2], mine, half)
             mended[name] = half, none
             whole.append(self.best(SHARES[0], (), none))
-        choose = min if self.of == MISS else max
-        best = choose(self.score(found) for found in whole)
+        best, second = sorted((self.score(found) for found in whole), reverse=self.of != MISS)[:2]
+        noise = max(abs(best - second), UNSHOWN * abs(best))
         return tuple(
-            Worth(name, best, self.score(half), self.score(none), self.unaware(none), self.of)
+            Worth(
+                name, best, self.score(half), self.score(none), self.unaware(none), self.of, noise
+            )
             for name, (half, none) in mended.items()
         )
 

@@ -133,6 +133,8 @@ class EnergyArrays(Arrays):
         x_frame: Positions of the frame that damping refers to, (batch, num_nodes, 3) [m].
         x_velocity: Positions that velocity is measured from, (batch, num_nodes, 3) [m].
         pressure: Gauge pressures, (batch, num_chambers) [Pa].
+        tables: What the kernels know of the rest shape, (num_tables,), see
+            :mod:`diffsim.soft.rest_shape`; empty: that of the mesh.
     """
 
     weights: Tensor = field(metadata=_spec("...", "num_weights", "num_elements"))
@@ -143,6 +145,7 @@ class EnergyArrays(Arrays):
     x_frame: Tensor = field(metadata=_spec(*NODAL, optional="damp_mu"))
     x_velocity: Tensor = field(metadata=_spec(*NODAL, optional="damp_mu"))
     pressure: Tensor = field(metadata=_spec("batch", "num_chambers"))
+    tables: Tensor = field(metadata=_spec("num_tables", optional="tables"))
 
     @property
     def per_member(self) -> bool:

@@ -11,6 +11,7 @@ import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Protocol
 
 import torch
@@ -20,9 +21,11 @@ from diffsim.core.compiled import core
 from diffsim.core.errors import FactorizationError, InvertedElementError
 from diffsim.core.ops import Call
 from diffsim.soft._arrays import StepArrays
+from diffsim.soft.elements import ElementTables
 from diffsim.soft.materials import NEEDS_POSITIVE_J, small_strain_moduli
 
 _CACHED_SYSTEMS = 4
+_CACHED_SHAPES = 8
 PRECONDITIONERS = ("auto", "constant", "multigrid")
 MULTIGRID_METHODS = ("auto", "newton_pcg", "linearly_implicit")
 # Forces are squared and summed: beyond these powers of ten float64 has no room for that.
@@ -53,13 +56,8 @@ class SoftContext:
     def __init__(
         self,
         *,
-        kind: str,
         material: str,
-        elements: Tensor,
-        grad: Tensor,
-        weight: Tensor,
-        hourglass: Tensor,
-        class_idx: Tensor,
+        tables: ElementTables,
         x_rest: Tensor,
         fiber_elements: Tensor,
         fiber_directions: Tensor,
@@ -72,24 +70,24 @@ class SoftContext:
         self.handle = next(_handles)
         self.material = material
         self.num_nodes = x_rest.shape[0]
-        self.num_elements = elements.shape[0]
+        self.num_elements = tables.elements.shape[0]
         self.num_fibers = fiber_elements.shape[0]
         self.num_chambers = chambers.num_chambers
         self.fixed = fixed.to(torch.uint8).contiguous()
         self.pattern = core.make_soft_pattern(
-            kind=getattr(core.ElementKind, kind),
+            kind=getattr(core.ElementKind, tables.kind),
             material=material,
             num_nodes=self.num_nodes,
             num_elements=self.num_elements,
-            num_classes=grad.shape[0],
+            num_classes=tables.grad.shape[0],
             num_fibers=self.num_fibers,
             num_chambers=self.num_chambers,
             num_lids=chambers.num_lids,
-            elements=elements.data_ptr(),
-            grad=grad.data_ptr(),
-            weight=weight.data_ptr(),
-            hourglass=hourglass.data_ptr(),
-            class_idx=class_idx.data_ptr(),
+            elements=tables.elements.data_ptr(),
+            grad=tables.grad.data_ptr(),
+            weight=tables.weight.data_ptr(),
+            hourglass=tables.hourglass.data_ptr(),
+            class_idx=tables.class_idx.data_ptr(),
             coords=x_rest.data_ptr(),
             fiber_elements=fiber_elements.data_ptr(),
             fiber_directions=fiber_directions.data_ptr(),
@@ -102,6 +100,16 @@ class SoftContext:
         )
         self._systems: OrderedDict[tuple[tuple[str, bool], tuple[Tensor, ...]], object]
         self._systems = OrderedDict()
+        self._tables, self._shapes = tables, list[tuple[Tensor, SoftContext]]()
+        self._remade = partial(
+            SoftContext,
+            material=material,
+            x_rest=x_rest,
+            fiber_elements=fiber_elements,
+            fiber_pull_only=fiber_pull_only,
+            chambers=chambers,
+            fixed=fixed,
+        )
         self._lock = threading.Lock()
         contexts[self.handle] = self
 
@@ -114,7 +122,33 @@ class SoftContext:
             "num_weights": self.pattern.num_weights,
             "num_fibers": self.num_fibers,
             "num_chambers": self.num_chambers,
+            "num_tables": self.pattern.num_tables,
         }
+
+    def of_shape(self, tables: Tensor) -> SoftContext:
+        """The prepared objects of another rest shape of the mesh; of this one for empty tables.
+
+        Args:
+            tables: Of the shape, (num_tables,), see :mod:`diffsim.soft.rest_shape`.
+        """
+        if not tables.numel():
+            return self
+        with self._lock:
+            for place, (known, made) in enumerate(self._shapes):
+                if torch.equal(known, tables):
+                    self._shapes.insert(0, self._shapes.pop(place))
+                    return made
+        key = tables.detach().contiguous().clone()
+        own = 3 * self.num_fibers
+        rows, directions = key.split([len(key) - own, own])
+        made = self._remade(
+            tables=self._tables.replaced_by(rows.reshape(self.num_elements, -1)),
+            fiber_directions=directions.contiguous(),
+        )
+        with self._lock:
+            self._shapes.insert(0, (key, made))
+            del self._shapes[_CACHED_SHAPES:]
+        return made
 
     def system(
         self,
@@ -135,7 +169,8 @@ class SoftContext:
         """
         by_choice = method in ("auto", "linearly_implicit") or preconditioner == "multigrid"
         kind = (preconditioner if by_choice else "constant", in_contact)
-        shared = inputs.shared()  # all that it depends on
+        shared = inputs.shared()  # all that it depends on, but the shape, of which this is
+        del shared["tables"]
         key = tuple(shared.values())
         with self._lock:
             for known in self._systems:
@@ -174,17 +209,22 @@ class SoftContext:
         return made
 
 
-def context(handle: int) -> SoftContext:
-    """The context behind a handle."""
+def context(handle: int, tables: Tensor | None = None) -> SoftContext:
+    """The context behind a handle, of the shape that some tables are of."""
     found = contexts.get(handle)
     if found is None:
         raise RuntimeError(f"soft-body handle {handle} is gone: its SoftBody was deleted")
-    return found
+    return found if tables is None else found.of_shape(tables)
 
 
 def owner(options: Mapping[str, Any]) -> SoftContext:
     """The prepared solver that ops with these options need, of a deleted body, too."""
     return context(options["handle"])
+
+
+def context_of(call: Call) -> SoftContext:
+    """The prepared solver of a call, of the rest shape that it has."""
+    return context(call.options["handle"], call["tables"])
 
 
 def sizes_of_call(call: Call) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from diffsim.core.ops import Call, Op, array
 from diffsim.soft._arrays import CONTACTS, NODAL, ContactArrays, StepArrays
 from diffsim.soft._context import (
     contact_addresses,
+    context_of,
     owner,
     require_upright,
     sizes_of_call,
@@ -53,7 +54,7 @@ def _places(call: Call, planes: Mapping[str, Tensor]) -> object:
 
 def _step(call: Call) -> None:
     options, arrays, planes = call.options, StepArrays.of(call), _contacts(call)
-    ctx, stats, force = owner(options), call["stats"], call["contact_force"]
+    ctx, stats, force = context_of(call), call["stats"], call["contact_force"]
     tolerances = {name: options[name] for name in ("rtol", "atol", "max_iters")}
     while True:
         core.contact_step(

@@ -11,7 +11,14 @@ from torch import Tensor
 from diffsim.core.compiled import core
 from diffsim.core.ops import Call, Op, array
 from diffsim.soft._arrays import NODAL, EnergyArrays, require_array
-from diffsim.soft._context import context, owner, require_upright, sizes_of_call, soft_addresses
+from diffsim.soft._context import (
+    context,
+    context_of,
+    owner,
+    require_upright,
+    sizes_of_call,
+    soft_addresses,
+)
 
 
 class BoundGradient:
@@ -25,7 +32,7 @@ class BoundGradient:
     """
 
     def __init__(self, arrays: EnergyArrays, *, batch: int, handle: int, num_threads: int):
-        self._context, self._num_threads = context(handle), num_threads
+        self._context, self._num_threads = context(handle, arrays.tables), num_threads
         arrays.require_shapes(arrays.shapes(batch, self._context.sizes))
         self._inputs = soft_addresses(arrays.named())
         self._shape = (batch, self._context.num_nodes, 3)
@@ -50,7 +57,7 @@ class BoundGradient:
 
 
 def _gradient(call: Call) -> None:
-    ctx = owner(call.options)
+    ctx = context_of(call)
     core.elastic_gradient(
         pattern=ctx.pattern,
         inputs=soft_addresses(EnergyArrays.of(call).named()),
@@ -63,7 +70,7 @@ def _gradient(call: Call) -> None:
 
 def _items(call: Call, *names: str) -> Iterator[tuple[int, dict[str, Any]]]:
     """Every item of a batch, and what its kernels take."""
-    arrays, ctx = EnergyArrays.of(call), owner(call.options)
+    arrays, ctx = EnergyArrays.of(call), context_of(call)
     for k in range(call.sizes["batch"]):
         yield (
             k,

@@ -14,7 +14,14 @@ from diffsim.core.errors import ConvergenceError, ConvergenceWarning
 from diffsim.core.ops import Call, Op, array
 from diffsim.core.record import warn
 from diffsim.soft._arrays import NODAL, StepArrays, require_array
-from diffsim.soft._context import context, owner, require_upright, sizes_of_call, soft_addresses
+from diffsim.soft._context import (
+    context,
+    context_of,
+    owner,
+    require_upright,
+    sizes_of_call,
+    soft_addresses,
+)
 from diffsim.soft._solves import STATS, notify
 
 LINEAR = "linearly_implicit"
@@ -80,7 +87,7 @@ class BoundStep:
         adjoint_rtol: float,
         adjoint_max_iters: int,
     ):
-        self._context = context(handle)
+        self._context = context(handle, arrays.tables)
         self._batch = arrays.y.shape[0]
         shapes = arrays.shapes(self._batch, self._context.sizes)
         self._moving = {n: s for n, s in shapes.items() if StepArrays.is_batched(n)}
@@ -168,7 +175,7 @@ def system_of(call: Call, **choice: bool) -> dict[str, Any]:
     options, arrays = call.options, StepArrays.of(call)
     method, num_threads = options["method"], options["num_threads"]
     return {
-        "system": owner(options).system(
+        "system": context_of(call).system(
             arrays, num_threads, method, options["preconditioner"], **choice
         ),
         "options": step_options(

@@ -22,8 +22,7 @@ class SoftBody(Solid):
     One of the materials of :mod:`diffsim.soft.materials` with muscle fibers, tendons, pneumatic
     chambers, gravity, Rayleigh damping, attached and added masses and Dirichlet conditions per node
     and axis. Obstacles are given step by step; water acts through ``external_force``
-    (:class:`~diffsim.soft.Hydrodynamics`). Not modeled here: plasticity, anisotropic solids; rest
-    positions carry no gradient.
+    (:class:`~diffsim.soft.Hydrodynamics`). Not modeled here: plasticity, anisotropic solids.
 
     Physical parameters may be numbers, tensors or ``nn.Parameter``; each can be replaced for one
     call by ``body.physics(name=value)``, with gradient.

@@ -20,9 +20,9 @@ from torch import Tensor
 
 from diffsim.core.check import require_choice
 from diffsim.core.torch_names import on_constants
-from diffsim.mesh import HexMesh, ShapeGradients, TetMesh, shape_gradients
-from diffsim.mesh.reference import HEX_CORNERS, TET_EDGES, Array, IntArray
-from diffsim.mesh.shape import tet_gradients
+from diffsim.mesh import HexMesh, TetMesh
+from diffsim.mesh.reference import HEX_CORNERS, TET_EDGES, Array
+from diffsim.mesh.shape import different_elements, shape_tables, tet_gradients
 from diffsim.mesh.split import join_eighths
 from diffsim.soft.materials import SmallStrain
 
@@ -61,64 +61,91 @@ class ElementTables:
     Attributes:
         kind: By the kernels' name.
         elements: Nodes that an element's deformation gradient depends on, (num_elements, k) int64.
-        shape: Their shape gradients at the samples.
-        hourglass: (num_classes, 95) of kind ``mean_hex``, empty otherwise.
+        class_idx: Row of the others that an element uses, (num_elements,) int64.
+        grad: Their shape gradients at the samples, (num_classes, num_samples, k, 3) [1/m].
+        weight: Volume of each sample, (num_classes, num_samples) [m^3].
+        hourglass: (num_classes, 95) of kind ``mean_hex``, else (num_classes, 0).
     """
 
     kind: str
     elements: Tensor
-    shape: ShapeGradients
+    class_idx: Tensor
+    grad: Tensor
+    weight: Tensor
     hourglass: Tensor
+
+    def by_element(self) -> Tensor:
+        """The tables of each element as one row, as kernels take them, where none share theirs."""
+        return torch.cat([self.grad.flatten(1), self.weight, self.hourglass], dim=1)
+
+    def replaced_by(self, rows: Tensor) -> ElementTables:
+        """The tables of other rows, see :meth:`by_element`."""
+        count, samples = len(self.elements), self.weight.shape[1]
+        sizes = (self.grad[0].numel(), samples, self.hourglass.shape[1])
+        grad, weight, hourglass = (part.contiguous() for part in rows.split(sizes, dim=1))
+        return replace(
+            self,
+            class_idx=torch.arange(count),
+            grad=grad.reshape(count, *self.grad.shape[1:]),
+            weight=weight,
+            hourglass=hourglass,
+        )
+
+
+_KINDS = {"assumed_strain": "mean_hex", "quadratic": "eighth_tet"}
 
 
 @on_constants()
 def element_tables(mesh: HexMesh | TetMesh, element: str) -> ElementTables:
-    """Tables of a mesh for one of ``ELEMENTS``."""
-    none = torch.zeros(0, dtype=torch.float64)
-    shape = shape_gradients(mesh)
-    if element == "standard":
-        return ElementTables(kind=mesh.kind, elements=mesh.elements, shape=shape, hourglass=none)
-    if isinstance(mesh, TetMesh):
-        ten = join_eighths(mesh)
-        return ElementTables(
-            kind="eighth_tet",
-            elements=torch.from_numpy(ten.repeat(8, axis=0)),
-            shape=replace(shape, grad=torch.from_numpy(_eighth_gradients(mesh, ten))),
-            hourglass=none,
-        )
-    grad, weight = shape.grad.numpy(), shape.weight.numpy()
-    volume = weight.sum(axis=1)
-    mean = np.einsum("cq,cqai->cai", weight, grad) / volume[:, None, None]
-    first = np.unique(shape.class_idx.numpy(), return_index=True)[1]
-    corners = mesh.x_rest.numpy()[mesh.elements.numpy()[first]]
-    table = np.concatenate([_gammas(corners, mean), _rows(corners, volume)], axis=1)
-    means = ShapeGradients(
-        torch.from_numpy(mean[:, None].copy()),
-        torch.from_numpy(volume[:, None].copy()),
-        shape.class_idx,
-    )
+    """Tables of a mesh for one of ``ELEMENTS``; elements that are alike share theirs."""
+    elements, class_idx = different_elements(mesh)
+    return _tables(mesh, element, mesh.x_rest, elements, class_idx)
+
+
+def moved_tables(mesh: HexMesh | TetMesh, element: str, x_rest: Tensor) -> ElementTables:
+    """Tables of a mesh whose nodes lie at x_rest (num_nodes, 3) [m]. Gradient: x_rest."""
+    return _tables(mesh, element, x_rest, None, torch.arange(mesh.num_elements))
+
+
+def _tables(
+    mesh: HexMesh | TetMesh, element: str, x: Tensor, which: Tensor | None, class_idx: Tensor
+) -> ElementTables:
+    grad, weight = shape_tables(mesh, x, which)
+    hourglass, nodes = weight[:, :0], mesh.elements
+    if element == "assumed_strain":
+        corners = x[nodes if which is None else nodes[which]]
+        volume = weight.sum(1)
+        mean = torch.einsum("cq,cqai->cai", weight, grad) / volume[:, None, None]
+        hourglass = torch.cat([_gammas(corners, mean), _rows(corners, volume)], dim=1)
+        grad, weight = mean[:, None], volume[:, None]
+    elif isinstance(mesh, TetMesh) and element == "quadratic":
+        ten = torch.from_numpy(join_eighths(mesh))
+        nodes, grad = ten.repeat_interleave(8, dim=0), _eighth_gradients(x[ten[:, :4]])
     return ElementTables(
-        kind="mean_hex",
-        elements=mesh.elements,
-        shape=means,
-        hourglass=torch.from_numpy(np.ascontiguousarray(table)),
+        kind=_KINDS.get(element, mesh.kind),
+        elements=nodes,
+        class_idx=class_idx,
+        grad=grad.contiguous(),
+        weight=weight.contiguous(),
+        hourglass=hourglass.contiguous(),
     )
 
 
-def _eighth_gradients(mesh: TetMesh, ten: IntArray) -> Array:
-    """Gradients of the ten shape functions at the eighths' samples, (8 T, 1, 10, 3) [1/m].
+def _eighth_gradients(corners: Tensor) -> Tensor:
+    """Gradients of the ten shape functions at the eighths' samples, (8 T, 1, 10, 3) [1/m], of
+    tetrahedra (T, 4, 3) [m].
 
     N_a = l_a (2 l_a - 1) at corners and 4 l_a l_b at midpoints, l the barycentric coordinates.
     The centers' own coordinates would integrate bending by five sixths; those of ``_SAMPLES`` have
     the same symmetry and are exact for products of linear strains.
     """
-    slopes = tet_gradients(mesh.x_rest.numpy()[ten[:, :4]])[0]  # of l, (T, 4, 3)
+    slopes = tet_gradients(corners)[0]  # of l, (T, 4, 3)
     by_l = np.zeros((8, 10, 4))  # dN_a/dl_b
     by_l[:, range(4), range(4)] = 4.0 * _SAMPLES - 1.0
     for k, (a, b) in enumerate(TET_EDGES):
         by_l[:, 4 + k, a] = 4.0 * _SAMPLES[:, b]
         by_l[:, 4 + k, b] = 4.0 * _SAMPLES[:, a]
-    return np.ascontiguousarray(np.einsum("kab,tbi->tkai", by_l, slopes).reshape(-1, 1, 10, 3))
+    return torch.einsum("kab,tbi->tkai", torch.from_numpy(by_l), slopes).flatten(0, 1)[:, None]
 
 
 def hourglass_weights(moduli: SmallStrain) -> tuple[Tensor, Tensor]:
@@ -130,36 +157,37 @@ def hourglass_weights(moduli: SmallStrain) -> tuple[Tensor, Tensor]:
     return two_mu, two_mu * lame_lambda / (lame_lambda + two_mu)
 
 
-def _gammas(corners: Array, mean: Array) -> Array:
+def _gammas(corners: Tensor, mean: Tensor) -> Tensor:
     """Vectors gamma of the modes, (C, 32): amplitude sum_a gamma_a x_a, zero for linear fields."""
     out = []
     for mode in _MODES:
-        plain = _SIGNS[:, mode].prod(axis=1) / 8.0
-        rest = np.einsum("a,cai->ci", plain, corners)
-        out.append(plain - np.einsum("cai,ci->ca", mean, rest))
-    return np.concatenate(out, axis=1)
+        plain = torch.from_numpy(_SIGNS[:, mode].prod(axis=1) / 8.0)
+        rest = torch.einsum("a,cai->ci", plain, corners)
+        out.append(plain - torch.einsum("cai,ci->ca", mean, rest))
+    return torch.cat(out, dim=1)
 
 
-def _rows(corners: Array, volume: Array) -> Array:
+def _rows(corners: Tensor, volume: Tensor) -> Tensor:
     """Rows of the strains, (C, 63): s_k = sum over its rows of h . F row [m^(3/2)].
 
     Strains 11, 22 and sqrt(2) 12 in orthonormal axes of each mid-surface, two rows each, then
     the normal strains of mode 012, one row each.
     """
-    base = np.einsum("ar,cai->cri", _SIGNS / 8.0, corners)  # A_r = dX/dxi_r at the center
-    rows = np.zeros((len(corners), 21, 3))
+    signs = torch.from_numpy(_SIGNS / 8.0)
+    base = torch.einsum("ar,cai->cri", signs, corners)  # A_r = dX/dxi_r at the center
+    rows = []
     for d in range(3):
-        i, j = (r for r in range(3) if r != d)
-        surface = base[:, [i, j]]
-        inverse_metric = np.linalg.inv(surface @ surface.transpose(0, 2, 1))
-        axes = np.linalg.cholesky(inverse_metric)  # axis p is sum_r axes_rp A_r, orthonormal
-        units = np.einsum("crp,cri->cpi", axes, surface)
-        for c, (p, q, factor) in enumerate(((0, 0, 1.0), (1, 1, 1.0), (0, 1, np.sqrt(2.0)))):
+        surface = base[:, [r for r in range(3) if r != d]]
+        inverse_metric = torch.linalg.inv(surface @ surface.transpose(1, 2))
+        axes = torch.linalg.cholesky(inverse_metric)  # axis p is sum_r axes_rp A_r, orthonormal
+        units = torch.einsum("crp,cri->cpi", axes, surface)
+        for p, q, factor in ((0, 0, 1.0), (1, 1, 1.0), (0, 1, np.sqrt(2.0))):
             for t in range(2):  # of h_id, of h_jd
-                rows[:, 6 * d + 2 * c + t] = (factor / 2.0) * (
-                    axes[:, t, p, None] * units[:, q] + axes[:, t, q, None] * units[:, p]
+                rows.append(
+                    (factor / 2.0)
+                    * (axes[:, t, p, None] * units[:, q] + axes[:, t, q, None] * units[:, p])
                 )
-    rows[:, :18] *= np.sqrt(volume / 3.0)[:, None, None]
-    squares = np.einsum("cri,cri->cr", base, base)
-    rows[:, 18:] = base / squares[..., None] * np.sqrt(volume / 9.0)[:, None, None]
-    return rows.reshape(len(corners), -1)
+    flat = torch.stack(rows, dim=1) * torch.sqrt(volume / 3.0)[:, None, None]
+    squares = torch.einsum("cri,cri->cr", base, base)
+    normal = base / squares[..., None] * torch.sqrt(volume / 9.0)[:, None, None]
+    return torch.cat([flat, normal], dim=1).flatten(1)

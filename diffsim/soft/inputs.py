@@ -134,7 +134,7 @@ def _force(prepared: PreparedBody, shape: tuple[int, ...], value: Tensor | None)
 
 
 def _target(prepared: PreparedBody, shape: tuple[int, ...], value: Tensor | None) -> Tensor:
-    target, name = prepared.body.x_rest, "dirichlet_target"
+    target, name = prepared.x_rest, "dirichlet_target"
     if value is not None:
         target = require(name, value, ("...", shape[-2], 3))
     return broadcast(name, target, shape)
@@ -192,6 +192,7 @@ def energy_terms(loads: Loads, frame: DampingFrame | None = None) -> dict[str, T
         "fiber_stiffness": stiffness,
         "activation": flat(stretch, 1),
         "pressure": flat(loads.pressure, 1),
+        "tables": prepared.tables,
         **_damping_terms(frame),
     }
 

@@ -128,6 +128,7 @@ class MuscleSet:
         self.pull_only = torch.tensor([m.kind == "tendon" for m in muscles], dtype=torch.float64)[
             self.owner
         ]
+        self.has_lengths = bool((self.weights != 1.0).any())  # of tendons
         self.has_contraction = any(m.kind == "contraction" for m in muscles)
         self.rest_activation = torch.tensor(
             [m.rest_activation for m in muscles], dtype=torch.float64

@@ -32,6 +32,8 @@ class Physics:
         rayleigh_alpha: Damping proportional to ``mass``, scalar [1/s].
         rayleigh_beta: Stiffness-proportional damping, scalar or (num_elements,) [s]; None: none.
         fiber_stiffness: Stiffness of each muscle, (num_muscles,) [Pa].
+        x_rest: Rest shape in place of the mesh's, (num_nodes, 3) [m]; None: the mesh's.
+        tables: What kernels know of it, see :mod:`diffsim.soft.rest_shape`; None: of the mesh.
     """
 
     material: str
@@ -42,6 +44,8 @@ class Physics:
     rayleigh_alpha: Tensor
     rayleigh_beta: Tensor | None
     fiber_stiffness: Tensor
+    x_rest: Tensor | None = None
+    tables: Tensor | None = None
 
     @property
     def batch(self) -> int | None:

@@ -57,7 +57,7 @@ def _require_own_shape(body: Solid) -> None:
     kernels know of the shape was made from the mesh, once."""
     if not hasattr(body, "x_rest"):
         raise TypeError(f"body must be a SoftBody, got {type(body).__name__}")
-    hint = "no gradient by the rest shape is computed; parameters of a shape move its mesh"
+    hint = "the shape that has a gradient is that of body.physics(x_rest=...)"
     own, whole = body.x_rest, body.mesh.x_rest
     require_constant("x_rest", without_mapping(own), hint)
     if own is whole or torch.compiler.is_compiling():  # a graph has no values
@@ -65,8 +65,8 @@ def _require_own_shape(body: Solid) -> None:
     numbers = values_of(own)  # of a stack of bodies (torch.func.stack_module_state) all at once
     if numbers.shape[-2:] != whole.shape or not bool((numbers == whole).all()):
         raise ValueError(
-            "x_rest of a body must be its mesh's, float64; make a new body of a mesh with other "
-            "positions (functional_call cannot change the shape)"
+            "x_rest of a body must be its mesh's, float64; give another shape to "
+            "body.physics(x_rest=...) (functional_call cannot change it)"
         )
 
 
@@ -86,6 +86,8 @@ class PreparedBody:
         weights: Parameters of the solid as kernels read them, (num_weights, num_elements) [Pa].
         fiber_stiffness: Of each fiber, (num_fibers,) [Pa]; None: it depends on the activation.
         no_pressure: Zeros, for chambers without pressure, (num_chambers,) [Pa].
+        x_rest: Rest positions, (num_nodes, 3) [m].
+        tables: What kernels know of them, (num_tables,); empty: those of the mesh.
     """
 
     def __init__(self, body: Solid, physics: Physics | None):
@@ -101,6 +103,8 @@ class PreparedBody:
             stiffness = muscles.of_fibers(physics.fiber_stiffness)
             self.fiber_stiffness = self.of_members(stiffness)
         self.no_pressure = torch.zeros(body.chambers.num_chambers, dtype=torch.float64)
+        self.x_rest = body.x_rest if physics.x_rest is None else physics.x_rest
+        self.tables = self.no_pressure.new_zeros(0) if physics.tables is None else physics.tables
         self._terms: Mapping[Rates, StageTerms] = {
             rates: StageTerms.of(physics, rates) for rates in rates_of(body.integrator, body.dt)
         }
@@ -130,6 +134,11 @@ class PreparedBody:
             iterate: Whether it is asked for where the body's own steps are linearly implicit.
         """
         tensors = arrays.tensors()
+        if self.is_linear and not iterate and self.tables.numel():
+            raise ValueError(
+                f"method={LINEAR!r} does not take physics(x_rest=...), whose gradient it lacks; use"
+                " method='auto', or make the body of a mesh with other positions"
+            )
         if iterate and self.is_linear:
             iterating = replace(self.body.solver, method="auto")
             return _ops_step.soft_step(*tensors, **self._arguments | iterating.arguments())[0]

@@ -55,8 +55,8 @@ class Changing:
     Attributes:
         prepared, physics: As given.
         weight: Directions of the weight, (K, num_nodes, 3) [N].
-        rates: Of the solid's weights, and of fibers that no activation moves, by name, as kernels
-            take them.
+        rates: Of the solid's weights, of the rest shape's tables, and of fibers that no activation
+            moves, by name, as kernels take them.
     """
 
     def __init__(self, prepared: PreparedBody, physics: Physics):
@@ -67,6 +67,8 @@ class Changing:
             + own.weighing_mass[:, None] * physics.gravity[:, None, :]
         ).contiguous()
         rates = {"weights": physics.weights}
+        if physics.tables is not None:
+            rates["tables"] = physics.tables
         muscles = prepared.body.muscles
         if muscles.num_muscles and not muscles.has_contraction:
             rates["fiber_stiffness"] = muscles.of_fibers(physics.fiber_stiffness)

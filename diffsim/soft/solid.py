@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -45,6 +46,7 @@ from diffsim.soft.physics import (
     require_distinct,
 )
 from diffsim.soft.plausible import warn_of_locking, warn_of_units
+from diffsim.soft.rest_shape import RestShape, moved_shape
 from diffsim.soft.state import State
 
 
@@ -99,7 +101,8 @@ class Solid(Float64Module):
             self.muscles = MuscleSet(muscles, mesh.num_elements)
             self.chambers = ChamberSet(chambers, mesh)
             # Not in the state_dict, which would change them behind the prepared solver's back.
-            self.register_buffer("x_rest", mesh.x_rest, persistent=False)
+            # A copy: a gradient asked of the body's must not mark the mesh's.
+            self.register_buffer("x_rest", mesh.x_rest.clone(), persistent=False)
             self.register_buffer("fixed", _dirichlet_mask(fixed, mesh.num_nodes), persistent=False)
             nodes = _contact_nodes(contact.contact_nodes, mesh, self.fixed)
             self.register_buffer("contact_nodes", nodes, persistent=False)
@@ -133,15 +136,9 @@ class Solid(Float64Module):
 
     def _make_context(self) -> SoftContext:
         with on_constants():
-            tables = element_tables(self.mesh, self.element)
             return SoftContext(
-                kind=tables.kind,
                 material=self.material.law,
-                elements=tables.elements,
-                grad=tables.shape.grad,
-                weight=tables.shape.weight,
-                hourglass=tables.hourglass,
-                class_idx=tables.shape.class_idx,
+                tables=element_tables(self.mesh, self.element),
                 x_rest=self.mesh.x_rest,
                 fiber_elements=self.muscles.elements,
                 fiber_directions=self.muscles.directions,
@@ -163,10 +160,14 @@ class Solid(Float64Module):
         """Handle of the prepared solver; the ops take this number."""
         return self._context.handle
 
-    def physics(self, *, batch: Value | None = None, **overrides: Value) -> Physics:
+    def physics(
+        self, *, batch: Value | None = None, x_rest: Tensor | None = None, **overrides: Value
+    ) -> Physics:
         """The body's parameters, some replaced; give the result to :meth:`forward` or ``rollout``.
 
         Args:
+            x_rest: Rest shape in place of the mesh's, (num_nodes, 3) [m]: masses, muscles'
+                directions and the prescribed positions at rest follow it. One for a whole batch.
             batch: Number of members of a batch of states. Then each override may lead with a batch
                 axis: one number per member is (batch,) or (batch, 1), a number per member and
                 element (batch, num_elements). None: one set for all.
@@ -189,23 +190,39 @@ class Solid(Float64Module):
                 if name == "density":
                     sizes["num_nodes"] = self.mesh.num_nodes
                 require_distinct(name, values[name], members, sizes)
-        volume = LumpedVolume(
-            elements=self.mesh.elements, shares=self.nodal_shares, nodal=self.nodal_volume
-        )
+        shares, nodal = self.nodal_shares, self.nodal_volume
+        shape = None if x_rest is None else self._shape(x_rest, members)
+        if shape is not None:
+            shares, nodal = shape.shares, shape.nodal
+        volume = LumpedVolume(elements=self.mesh.elements, shares=shares, nodal=nodal)
         constants = {name: values.pop(name) for name in own}
         given = PhysicalValues(**values, constants=constants)
-        return make_physics(
+        made = make_physics(
             given, volume, self.material, self.muscles.num_muscles, members, element=self.element
         )
+        if shape is None:
+            return made
+        return replace(made, x_rest=shape.x_rest, tables=shape.tables)
+
+    def _shape(self, x_rest: Tensor, members: int | None) -> RestShape:
+        """A rest shape in place of the mesh's."""
+        if members is not None:
+            raise ValueError(
+                "x_rest cannot be given with batch: members share their shape; take torch.func.vmap"
+                " over physics(x_rest=...), or call once for each shape"
+            )
+        return moved_shape(self.mesh, self.element, self.muscles, as_tensor("x_rest", x_rest))
 
     def own_values(self) -> dict[str, Tensor]:
         """The body's parameters by name, as they were given; what it does not have is missing."""
         names = (*PARAMETERS, *self.material.constants)
         return {n: v for n in names if (v := getattr(self, n)) is not None}
 
-    def rest_state(self, batch: int | None = None) -> State:
-        """The rest shape without motion; ``batch`` adds a leading axis."""
-        x = self.x_rest.clone()
+    def rest_state(self, batch: int | None = None, *, physics: Physics | None = None) -> State:
+        """The rest shape without motion, that of ``physics`` where it has one; ``batch`` adds a
+        leading axis. Gradient: ``x_rest`` of physics."""
+        moved = None if physics is None else physics.x_rest
+        x = (self.x_rest if moved is None else moved).clone()
         if batch is not None:
             x = x.expand(batch, -1, -1).contiguous()
         return State(x, torch.zeros_like(x))

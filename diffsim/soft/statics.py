@@ -47,7 +47,8 @@ def static_equilibrium(
         ConvergenceError: the solver stopped above its tolerance.
     """
     nodal = ("...", body.mesh.num_nodes, 3)
-    start = body.x_rest if guess is None else require("guess", guess, nodal)
+    prepared = prepare(body, physics)
+    start = prepared.x_rest if guess is None else require("guess", guess, nodal)
     for name, given in (("external_force", external_force), ("dirichlet_target", dirichlet_target)):
         if given is None:
             continue
@@ -62,7 +63,7 @@ def static_equilibrium(
             start = start.expand(*given.shape[:-1], *start.shape[-2:])
     state = State(start, torch.zeros_like(start))
     x, loads = check_inputs(
-        prepare(body, physics),
+        prepared,
         state,
         external_force=external_force,
         activation=activation,

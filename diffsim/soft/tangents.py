@@ -9,7 +9,7 @@ after the solve is linear in the state, so the same functions serve states and t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -139,6 +139,7 @@ def rollout_tangents(
     physics = body.physics() if physics is None else physics
     require_constants(_ONE_WAY, state=state, directions=directions, physics=physics, **signals)
     directed = directions.physics or still_physics(physics, count)
+    directions = _follow_shape(directions, dirichlet_target)
     keep = keep or (lambda state, moving: (state.x, moving.x))
     kept = [keep(state, moving)]
     with torch.no_grad():
@@ -192,6 +193,7 @@ def static_tangents(
     }
     require_constants(_ONE_WAY, x=x, directions=directions, physics=physics, **loads_given)
     directed = directions.physics or still_physics(physics, count)
+    directions = _follow_shape(directions, dirichlet_target)
     state = State(x, torch.zeros_like(x))
     with torch.no_grad():
         prepared = PreparedBody(body, physics)
@@ -201,6 +203,16 @@ def static_tangents(
         moved = _MovedInTime(body, directions, count)(0, state, still)
         rates = load_rates(problem, moved, Changing(prepared, directed))
         return solve_along(prepared, problem.arrays(), x, rates)
+
+
+def _follow_shape(directions: Directions, target: Signal) -> Directions:
+    """Directions in which what is held at rest moves with a rest shape that moves."""
+    physics = directions.physics
+    if physics is None or physics.x_rest is None or target is not None:
+        return directions
+    if directions.dirichlet_target is not None:
+        return directions
+    return replace(directions, dirichlet_target=physics.x_rest)
 
 
 class _MovedInTime:

@@ -8,7 +8,7 @@ a key means is said once, in the field's description: the reference of all keys 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -139,6 +139,41 @@ def unstated_facts(quantities: Mapping[str, Quantity], runs: Sequence[Run]) -> I
             yield Problem(
                 "error", f"model: {key}", f"is stated per {q.per}, which not all runs state"
             )
+
+
+def missing_commands(
+    wanted: Iterable[tuple[str, str | None]], runs: Sequence[Run]
+) -> Iterator[Problem]:
+    """Commands that a description names and a run lacks; each is said of the first such run.
+
+    Args:
+        wanted: Keys that name a command each, and that; None: the key names none.
+        runs: Recorded runs.
+    """
+    for key, name in wanted:
+        run = next((r for r in runs if name is not None and name not in r.command), None)
+        if run is not None:
+            said = f"run {run.name} has no command {name!r}{did_you_mean(str(name), run.command)}"
+            yield Problem("error", key, said)
+
+
+def mismatched_channels(
+    shown: Iterable[tuple[str, str]], study: Study, hint: str
+) -> Iterator[Problem]:
+    """Channels that a description names and the study lacks, and the other way about.
+
+    Args:
+        shown: Keys that name a channel each, and that.
+        study: Study with the channels.
+        hint: What to do about a channel that no key names.
+    """
+    named, channels = list(shown), [c.name for c in study.channels]
+    for key, name in named:
+        if name not in channels:
+            yield Problem("error", key, f"no channel {name!r}{did_you_mean(name, channels)}")
+    for name in channels:
+        if name not in [n for _, n in named]:
+            yield Problem("error", f"channel {name}", hint)
 
 
 def known(value: float, unit: str) -> Quantity:

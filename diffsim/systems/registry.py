@@ -145,7 +145,13 @@ def _offer_laws(made: DiagnosisSetup, described: Description, study: Study) -> D
     if type(described).plant is Description.plant:
         return made
     known = study.without_tests() if study.without_tests().runs else study
-    laws = PortLaws(partial(described.plant, known), made.study or known, made.model, make, study)
+    laws = PortLaws(
+        offered=partial(described.plant, known),
+        study=made.study or known,
+        model=made.model,
+        whole=study,
+        make=make,
+    )
     return replace(made, laws=laws)
 
 

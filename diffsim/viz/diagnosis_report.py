@@ -88,11 +88,11 @@ def diagnosis_page(report: Report) -> page.Report:
         verdict=[report.headline or report.sentences[0]],
         numbers=_numbers(report),
         sections=[
-            *(laws if is_described else []),
-            _errors(report),
             _test_runs(report, runs, channels),
+            *(laws if is_described else []),
             _causes(report),
             *([] if is_described else laws),
+            _errors(report),
             *_apart(report),
             _data_sheet(report),
             _residuals(report, runs, channels),
@@ -320,17 +320,29 @@ def _blind(report: Report) -> page.Section:
     ]
     content: list[page.Item] = []
     if hidden:
-        rows = [[name, why] for name, why in hidden.items()]
-        content.append(page.Table(columns=["not seen at all, or hardly", "why"], rows=rows))
+        rows = [[_component_of(name), why] for name, why in hidden.items()]
+        content.append(_fold(["not seen at all, or hardly", "why"], rows, "not seen, or hardly"))
     if visible:
         caption = (
             "Six standard deviations of what the data tell of the size. Below it a cause may act "
             "and is not seen."
         )
-        rows = [[row.label(c), f"{figure(size)} {unit_of(row.unit)}"] for row, c, size in visible]
-        columns = ["cause", "smallest visible size"]
-        content.append(page.Table(columns=columns, rows=rows, caption=caption))
+        rows = [
+            [_component_of(row.label(c)), f"{figure(size, 2)} {unit_of(row.unit)}"]
+            for row, c, size in visible
+        ]
+        what = "causes by the size that would be seen"
+        content.append(_fold(["cause", "smallest visible size"], rows, what, caption))
     return page.Section(title="What these data cannot see", content=content)
+
+
+def _fold(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], what: str, caption: str = ""
+) -> page.Table:
+    """A table that a click opens."""
+    words = f"{len(rows)} {what}"
+    every = range(len(rows))
+    return page.Table(columns=columns, rows=rows, caption=caption, folded=every, folded_words=words)
 
 
 def _next_run(r: Report) -> page.Section:
@@ -357,13 +369,24 @@ def _next_run(r: Report) -> page.Section:
 
 
 def _gates(r: Report) -> page.Section:
-    rows = [[g.name, _describe_gate(g), figure(g.value), figure(g.limit), g.note] for g in r.gates]
+    rows = [
+        [_check_words(g.name), _describe_gate(g), figure(g.value), figure(g.limit), g.note]
+        for g in r.gates
+    ]
+    failed = [i for i, g in enumerate(r.gates) if g.applies and not g.passed]
     table = page.Table(
         columns=["check", "result", "value", "limit", "of what"],
         rows=rows,
-        emphasis=[i for i, g in enumerate(r.gates) if g.applies and not g.passed],
+        emphasis=failed,
+        folded=[i for i in range(len(rows)) if i not in failed],
+        folded_words="that passed or do not apply" if failed else "Checks, none of which failed",
     )
     return page.Section(title="Checks before physics is blamed", content=[table] if rows else [])
+
+
+def _check_words(name: str) -> str:
+    """A check in words: "gradient:sliding_friction" is "gradient of sliding friction"."""
+    return name.replace(":", " of ").replace("_", " ")
 
 
 def _describe_gate(gate: GateResult) -> str:

@@ -25,11 +25,14 @@ from diffsim.diagnose.say.wording import component_words
 from diffsim.viz.numbers import figure, signed, unit_of, with_interval, with_sd
 from diffsim.viz.report import Table
 
+_OUT = (REFUTED, HIDDEN, UNJUDGED)  # statuses of causes that the answer does without
 MOST_OUTSIDE = 10  # rows: a flight has twenty quantities, most just outside
 
 
 def errors(rows: Sequence[ErrorRow]) -> Table:
-    """Error before and after on every run that was not fitted."""
+    """Error before and after on runs that were not fitted; no columns without a number."""
+    given = ("constant", "held", "command", "without")
+    shown = [which for which in given if any(getattr(row, which) is not None for row in rows)]
     return Table(
         columns=[
             "run",
@@ -37,9 +40,7 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
             "before",
             "after",
             "noise",
-            "constant",
-            "held",
-            "without",
+            *shown,
             "90 % band ±",
             "inside",
             "unit",
@@ -53,9 +54,7 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
                 figure(e.before),
                 figure(e.after),
                 figure(e.noise),
-                "–" if e.constant is None else figure(e.constant),
-                "–" if e.held is None else figure(e.held),
-                "–" if e.without is None else figure(e.without),
+                *("–" if (v := getattr(e, w)) is None else figure(v) for w in shown),
                 "–" if e.band is None else figure(e.band),
                 "–" if e.band is None else f"{100 * e.num_inside / e.num_samples:.0f} %",
                 unit_of(e.unit) or "–",
@@ -66,8 +65,9 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
         ],
         caption="Root mean square over the samples. Before: the plain model at its own fit. After: "
         "the extended model. Nothing is fitted to these runs but what the study declares unknown "
-        "per run; the table says how many values these are. Constant: the mean of the fitted runs. "
-        "Held: the first reading of this run; neither takes any skill. Without: the extended "
+        "per run; the table says how many values these are. Constant: the mean of the fitted runs, "
+        "its zero as free as the model's. Held: the first reading of this run. Command: itself, "
+        "late and shifted; none of these takes any skill. Without: the extended "
         "model with what was fitted to the run where the study states it. Inside: share of the "
         "samples in the band around the extended model.",
     )
@@ -82,8 +82,8 @@ def own(rows: Sequence[OwnRow]) -> list[Table]:
         rows=[
             [
                 row.run,
-                row.name,
-                figure(row.value, 4),
+                words_of(row.name.partition("@")[0]),
+                figure(row.value),
                 with_sd(row.prior_value, row.prior_sd),
                 unit_of(row.unit) or "–",
                 f"{row.pull:+.1f}",
@@ -118,8 +118,8 @@ def causes(r: Report) -> Table:
         "the error removed from runs that the cause was not fitted to. Removes: share of the "
         "fitted misfit above the noise that is back without the cause.",
         emphasis=[i for i, row in enumerate(r.causes) if row.status == "certain"],
-        folded=[i for i, row in enumerate(r.causes) if row.status == REFUTED and not row.helps],
-        folded_words="refuted",
+        folded=[i for i, row in enumerate(r.causes) if row.status in _OUT and not row.helps],
+        folded_words="refuted, not visible or not judged",
     )
 
 
@@ -147,7 +147,8 @@ def apart(rows: Sequence[ApartRow]) -> Table:
         columns=["number", "of", "size (90 % interval)", "over the others", "unit", "differs"],
         rows=[_apart(row) for row in rows],
         caption="Over the others: the number less the median of the other groups, with its 90 % "
-        "interval. It differs where all these differences together are that large by chance once "
+        "interval; of two batches, the mean of one less that of the other. It differs where all "
+        "these differences together are that large by chance once "
         "in a hundred times. Else groups may still differ by what the interval holds.",
         emphasis=[i for i, row in enumerate(rows) if row.differs],
     )
@@ -254,7 +255,8 @@ def sets(r: Report, most: int = 12) -> list[Table]:
     best = r.hypotheses[0].nats
     rows = [
         [
-            " + ".join((*h.effects, *([h.unknown] if h.unknown else []))) or "nothing",
+            " + ".join(words_of(n) for n in (*h.effects, *([h.unknown] if h.unknown else [])))
+            or "nothing",
             signed(h.nats - best),
             figure(h.chi2),
             "refitted" if h.refitted else "linear",
@@ -266,7 +268,9 @@ def sets(r: Report, most: int = 12) -> list[Table]:
         "behind the best: 3 nats are odds of 20 to 1."
     )
     columns = ["set of causes", "nats behind", "chi2", "how"]
-    return [Table(columns=columns, rows=rows, caption=caption)]
+    words = f"{len(rows)} sets of causes by evidence"
+    folded = range(len(rows))
+    return [Table(columns=columns, rows=rows, caption=caption, folded=folded, folded_words=words)]
 
 
 def _base(row: BaseRow) -> list[str]:

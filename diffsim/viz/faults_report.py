@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.diagnose.faults.verdict import UNLISTED, FaultReport, FaultVerdict, Size
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.charts import EXTENDED
@@ -56,10 +57,19 @@ def faults_page(report: FaultReport) -> page.Report:
 
 def _groups(verdicts: Sequence[FaultVerdict]) -> page.Section:
     rows = [
-        [v.group, v.status, v.words, probability(v.sound), _sources(v), _facts(v)] for v in verdicts
+        [v.group, v.status, v.words, v.next_words, probability(v.sound), _sources(v), _facts(v)]
+        for v in verdicts
     ]
     table = page.Table(
-        columns=["group", "status", "what is said", "probability of sound", "files", "known of it"],
+        columns=[
+            "group",
+            "status",
+            "what is said",
+            "what to do next",
+            "probability of sound",
+            "files",
+            "known of it",
+        ],
         rows=rows,
         caption="Probability that nothing is wrong: by these runs alone, without what other "
         "groups' labels say.",
@@ -116,7 +126,7 @@ def _explanations(verdicts: Sequence[FaultVerdict]) -> page.Section:
     rows = [
         [
             v.group,
-            UNLISTED if s.is_unlisted else " + ".join(s.causes) or "sound",
+            UNLISTED if s.is_unlisted else " + ".join(map(words_of, s.causes)) or "sound",
             probability(s.probability_alone),
             probability(s.probability),
         ]
@@ -129,7 +139,7 @@ def _explanations(verdicts: Sequence[FaultVerdict]) -> page.Section:
         caption="Most probable explanations of each group, with the probability of each.",
     )
     unseen = [
-        [v.group, ", ".join(f"{c} {figure(s, 2)}" for c, s in _least(v)[:MOST_VISIBLE])]
+        [v.group, ", ".join(f"{words_of(c)} {figure(s, 2)}" for c, s in _least(v)[:MOST_VISIBLE])]
         for v in verdicts
         if not v.causes
     ]

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diffsim.data.study import Channel, Study
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.own_values import own_words
 from diffsim.diagnose.judge.records import no_skill_words
+from diffsim.diagnose.judge.rivals import cause_words
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.identify.model_file import SavedModel
@@ -40,7 +42,7 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
     channels = with_noise(study.channels, sd)
     runs = _collect_predictions(found, study, extended=bool(saved.components))
     gained = [] if found.gain is None or not saved.components else [gain_number(found.gain)]
-    sections = [_errors(found), _gains(found, saved)]
+    sections = [_gains(found, saved), _errors(found)]
     if runs:
         sections += [
             runs_section("Measured and predicted", runs, channels),
@@ -50,7 +52,11 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
         title=f"Judgment of {study.name}",
         subtitle=f"Recorded runs against the saved model {saved.path.name}; nothing was fitted to "
         "them but what the study declares unknown per run",
-        verdict=[judged_headline(found.errors, found.gain, extended=bool(saved.components))],
+        verdict=[
+            judged_headline(
+                found.errors, found.gain, extended=bool(saved.components), gains=found.gains
+            )
+        ],
         numbers=[*error_numbers(found.errors), *gained, *band_numbers(found.errors)],
         sections=[*sections, _sizes(saved)],
         held_fixed=[
@@ -95,7 +101,7 @@ def _gains(found: Unseen, saved: SavedModel) -> page.Section:
         )
     rows = [
         [name, f"{100 * g.value:.0f}", f"{100 * g.low:.0f} to {100 * g.high:.0f}", g.status]
-        for name, g in found.gains.items()
+        for name, g in {**found.gains, **{f"all {n}": g for n, g in found.kinds.items()}}.items()
     ]
     table = page.Table(
         columns=["run", "removed [%]", "90 % interval [%]", "status"],
@@ -103,7 +109,8 @@ def _gains(found: Unseen, saved: SavedModel) -> page.Section:
         caption="Share of the error above the noise that the named causes remove. A short run may "
         "have too few blocks of samples to confirm anything alone.",
     )
-    return page.Section(title=title, content=[table] if rows else [])
+    text = cause_words(found.causes, {name: words_of(name) for name in found.causes})
+    return page.Section(title=title, text=text, content=[table] if rows else [])
 
 
 def _build_misfit_section(

@@ -101,8 +101,11 @@ class Table:
         """Indices of rows by part, each with what a click opens it by; the first stands open."""
         folded = set(self.folded)
         parts = [("", [i for i in range(len(self.rows)) if i not in folded])]
+        parts = parts if parts[0][1] or not folded else []
         if folded:
-            parts.append((f"{len(folded)} {self.folded_words}", sorted(folded)))
+            is_counted = bool(parts)  # else the words say how many there are
+            words = f"{len(folded)} {self.folded_words}" if is_counted else self.folded_words
+            parts.append((words, sorted(folded)))
         return parts
 
     @property

@@ -145,7 +145,14 @@ def _device(files: dict[str, Path]) -> tuple[str, str]:
 
 
 def _flight(files: dict[str, Path]) -> tuple[str, str]:
-    return "", "finished" if "flight.yaml" in files else "going on, or interrupted"
+    progress = "finished" if "flight.yaml" in files else "going on, or interrupted"
+    table = files.get("flight.csv")
+    lines = [] if table is None else _tail(table)
+    flown = lines[-1].partition(b",")[0] if lines else b""
+    try:
+        return f"{float(flown):.3g} s flown", progress
+    except ValueError:  # the header alone, or not even that
+        return "nothing flown", "no flight"
 
 
 def _describe_finished(files: dict[str, Path]) -> tuple[str, str]:
@@ -222,10 +229,14 @@ def _mapping(text: bytes) -> Mapping[str, Any]:
 
 def _last_row(path: Path) -> Mapping[str, Any]:
     """The last whole row of a table of progress, found from its end."""
+    return next((row for line in reversed(_tail(path)) if (row := _mapping(line))), {})
+
+
+def _tail(path: Path) -> list[bytes]:
+    """The last lines of a file; the first of them may be cut."""
     with path.open("rb") as file:
         file.seek(-min(_TAIL, file.seek(0, os.SEEK_END)), os.SEEK_END)
-        lines = file.read().splitlines()
-    return next((row for line in reversed(lines) if (row := _mapping(line))), {})
+        return file.read().splitlines()
 
 
 def _count_rows(path: Path) -> str:

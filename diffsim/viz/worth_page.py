@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.sim_to_real.worth import MISS, Worth
+from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.sim_to_real.worth import ALL, MISS, Worth
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.charts import EXTENDED, NULL
@@ -45,9 +46,9 @@ def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str
     unit = "m" if travel else ""
     numbers = [
         page.Number(
-            label=f"mending {row.cause} buys",
-            value=figure(row.bought),
-            unit=unit,
+            label=f"mending {_words(row)} buys",
+            value="nothing" if row.is_nothing else figure(row.bought),
+            unit="" if row.is_nothing else unit,
             note=f"{figure(row.whole)} with it, {figure(row.none)} without",
         )
         for row in ranked
@@ -70,19 +71,24 @@ def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str
     )
 
 
+def _words(row: Worth) -> str:
+    return "all causes" if row.cause == ALL else words_of(row.cause)
+
+
 def _table(rows: Sequence[Worth]) -> page.Table:
     return page.Table(
         columns=["cause", *SHOWN.values(), "mending buys", UNAWARE],
         rows=[
             [
-                r.cause,
+                _words(r),
                 *(figure(getattr(r, key)) for key in SHOWN),
-                figure(r.bought),
+                "nothing" if r.is_nothing else figure(r.bought),
                 figure(r.unaware),
             ]
             for r in rows
         ],
-        caption="Last column: the command of a model without the cause, where the cause acts.",
+        caption="Last column: the command of a model without the cause, where the cause acts. "
+        "Nothing: less than repeated searches for the best command differ by.",
     )
 
 
@@ -91,7 +97,7 @@ def _bars(rows: Sequence[Worth], title: str) -> page.Chart:
     labels = {**SHOWN, "unaware": UNAWARE}
     bars = [
         charts.graph_objects().Bar(
-            x=[row.cause for row in rows],
+            x=[_words(row) for row in rows],
             y=charts.rounded(np.array([getattr(row, key) for row in rows])),
             name=label,
             marker_color=colors.get(key, NULL),

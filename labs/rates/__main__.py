@@ -18,6 +18,7 @@ from labs.rates.domains import DOMAINS
 from labs.rates.draw import recordable
 from labs.rates.page import write_page
 from labs.rates.plan import items, planned
+from labs.rates.sentences import write_sentences
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -116,7 +117,8 @@ def say(row: Mapping[str, Any]) -> None:
 def write_pages(
     rows: Sequence[Mapping[str, Any]], plan: Mapping[str, Any], args: argparse.Namespace
 ) -> Path:
-    """The page of the run, and the same where ``--page`` says."""
+    """First sentences, the page of the run, and the same where ``--page`` says."""
+    print(f"wrote {write_sentences(rows, args.out / 'sentences.md')}")
     if args.page is not None:
         write_page(rows, plan, args.page)
     return write_page(rows, plan, args.out / "rates.md")

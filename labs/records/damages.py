@@ -55,10 +55,6 @@ def _span(folder: Folder, column: str) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _usual(values: Array) -> float:
-    return float(np.median(np.abs(np.diff(values))))
-
-
 def _is_whole(folder: Folder, column: str) -> bool:
     return all((t[column] == np.round(t[column])).all() for t in folder.tables.values())
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import drawn_errors, planted_errors
+from benchmarks.nearest_tests import nearest_tests
 from benchmarks.planted_errors import (
     CAUGHT,
     KEPT,
@@ -179,15 +180,24 @@ def test_unknown_names_are_refused(capsys: pytest.CaptureFixture[str]):
 
 def test_drawn_errors_fit_the_tree(monkeypatch):
     """From a seed the same ones, each a text that stands once, of Python that can be read."""
-    monkeypatch.setattr(drawn_errors, "tests_of", lambda file: ["tests/test_house.py", "b"])
+    monkeypatch.setattr(drawn_errors, "nearest_tests", lambda *_: ["tests/test_house.py", "b"])
     drawn = drawn_errors.draw(5, 20, nearest=1)
     assert drawn == drawn_errors.draw(5, 20, nearest=1)
     assert drawn != drawn_errors.draw(6, 20, nearest=1)
     for error in drawn:
-        assert error.tests == ("tests/test_house.py",)
+        assert error.tests[-1] == "tests/test_house.py"
         text = planted_text(Planted(**error._asdict()), ROOT)
         if error.file.endswith(".py"):
             compile(text, error.file, "exec")
+
+
+def test_the_nearest_tests_say_what_uses_a_line():
+    """A private class, by the name of a table's entry; the kernel of a binding, by its op."""
+    drag = "diffsim/systems/soft_body/forces.py"
+    line = (ROOT / drag).read_text().partition("speed = torch")[0].count("\n") + 1
+    assert "tests/systems/test_soft_body.py" in nearest_tests(drag, line)[:4]
+    kernel = nearest_tests("csrc/kernels/copter/flight_step.h", 36)
+    assert "tests/copter/dynamics/test_flight_gradients.py" in kernel[:4]
 
 
 def test_the_operators_of_drawn_errors():

@@ -15,9 +15,12 @@ from diffsim import cli
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.cli.diagnose_judged import file_name, write_judged
 from diffsim.data import save_study
+from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.gain import held_out_residual
+from diffsim.diagnose.judge.records import ErrorRow, no_skill_words
+from diffsim.diagnose.judge.rivals import beside_no_skill
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.refit import extend, fit_null
 from diffsim.identify import DiagnosisSetup, Numerics, fit, save_extended
@@ -255,3 +258,55 @@ def test_a_study_of_test_runs_alone_asks_for_a_model(new_folder, tmp_path, capsy
     said = capsys.readouterr()
     assert "has no run with use: fit" in said.err + said.out
     assert "--model FOLDER/extended_model.yaml" in said.err + said.out
+
+
+def test_each_cause_and_each_kind_of_run_is_judged(model_folder, new_folder, tmp_path, capsys):
+    """One half of the runs is of another rig, whose drag the model has twice."""
+    study = load_study(new_folder)
+    fresh, channel = study.runs[0], study.channels[0]
+    saved = read_extended(model_folder)
+    assert saved.components == ("drag",)
+    inputs = inputs_of(study, seed=0, setup_file=Path(SETUP))
+    plain, extended = judge_saved(inputs, saved).predicted["fresh"]
+    noise = channel.sd * np.random.default_rng(0).normal(size=(len(plain), 3))
+    as_said = {"fresh_1": extended, "fresh_2": extended, "heavy_1": 2.0 * plain - extended}
+    runs = []
+    for k, (name, record) in enumerate(as_said.items()):
+        measured = fresh.measured.copy()
+        measured[:, 0] = record[:, 0] + noise[:, k]
+        runs.append(replace(fresh, name=name, group=name, measured=measured))
+    folder = tmp_path / "both"
+    save_study(replace(study, runs=tuple(runs)), folder)
+    assert judge(folder, tmp_path, model_folder) == 0
+    said = capsys.readouterr().out
+    found = json.loads((tmp_path / "judge.json").read_text())
+    assert found["headline"].startswith("Better on fresh (2 of 2), worse on heavy.")
+    assert len(found["headline"].partition(". ")[0].split()) <= 25
+    assert said.index("Run fresh_1: ") < said.index("On unseen runs")
+    assert found["kinds"]["fresh"]["low"] > 0.0 > found["kinds"]["heavy"]["high"]
+    # its one cause taken out is not the plain model, whose mass is another
+    (without,) = found["causes"].values()
+    left = {(row["run"], row["kind"]): row["before"] for row in without["errors"]}
+    whole = {(row["run"], row["kind"]): row["after"] for row in found["errors"]}
+    assert left["fresh_1", "position"] > 1.2 * whole["fresh_1", "position"]
+    assert "drag" in said.split("On unseen runs")[1]
+    # the zero of a position is free: so is a constant's
+    rows = [row for row in found["errors"] if row["kind"] == "position"]
+    for row, run in zip(rows, runs, strict=True):
+        assert row["constant"] == pytest.approx(np.std(run.measured[:, 0]), rel=0.02)
+
+
+def test_a_command_that_is_the_answer_leaves_no_skill_to_the_model():
+    time = np.linspace(0.0, 4.0, 401)
+    goal = np.sin(3.0 * time)
+    late = np.interp(time - 0.25, time, goal) + 0.3
+    run = Run("a", time, late[:, None], {"goal": goal}, "a", use="test")
+    channels = (Channel("angle", "rad", "angle", sd=0.01),)
+    study = Study("servo", "ode", channels, (run,), commands=(Command("goal", unit="rad"),))
+    row = ErrorRow("a", "angle", "rad", 0.5, 0.2, 0.01, 401, 0)
+    found = Unseen(("a",), errors=(row,), gain=None, gains={}, outside=())
+    (row,) = beside_no_skill(found, study)
+    assert row.command == pytest.approx(0.0, abs=1e-3) and row.constant is None
+    assert "the command itself, late and shifted, would leave" in no_skill_words([row])[0]
+    other = replace(study, commands=(Command("goal", unit="N"),))
+    assert beside_no_skill(found, other)[0].command is None

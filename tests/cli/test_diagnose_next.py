@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 from diffsim import cli
 from diffsim.cli.diagnose_inputs import inputs_of
@@ -114,3 +115,27 @@ def test_another_description_is_another_diagnosis(folder):
     moved = replace(study, model={**study.model, "time_step": 0.01})
     first, second = (inputs_of(s, seed=0).fingerprint["study"] for s in (study, moved))
     assert first != second
+
+
+def test_no_run_is_advised_beyond_the_travel_of_a_channel(folder, capsys):
+    argv = ["diagnose", "next", str(folder / "study"), "--out", str(folder / "out"), "--debug"]
+    file, report = folder / "study" / "study.yaml", folder / "out" / "report.json"
+    content = json.loads(report.read_text())
+    cold = {"status": "not judged", "note": "a column of temperature", "words": "warm grease"}
+    report.write_text(json.dumps({**content, "causes": [cold]}))
+    given = yaml.safe_load(file.read_text())
+    reach = max(np.abs(run.measured[:, 0]).max() for run in load_study(folder / "study").runs)
+    advised = []
+    for travel in (1.2 * float(reach), 1e-6):
+        given["channels"][0] |= {"lower": -travel, "upper": f"{1000 * travel} mm"}
+        file.write_text(yaml.safe_dump(given))
+        if travel == 1e-6:
+            with pytest.raises(ValueError, match="leave the travel"):
+                cli.main(argv)
+            continue
+        assert cli.main(argv) == 0
+        advised = json.loads((folder / "out" / "next.json").read_text())["chi2_gain"]
+    said = capsys.readouterr().out
+    assert "warm grease could not be judged: record a column of temperature" in said
+    bank = inputs_of(load_study(folder / "study"), seed=0, with_bank=True).setup.bank
+    assert 0 < len(advised) < len(bank)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from diffsim import contact, mesh, soft
 from diffsim.soft._sticking import SLIDING_FRICTION
-from tests.soft.cases import grouped, noise, soft_body
+from tests.soft.cases import noise, soft_body
 
 ZERO = (0.0, 0.0, 0.0)
 
@@ -24,20 +24,6 @@ def slab(kind: str = "hex", cells=(2, 2, 1), size=(1.0, 1.0, 0.5), height: float
     make = mesh.hex_box if kind == "hex" else mesh.tet_box
     m = make(cells, size, origin=(-0.5 * size[0], -0.5 * size[1], height))
     return soft_body(m, **{"gravity": (0.0, 0.0, -1.0), "youngs_modulus": 100.0, **changes})
-
-
-def stiff_block(kind: str = "hex", cells=(2, 2, 2), edge: float = 0.1, **changes):
-    """A block in SI units that hardly deforms, standing on z = 0: w h is about 50."""
-    make = mesh.hex_box if kind == "hex" else mesh.tet_box
-    m = make(cells, (edge,) * 3, origin=(-0.5 * edge, -0.5 * edge, 0.0))
-    arguments = {
-        "dt": 2e-3,
-        "youngs_modulus": 1e8,
-        "poissons_ratio": 0.3,
-        "density": 1000.0,
-        "solver": soft.SolverOptions(rtol=1e-10),
-    }
-    return soft.SoftBody(m, **grouped({**arguments, **changes}))
 
 
 def moving(body, velocity=ZERO, spin=ZERO, wobble: float = 0.0, seed: int = 2) -> soft.State:

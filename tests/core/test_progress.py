@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 import termios
+import time
 from pathlib import Path
 
 import pytest
@@ -52,7 +53,7 @@ def test_a_log_of_a_diagnosis_has_a_line_for_each_stage(capsys):
     told = [re.sub(r", \d+ s", "", line) for line in lines(capsys)]
     assert [line for line in told if "step" in line] == [
         "diagnose: 0 %, plain step 0.0",
-        "diagnose: 20 %, search step 0.2",
+        "diagnose: 14 %, search step 0.2",
         "diagnose: 100 %, plain step 0.3",
     ]
 
@@ -194,3 +195,29 @@ def test_only_one_file_draws_bars():
     drawing = re.compile(r"\btqdm\b|import rich|end=['\"]\\r|\\x1b|\\033|progress_bar=True")
     found = {str(p.relative_to(ROOT)) for p in sources if drawing.search(p.read_text("utf-8"))}
     assert found == {"diffsim/core/progress.py"}
+
+
+def test_a_diagnosis_never_goes_back_is_full_at_the_end_alone_and_ticks(monkeypatch):
+    seen: list[int] = []
+    monkeypatch.setattr("diffsim.cli.diagnose_progress.PERIOD_S", 0.01)
+    monkeypatch.setattr(ProgressLines, "refresh", lambda bar: seen.append(bar.n))
+    with diagnosis_bar("diagnose") as progress:
+        for share in (0.2, 0.7, 0.1, 1.0):
+            progress("search", share, "sets")
+        assert seen[-4:] == [14, 49, 53, 85]
+        said = len(seen)
+        for _ in range(3000):
+            if len(seen) > said:
+                break
+            time.sleep(0.01)
+        assert len(seen) > said  # though nothing is said meanwhile
+    assert seen == sorted(seen) and seen[-1] == 100
+
+
+def test_a_notebook_has_one_bar(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "ipykernel", object())
+    for step in show_progress(range(3), desc="steps", leave=False):
+        assert step >= 0
+    said = capsys.readouterr().err
+    assert "\r" in said and "\n" not in said
+    assert all(len(line) <= 80 for line in said.split("\r"))

@@ -35,8 +35,6 @@ BASE: dict[str, Any] = {
     "commands": [{"name": "force", "column": "F", "unit": "mN", "lower": -5, "rate": 100}],
 }
 
-BY_TRIAL = {"name": "r{trial}", "file": "all.csv", "split": "trial"}
-
 
 def load(folder: Path, **changes: Any):
     (folder / "study.yaml").write_text(yaml.safe_dump({**BASE, **changes}))

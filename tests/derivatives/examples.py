@@ -216,6 +216,8 @@ MAKE |= {
     mesh.TetMesh: lambda: {"x_rest": BAR.x_rest, "tets": BAR.tets},
     mesh.RegionMesh: lambda: {"mesh": BAR, "names": ("a", "b"),
                               "region": torch.tensor([0, 0, 0, 1, 1, 1])},
+    mesh.Cage: lambda: {"mesh": irregular_mesh("hex"), "points": (3, 2, 2)},
+    mesh.Blend: lambda: {"mesh": BAR, "shapes": BAR.x_rest + 0.1 * noise(2, *BAR.x_rest.shape)},
 }  # fmt: skip
 USE |= {
     mesh.HexMesh: lambda m: [m.x_rest, mesh.element_volumes(m)],
@@ -231,16 +233,24 @@ def _raw() -> dict[str, Any]:
 
 CALL |= dict.fromkeys(
     (
-        *("cavities", "element_size", "element_volumes", "nodal_shares", "nodal_volume"),
+        *("cavities", "element_size", "element_volumes"),
         *("quality", "shape_gradients", "surface_quads", "surface_triangles"),
         *("surface_vertices", "total_volume"),
     ),
     lambda: {"mesh": irregular_mesh("hex")},
 )
+CALL |= dict.fromkeys(
+    ("nodal_shares", "nodal_volume"),
+    lambda: {"mesh": irregular_mesh("hex"), "x_rest": deformed(irregular_mesh("hex"), 0.1)},
+)
 CALL |= {
     "save": lambda: {"mesh": BAR, "path": Path(tempfile.mkdtemp()) / "bar.vtu", "x": BAR.x_rest},
     "RegionMesh.values": lambda: {"of": {"a": real(1.0), "b": real(2.0)}},
     "split_tets": lambda: {"mesh": BAR},
+    "split_positions": lambda: {"mesh": BAR, "x": BAR.x_rest + 0.05 * noise(*BAR.x_rest.shape)},
+    "Cage.__call__": lambda: {"offsets": 0.1 * noise(3, 2, 2, 3)},
+    "Blend.__call__": lambda: {"weights": real(0.3, -0.2)},
+    "safe_share": lambda: {"mesh": BAR, "x": BAR.x_rest, "moved": BAR.x_rest + 0.01},
     "to_trimesh": lambda: {"mesh": BAR, "x": BAR.x_rest},
 }
 
@@ -366,7 +376,11 @@ def _rolled() -> dict[str, Any]:
 
 
 CALL |= {
-    "SoftBody.physics": lambda: {"density": real(1.5), "youngs_modulus": real(30.0)},
+    "SoftBody.physics": lambda: {"density": real(1.5), "youngs_modulus": real(30.0),
+                                 "x_rest": deformed(irregular_mesh("hex"), 0.1)},
+    "SoftBody.rest_state": lambda: {
+        "physics": _body().physics(x_rest=deformed(irregular_mesh("hex"), 0.1)),
+    },
     "rollout": _rolled,
     "rollout_tangents": lambda: {
         **_rolled(), "count": 1, "directions": soft.Directions(v=noise(1, 12, 3)),

@@ -15,13 +15,11 @@ needs("stable_baselines3", reason="PPO")
 needs("matplotlib", reason="pages")
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "recipes.md"
-LONG = "diffsim diagnose explain"  # 20 CPU s; a story runs it
 
 
 @pytest.mark.example
-@pytest.mark.cpu(45)  # nine recipes, of which PPO imports much
-@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.story)])
-def test_recipes_run_as_they_stand(whole, tmp_path, monkeypatch):
+@pytest.mark.story
+def test_recipes_run_as_they_stand(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "__main__"}
     for kind, text in re.findall(r"```(python|yaml|sh)\n(.*?)```", PAGE.read_text("utf-8"), re.S):
@@ -31,12 +29,9 @@ def test_recipes_run_as_they_stand(whole, tmp_path, monkeypatch):
             Path(text.split("\n")[0].removeprefix("# ")).write_text(text)
         else:
             for line in text.strip().splitlines():
-                if not whole and (line.startswith(LONG) or "export" in line):
-                    assert main(["diagnose", "check", line.split()[3]]) == 0
-                    continue
                 assert main(shlex.split(line.removeprefix("diffsim "))) == 0, line
     fitted = json.loads(Path("fitted/fit.json").read_text())
-    assert 2.85e5 < _value(fitted, "youngs_modulus") < 3.4e5
+    assert 2.97e5 < _value(fitted, "youngs_modulus") < 3.04e5
     assert abs(float(names["stiffness"].grad.sum())) > 0.0
     assert 2.9e5 < float(names["np"].exp(names["found"].x)[0]) < 3.1e5
     assert Path("flight/flight.csv").is_file()
@@ -46,11 +41,10 @@ def test_recipes_run_as_they_stand(whole, tmp_path, monkeypatch):
     )
     (motor,) = json.loads(Path("which_motor/faults.json").read_text())["verdicts"]
     assert (motor["group"], motor["causes"]) == ("x", ["loss_2"])
-    if whole:
-        found = json.loads(Path("which_sensor/report.json").read_text())
-        assert found["named"] == ["sensor_scale_of_camera"]
-        constants = json.loads(Path("answer/mujoco.json").read_text())
-        assert abs(_value(constants, "kp") - 12.0) < 1.5
+    found = json.loads(Path("which_sensor/report.json").read_text())
+    assert found["named"] == ["sensor_scale_of_camera"]
+    constants = json.loads(Path("answer/mujoco.json").read_text())
+    assert abs(_value(constants, "kp") - 12.0) < 1.5
 
 
 def _value(found, name):

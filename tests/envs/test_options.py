@@ -79,6 +79,31 @@ def test_rewards_sum_to_the_distance() -> None:
     assert total == pytest.approx(float(task.robot.center(state["x"])[0, 0] - first[0, 0]))
 
 
+@pytest.mark.parametrize("on_floor", [False, True])
+def test_the_reward_of_advancing_is_that_of_its_data_sheet(on_floor: bool) -> None:
+    weights = {"drift_weight": 0.7, "rise_weight": 0.3, "speed_scale": 0.2}
+    task = Advance(block(on_floor=on_floor), 9, substeps=2, **weights)
+    rng = np.random.default_rng(0)
+    state, moved = task.start(3, rng), 0.003 * rng.standard_normal((3, 3))
+    after = {**state, "x": state["x"] + torch.from_numpy(moved)[:, None]}
+    ahead, aside, up = (moved / (0.2 * task.dt)).T
+    across = np.hypot(aside, 0.0 if on_floor else up)
+    expected = ahead - 0.7 * (np.hypot(across, 0.01) - 0.01) + 0.3 * up
+    found = sum(task.reward_terms(state, COMMANDS[:3], after).values())
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_the_reward_of_reaching_is_that_of_its_data_sheet() -> None:
+    goals = {"goal_low": [0.01, 0.0, -0.05], "goal_high": [0.05, 0.02, 0.0]}
+    task = Reach(block(), 9, node=7, effort_weight=0.2, **goals)
+    state = task.start(3, np.random.default_rng(0))
+    away = np.linalg.norm(state["goal"] - state["x"][:, 7], axis=1) / 0.2  # m, of a robot that long
+    effort = (COMMANDS[:3].numpy() ** 2).mean(1)
+    found = task.reward_terms(state, COMMANDS[:3], state)
+    np.testing.assert_allclose(found["distance"], 0.01 - np.hypot(away, 0.01), rtol=1e-9)
+    np.testing.assert_allclose(found["effort"], -0.2 * effort, rtol=1e-12)
+
+
 def test_current_carries_a_swimmer() -> None:
     task = Advance(block(water=True), 9, current=0.5)
     state = task.start(3, np.random.default_rng(0))

@@ -19,6 +19,12 @@ def test_the_modulus_is_found_again():
     assert found["modulus kPa"] == pytest.approx(300.0, rel=1e-4)
 
 
+def test_a_shaped_finger_lifts_more_on_a_finer_mesh_too():
+    found = load_story("softbody/shape.py").main(seeds=1, evaluations=8, evolution=False)
+    assert found["gradient coarse"] > found["plain coarse"] + 5.0
+    assert found["gradient fine"] > found["plain fine"] + 5.0
+
+
 def test_coulomb_friction_stops_the_block():
     found = load_story("contact/sliding_block.py").main()
     # the last step ends where the speed changes sign: up to v dt = 6 mm of 204 mm

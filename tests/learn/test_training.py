@@ -172,6 +172,24 @@ def test_a_policy_of_stable_baselines3_is_the_controller_it_is_rated_as(
     np.testing.assert_allclose(ours, theirs, atol=2e-6)
 
 
+IN_ALGORITHM = {  # what stable-baselines3 calls an option
+    "ppo": {"rollout": "n_steps", "epochs": "n_epochs", "discount": "gamma", "entropy": "ent_coef",
+            "trace": "gae_lambda", "minibatch": "batch_size", "hold_noise": "sde_sample_freq"},
+    "sac": {"minibatch": "batch_size", "soft": "tau", "discount": "gamma", "keep": "buffer_size",
+            "first": "learning_starts", "passes": "gradient_steps"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("method", IN_ALGORITHM)
+def test_every_option_stands_in_the_algorithm_and_is_spent(method: str) -> None:
+    made: Any = learner(method)
+    for name, theirs in IN_ALGORITHM[method].items():
+        said, found = getattr(made.options, name), getattr(made.model, theirs)
+        assert found == (said or -1 if name == "hold_noise" else said), name
+    assert made.update(0.0).steps == made.options.envs * made.options.rollout
+    assert made.venv.gamma == made.options.discount
+
+
 class Interrupted:
     """A learner whose user presses Ctrl-C at some update."""
 

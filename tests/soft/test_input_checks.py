@@ -538,7 +538,7 @@ def test_arrays_of_kernels_are_named():
     one = zeros(ELEMENTS)
     with pytest.raises(TypeError, match="positional"):
         EnergyArrays(one, one)
-    with pytest.raises(TypeError, match="missing 7 required keyword-only"):
+    with pytest.raises(TypeError, match="missing 8 required keyword-only"):
         EnergyArrays(fiber_stiffness=one)
 
 

@@ -152,7 +152,7 @@ def test_another_design_is_off_by_the_same_share_of_its_mass(tmp_path, vehicle):
     torch.testing.assert_close(found, by_hand, rtol=1e-12, atol=1e-14)
 
 
-@pytest.mark.cpu(20)
+@pytest.mark.story
 def test_a_design_for_the_diagnosed_copter_serves_it_better_than_one_for_the_plain(tmp_path):
     plain = WaypointTask(num_episodes=4, num_waypoints=1, seconds=1.0, dt=0.02)
     vehicle = plain.airframe.vehicle(plain.airframe.conventional)
@@ -180,10 +180,9 @@ def test_a_design_for_the_diagnosed_copter_serves_it_better_than_one_for_the_pla
     assert loss["drawn"] < 0.95 * loss["plain"]
 
 
-@pytest.mark.cpu(20)  # pictures of two flights
-def test_the_simulator_flies_it_step_by_step(tmp_path, capsys):
-    out = tmp_path / "flight"
-    argv = ["fly", "quadcopter", "--seconds", "1.5", "--out", str(out)]
+def test_the_simulator_flies_it_step_by_step(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("diffsim.cli.fly._save", lambda *_: None)  # pictures: test_fly.py
+    argv = ["fly", "quadcopter", "--seconds", "1.5"]
     path = written(tmp_path, {"weak_rotor_1": (0.15, 0.0)})
     errors = []
     for more in ([], ["--model", str(path)]):

@@ -7,7 +7,6 @@ from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 import torch
 
 from diffsim.causes.scene import Commands
@@ -112,19 +111,6 @@ def test_a_moment_beyond_what_the_rotors_could_give_acts_in_full():
         found = Flyer(damped, 1)(start)[0, 0, :, 2]
     want = rate * torch.exp(-5.0 * dt * torch.arange(1, steps + 1, dtype=f64))
     np.testing.assert_allclose(found, want, rtol=2e-2)
-
-
-@pytest.mark.parametrize("effect", [FLOW_MOMENT, RATE_DAMPING, SPIN_UP])
-def test_size_zero_changes_nothing(effect):
-    asked = THRUSTS.expand(1, 1, 5, -1) * torch.arange(1.0, 6.0)[:, None]
-    got, _ = torque_of(
-        effect,
-        [0.0] * len(effect.components),
-        velocity=(1, 2, 3),
-        rates=(1, 2, 3),
-        asked=asked.to(f64),
-    )
-    np.testing.assert_allclose(got, 0.0, atol=1e-15)
 
 
 def test_vehicles_are_packed_once_for_all_passes(monkeypatch):

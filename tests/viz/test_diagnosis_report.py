@@ -197,9 +197,9 @@ def test_page_has_its_parts_in_order(tmp_path):
     text = dr.write_diagnosis(example(), tmp_path / "report.html").read_text("utf-8")
     parts = [
         HEADLINE,
-        "Error on runs that nothing has seen",
         "Measured and predicted, on test runs",
         "What acts, and what does not",
+        "Error on runs that nothing has seen",
         "Base parameters against their data sheets",
         "Where and when the model is off",
         "Where a force is missing",
@@ -355,7 +355,7 @@ def test_the_status_says_below_which_size_and_beside_which_rivals():
     ]
     assert [row[2].replace("\xa0", " ") for row in rows] == ["–", "0.2 (0.1 to 0.3) N", "–", "–"]
     assert rows[3][7] == "needs three runs"
-    assert shown.parts == [("", [0, 1, 3]), ("1 refuted", [2])]
+    assert shown.parts == [("", [1]), ("3 refuted, not visible or not judged", [0, 2, 3])]
 
 
 def test_the_note_of_a_likely_cause_says_why_it_is_not_certain():

@@ -150,3 +150,13 @@ def test_a_wrong_folder_is_named(tmp_path, capsys):
 
     assert cli.main(["serve", str(tmp_path / "none")]) == 2
     assert "RUNS must be an existing folder" in capsys.readouterr().err
+
+
+def test_a_flight_says_how_far_it_came_and_an_empty_one_that_it_is(tmp_path):
+    tables = {"flown": "time_s,x\n0.0,1\n1.25,2\n", "header": "time_s,x\n", "empty": ""}
+    for name, table in tables.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "flight.csv").write_text(table)
+    told = {run.path: (run.said, run.progress) for run in run_folders(tmp_path)}
+    assert told["flown"] == ("1.25 s flown", "going on, or interrupted")
+    assert told["header"] == told["empty"] == ("nothing flown", "no flight")

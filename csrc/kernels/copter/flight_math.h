@@ -1,9 +1,10 @@
-// Three-vectors, rotations and powers of SIMD lanes, one vehicle per lane.
+// Rotations and powers of SIMD lanes, one vehicle per lane.
 #pragma once
 
 #include <cmath>
 
 #include "kernels/linalg/lanes.h"
+#include "kernels/linalg/vector3.h"
 
 namespace diffsim::flight {
 
@@ -13,37 +14,6 @@ using V = Native;
 template <class T>
 DIFFSIM_INLINE T constant(double value) {
   return broadcast<T>(value);
-}
-
-// T is V, or the Moving of flight_moving.h, which carries a derivative along.
-template <class T>
-DIFFSIM_INLINE T dot(const T* a, const T* b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-/// y += scale x
-template <class T>
-DIFFSIM_INLINE void add(const T& scale, const T* x, T* y) {
-  for (int k = 0; k < 3; ++k) y[k] += scale * x[k];
-}
-/// y += a x b
-template <class T>
-DIFFSIM_INLINE void add_cross(const T* a, const T* b, T* y) {
-  y[0] += a[1] * b[2] - a[2] * b[1];
-  y[1] += a[2] * b[0] - a[0] * b[2];
-  y[2] += a[0] * b[1] - a[1] * b[0];
-}
-/// y += A x, and y += A' x
-template <class T>
-DIFFSIM_INLINE void add_product(const T* A, const T* x, T* y) {
-  for (int i = 0; i < 3; ++i) y[i] += dot(A + 3 * i, x);
-}
-template <class T>
-DIFFSIM_INLINE void add_transposed(const T* A, const T* x, T* y) {
-  for (int i = 0; i < 3; ++i) y[i] += A[i] * x[0] + A[3 + i] * x[1] + A[6 + i] * x[2];
-}
-/// A += scale x y'
-DIFFSIM_INLINE void add_outer(V scale, const V* x, const V* y, V* A) {
-  for (int i = 0; i < 3; ++i) add(scale * x[i], y, A + 3 * i);
 }
 
 /// World from body; scales with |q|^2, so that it is a polynomial and its stages need no root.

@@ -3,6 +3,7 @@
 #include "kernels/soft/batch.h"
 #include "kernels/soft/block_matrix.h"
 #include "kernels/soft/pressure.h"
+#include "kernels/soft/shape_derivatives.h"
 
 namespace diffsim {
 namespace {
@@ -52,6 +53,7 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
   product_along(model, in, frames, x, z, grad_x, scratch, pool);
   parameter_adjoint(model, in.parameters, x, z, out, scratch, pool);
   damping_adjoint(model, in.parameters, frames, x, z, out, scratch, pool);
+  shape_adjoint(model, in.parameters, frames, x, z, out, pool);
   pressure_adjoint(model, x, z, out.pressure, pool);
 }
 

@@ -2,6 +2,7 @@
 #include "kernels/soft/damping.h"
 #include "kernels/soft/element_stage.h"
 #include "kernels/soft/hourglass.h"
+#include "kernels/soft/shape_derivatives.h"
 
 namespace diffsim {
 namespace {
@@ -262,6 +263,7 @@ void energy_slopes(const SoftModel& model, const SoftParameters& p, const double
     energy_slopes_of<decltype(group), decltype(material)>(model, p, x, out, scratch, pool);
   });
   hourglass::add_energy_slopes(model, x, out.weights, pool);
+  shape_slopes(model, p, x, out, pool);
 }
 
 void parameter_adjoint(const SoftModel& model, const SoftParameters& p, const double* x,
@@ -300,6 +302,9 @@ void parameter_tangent(const SoftModel& model, const SoftParameters& p, const Da
       hourglass::add_parameter_tangent(model, p, frames, x, k, directions,
                                        scratch.vectors.data() + (k - first) * model.vectors_size,
                                        pool);
+    for (Index k = first; k < last; ++k)
+      add_shape_tangent(model, p, frames, x, k, directions,
+                        scratch.vectors.data() + (k - first) * model.vectors_size, pool);
     for (Index k = first; k < last; ++k)
       gather_vectors(model, scratch.vectors.data() + (k - first) * model.vectors_size,
                      out + 3 * k * model.num_nodes, pool);

@@ -226,14 +226,7 @@ void scatter_product(const ElementBlock& block, Index g, const GroupTangent& tan
                      const double* z, double* vectors) {
   Native Z[kParts][9], P[kParts][9];
   deformation_gradient<Group>(block, g, z, Z);
-  for (int part = 0; part < kParts; ++part) {
-    const Native* H = tangent.H[part];
-    for (int a = 0; a < 9; ++a) {
-      Native total{};
-      for (int b = 0; b < 9; ++b) total += H[a <= b ? 9 * a + b : 9 * b + a] * Z[part][b];
-      P[part][a] = total;
-    }
-  }
+  for (int part = 0; part < kParts; ++part) multiply_upper(tangent.H[part], Z[part], P[part]);
   scatter_stress(Group{}, Group::shape(block, g), P, vectors + g * block.vectors_size());
 }
 

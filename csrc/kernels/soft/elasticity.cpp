@@ -64,6 +64,8 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
 DampingFrames damping_frames(const SoftModel& model, const double* x_frame,
                              const double* x_velocity, ThreadPool& pool) {
   DampingFrames frames;
+  frames.x_frame = x_frame;
+  frames.x_velocity = x_velocity;
   frames.solid.resize(at(model.solid.num_groups));
   const auto fill = [&](auto group) {
     using Group = decltype(group);

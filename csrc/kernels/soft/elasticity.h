@@ -29,6 +29,8 @@ struct HourglassFrame {
   Lane hn[3 * kHourglassModes], hv[3 * kHourglassModes];
 };
 struct DampingFrames {
+  const double* x_frame = nullptr;  // (num_nodes, 3) what they are made of [m]
+  const double* x_velocity = nullptr;
   std::vector<DampingFrame> solid;
   std::vector<HourglassFrame> hourglass;  // empty where there are no hourglass strains
 };
@@ -75,6 +77,7 @@ struct ParameterAdjoint {
   double* x_frame = nullptr;     // (num_nodes, 3)
   double* x_velocity = nullptr;  // (num_nodes, 3)
   double* pressure = nullptr;    // (num_chambers,), by pressure_adjoint
+  double* tables = nullptr;      // SoftModel::tables_size(), by shape_adjoint; may be null
 };
 void parameter_adjoint(const SoftModel& model, const SoftParameters& parameters, const double* x,
                        const double* z, const ParameterAdjoint& out, ElasticityScratch& scratch,
@@ -99,6 +102,7 @@ struct ParameterDirections {
   const double* x_frame = nullptr;          // (count, num_nodes, 3)
   const double* x_velocity = nullptr;       // (count, num_nodes, 3)
   const double* pressure = nullptr;         // (count, num_chambers), by the caller
+  const double* tables = nullptr;           // (count, SoftModel::tables_size())
 };
 
 /// d(gradient)/dp along each direction but the pressure's [N], overwritten: the transpose of

@@ -62,6 +62,11 @@ struct ElementBlock {
   }
   /// Whether the samples of a group are of one element each.
   bool in_lanes() const { return kind != ElementKind::kHex; }
+  /// Doubles of an element's tables, see TableLanes.
+  std::int64_t table_size() const {
+    return (in_lanes() ? 1 : kLanes) * (3 * nodes_per_element() + 1) +
+           (kind == ElementKind::kMeanHex ? kHourglassTable : 0);
+  }
   /// Doubles that one group needs to hold one 3-vector per node, and per lane where in lanes.
   std::int64_t vectors_size() const { return nodes_per_element() * 3 * (in_lanes() ? kLanes : 1); }
 };
@@ -93,8 +98,8 @@ struct HexGroup {
     return broadcast<Native>(value[size * g + i]);
   }
   static void add_element_value(const ElementBlock&, std::int64_t g, const Native v[kParts],
-                                double* out) {
-    out[g] += sum(fold(v));
+                                double* out, int size = 1, int i = 0) {
+    out[size * g + i] += sum(fold(v));
   }
 };
 
@@ -147,10 +152,10 @@ struct LaneGroup {
     return load<Native>(v);
   }
   static void add_element_value(const ElementBlock& block, std::int64_t g, const Native v[kParts],
-                                double* out) {
+                                double* out, int size = 1, int i = 0) {
     const std::int64_t last = block.num_elements - g * kLanes;
     for (int lane = 0; lane < kLanes && lane < last; ++lane)
-      out[g * kLanes + lane] += v[lane / kNativeLanes][lane % kNativeLanes];
+      out[size * (g * kLanes + lane) + i] += v[lane / kNativeLanes][lane % kNativeLanes];
   }
 };
 using TetGroup = LaneGroup<4>;
@@ -172,13 +177,57 @@ decltype(auto) with_group(const ElementBlock& block, F&& f) {
   }
 }
 
+/// The tables of a group's samples among the records of all elements, (num_elements, table_size()):
+/// shape gradients (samples, nodes, 3), weights (samples,), then hourglass shapes. An *entry* is
+/// the place in the record of an element with one sample.
+template <typename Group>
+class TableLanes {
+ public:
+  static constexpr int kWeight = 3 * Group::kNodes, kHourglass = kWeight + 1;
+
+  /// @param owner  (num_elements,) element of the solid that has the record; null: the same
+  explicit TableLanes(const ElementBlock& block, const std::int64_t* owner = nullptr)
+      : block_(block), owner_(owner), size_(block.table_size()) {}
+
+  /// An entry of every sample of a part; zero in padding lanes.
+  Native read(const double* tables, std::int64_t g, int part, int entry) const {
+    alignas(kNativeBytes) double v[kNativeLanes];
+    for (int n = 0; n < kNativeLanes; ++n) {
+      const int lane = part * kNativeLanes + n;
+      v[n] = exists(g, lane) ? tables[place(g, lane, entry)] : 0.0;
+    }
+    return load<Native>(v);
+  }
+  void add(double* tables, std::int64_t g, int part, int entry, const Native& v) const {
+    for (int n = 0; n < kNativeLanes; ++n) {
+      const int lane = part * kNativeLanes + n;
+      if (exists(g, lane)) tables[place(g, lane, entry)] += v[n];
+    }
+  }
+
+ private:
+  bool exists(std::int64_t g, int lane) const {
+    return !Group::kInLanes || g * kLanes + lane < block_.num_elements;
+  }
+  std::int64_t place(std::int64_t g, int lane, int entry) const {
+    const std::int64_t element = Group::kInLanes ? g * kLanes + lane : g;
+    const std::int64_t record = (owner_ ? owner_[element] : element) * size_;
+    if (Group::kInLanes) return record + entry;
+    return record + (entry < kWeight ? lane * kWeight + entry : kLanes * kWeight + lane);
+  }
+
+  const ElementBlock& block_;
+  const std::int64_t* owner_;
+  std::int64_t size_;
+};
+
 /// F = sum_a x_a (grad N_a)^T, row-major (3, 3) [-], of every part of a group.
 template <typename Group>
-inline void deformation_gradient(const ElementBlock& block, std::int64_t g, const double* x,
+inline void deformation_gradient(const ElementBlock& block, std::int64_t g,
+                                 const GroupShape<Group::kNodes>& shape, const double* x,
                                  Native F[kParts][9]) {
   typename Group::NodeValue node[Group::kNodes][3];
   Group::gather(block, g, x, node);
-  const auto& shape = Group::shape(block, g);
   for (int part = 0; part < kParts; ++part) {
     Native sum[9];
     for (int i = 0; i < 9; ++i)
@@ -191,6 +240,11 @@ inline void deformation_gradient(const ElementBlock& block, std::int64_t g, cons
     }
     for (int i = 0; i < 9; ++i) F[part][i] = sum[i];
   }
+}
+template <typename Group>
+inline void deformation_gradient(const ElementBlock& block, std::int64_t g, const double* x,
+                                 Native F[kParts][9]) {
+  deformation_gradient<Group>(block, g, Group::shape(block, g), x, F);
 }
 
 /// Nodal forces of a stress: f_a = sum over samples of weight P grad N_a [N], into the group's

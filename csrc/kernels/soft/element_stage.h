@@ -107,6 +107,15 @@ DIFFSIM_INLINE Native contract(const Native A[9], const Native B[9]) {
   return total;
 }
 
+/// out = H Z, H symmetric, (9, 9) by its entries on and above the diagonal.
+DIFFSIM_INLINE void multiply_upper(const Native H[81], const Native Z[9], Native out[9]) {
+  for (int a = 0; a < 9; ++a) {
+    Native total{};
+    for (int b = 0; b < 9; ++b) total += H[a <= b ? 9 * a + b : 9 * b + a] * Z[b];
+    out[a] = total;
+  }
+}
+
 /// Item k of a (count, size) array at a part of a group; zero for null.
 template <typename Group>
 Native direction_value(const ElementBlock& block, Index g, int part, const double* values,

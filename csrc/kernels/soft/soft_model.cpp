@@ -208,6 +208,7 @@ SoftModel make_soft_model(const MeshTables& t) {
   if (t.kind == ElementKind::kMeanHex) model.num_weights += kHourglassWeights;
   model.solid = make_block(t, nullptr, t.num_elements);
   model.fiber = make_block(t, t.fiber_elements, t.num_fibers);
+  model.fiber_elements.assign(t.fiber_elements, t.fiber_elements + t.num_fibers);
   model.fiber_directions.assign(t.fiber_directions, t.fiber_directions + 3 * t.num_fibers);
   model.fiber_pull_only.assign(t.fiber_pull_only, t.fiber_pull_only + t.num_fibers);
   list_fibers(model, t);

@@ -40,6 +40,7 @@ struct SoftModel {
   std::int64_t num_weights =
       0;  // of the material and, after them, of hourglass strains; per element
   ElementBlock solid, fiber;
+  std::vector<std::int64_t> fiber_elements;           // (num_fibers,)
   std::vector<double> fiber_directions;               // (num_fibers, 3)
   std::vector<double> fiber_pull_only;                // (num_fibers,) 1 or 0
   std::vector<std::int64_t> fibers_start, fibers_of;  // element -> its fibers
@@ -57,6 +58,9 @@ struct SoftModel {
   std::int64_t fiber_vectors_start = 0, vectors_size = 0;
 
   std::int64_t weights_size() const { return num_weights * solid.num_elements; }
+  /// What the rest shape decides: tables of all elements (TableLanes), then directions of fibers.
+  std::int64_t tables_size() const { return fiber_tables_start() + 3 * fiber.num_elements; }
+  std::int64_t fiber_tables_start() const { return solid.num_elements * solid.table_size(); }
   std::int64_t num_blocks() const { return static_cast<std::int64_t>(column.size()); }
   std::int64_t values_size() const { return kBlock3 * num_blocks() + kBehindBlocks3; }
 };

@@ -44,6 +44,7 @@ StepAdjoint batch_item(const StepAdjoint& out, const SoftModel& model, std::int6
   item.parameters.x_frame = offset(out.parameters.x_frame, k, size);
   item.parameters.x_velocity = offset(out.parameters.x_velocity, k, size);
   item.parameters.pressure = offset(out.parameters.pressure, k, model.chambers.num_chambers);
+  item.parameters.tables = offset(out.parameters.tables, k, model.tables_size());
   return item;
 }
 

@@ -2,6 +2,7 @@
 
 #include "kernels/soft/elastic_second.h"
 #include "kernels/soft/pressure.h"
+#include "kernels/soft/shape_derivatives.h"
 #include "kernels/subscript.h"
 
 namespace diffsim {
@@ -154,6 +155,7 @@ void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector
   const Vector minus_z = quadratic_gradients(x, z, rest, out);
   parameter_adjoint(model, in_.parameters, x.data(), minus_z.data(), out.parameters,
                     memory_->elastic, pool_);
+  shape_adjoint(model, in_.parameters, frames_, x.data(), minus_z.data(), out.parameters, pool_);
   pressure_adjoint(model, x.data(), minus_z.data(), out.parameters.pressure, pool_);
 }
 

@@ -9,19 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.copter.vehicle.multicopter import Multicopter
+from diffsim.copter.vehicle.multicopter import NUMBERS, Multicopter
 from diffsim.core.checked import checked
-
-_NAMES = (
-    "mass",
-    "inertia",
-    "positions",
-    "directions",
-    "spins",
-    "torque_ratios",
-    "max_thrusts",
-    "radii",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +43,7 @@ class Fleet:
     @checked
     def of(cls, vehicles: Sequence[Multicopter]) -> Fleet:
         """Stack vehicles of equal rotor count."""
-        return cls(*(torch.stack([getattr(v, name) for v in vehicles]) for name in _NAMES))
+        return cls(*(torch.stack([getattr(v, name) for v in vehicles]) for name in NUMBERS))
 
     @property
     def num_rotors(self) -> int:
@@ -78,7 +67,7 @@ class Fleet:
 
     def repeated(self, count: int) -> Fleet:
         """Every vehicle ``count`` times in a row; a leading axis of one stays."""
-        values = {name: getattr(self, name) for name in _NAMES}
+        values = {name: getattr(self, name) for name in NUMBERS}
         return replace(
             self,
             **{k: v.repeat_interleave(count, 0) for k, v in values.items() if v.shape[0] > 1},

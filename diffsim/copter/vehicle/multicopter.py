@@ -15,7 +15,7 @@ from diffsim.core.values import as_array
 
 GRAVITY = 9.81  # [m/s^2]
 
-_NUMBERS = (
+NUMBERS = (
     "mass",
     "inertia",
     "positions",
@@ -25,6 +25,7 @@ _NUMBERS = (
     "max_thrusts",
     "radii",
 )
+"""Fields of a vehicle that are numbers, as the dynamics take them."""
 
 
 @loadable
@@ -65,7 +66,7 @@ class Multicopter:
     rotor_models: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in _NUMBERS:
+        for name in NUMBERS:
             object.__setattr__(self, name, as_array(name, getattr(self, name)))
         require("positions", self.positions, ("n_rotors", 3), torch.float64)
         n = self.num_rotors

@@ -14,7 +14,7 @@ from diffsim.core.units import after_number
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
-from diffsim.diagnose.judge.records import CERTAIN, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
+from diffsim.diagnose.judge.records import CERTAIN, DATA_SHEET, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
     DescribedLaw,
@@ -30,6 +30,7 @@ from diffsim.identify.law import VALUE, Law, Variable
 
 Array = NDArray[np.float64]
 MOST_ROWS = 40  # of the table
+OF_NUMBERS = ("number", "value")  # kinds of entries that change a number of the model
 POSSIBLE = "possible"  # of one of several laws
 PRODUCT = "product"  # form of a line in one variable times another
 
@@ -61,14 +62,30 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
         return replace(report, described=answer)
     said = _say_laws(report, laws, _say_turn(report, by_name))
     first, *more = report.sentences
+    acting = (by_name[row.name].entry for row in rows)
+    levels = {entry.target for entry in acting if entry.kind in OF_NUMBERS}
+    far = [row.words for row in report.base if row.name in levels and abs(row.pull) > row.limit]
+    more += [f"The level of {words} cannot be told from that of its law." for words in far]
     return replace(report, described=answer, verdict=DESCRIBED, sentences=(first, said, *more))
 
 
 def in_words(report: Report, found: FoundLaws) -> Report:
-    """A report whose rows call laws by where they act and what they depend on."""
+    """A report whose rows call laws by where they act and what they depend on.
+
+    A number that a law multiplies has no level of its own: what the fit makes of it is no finding
+    about its data sheet, which alone says where the law's level is.
+    """
     words = {law.name: f"{_what(law)} that depends on {law.variable.name}" for law in found.laws}
-    rows = (replace(row, words=words.get(row.name, row.words)) for row in report.causes)
-    return replace(report, causes=tuple(rows))
+    held = {effect.name for effect in report.best.problem.effects}
+    acting = (law.entry for law in found.laws if law.name in held)
+    levels = {entry.target for entry in acting if entry.kind in OF_NUMBERS}
+    rows = (
+        replace(row, words=words.get(row.name, row.words))
+        for row in report.causes
+        if row.origin != DATA_SHEET or row.name not in levels
+    )
+    base = (replace(r, finding=r.finding and r.name not in levels) for r in report.base)
+    return replace(report, causes=tuple(rows), base=tuple(base))
 
 
 def _is_held(row: CauseRow, laws: Mapping[str, Law]) -> bool:

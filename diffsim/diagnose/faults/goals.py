@@ -12,7 +12,7 @@ explanation gains by single ones (Hampel et al., Robust Statistics (1986), 1.3).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -71,14 +71,21 @@ class Tails:
         return Tails(factor * self.narrow, np.maximum(self.wide, factor * self.narrow), self.missed)
 
 
-class _Goals(NamedTuple):
-    """Goals of rows, as those of ``Rows``; rows as a new goal comes are of neither (``keep``)."""
+@dataclass(frozen=True, eq=False)
+class Goals:
+    """Goals that rows share.
+
+    Attributes:
+        goal: Goal of each row, (num,).
+        channel: Channel of each goal, (num_goals,).
+        shared: Whether the rows of a goal are one of several that a run had, (num_goals,).
+        places: Run, first and last time of each goal [s].
+    """
 
     goal: Index
     channel: Index
     shared: Mask
     places: tuple[tuple[str, float, float], ...]
-    keep: Mask
 
 
 class Choice(NamedTuple):
@@ -104,17 +111,13 @@ class Fit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Rows(Goals):
     """Whitened samples of one group, linear in scaled coordinates: residual - slopes z.
 
     Attributes:
         common, scatter, causes: Coordinates, as those of ``Local``.
         residual: At z = 0, (num,).
         slopes: (num, n).
-        goal: Goal of each row, (num,).
-        channel: Channel of each goal, (num_goals,).
-        shared: Whether the rows of a goal are one of several that a run had, (num_goals,).
-        places: Run, first and last time of each goal [s].
     """
 
     common: tuple[int, ...]
@@ -122,19 +125,12 @@ class Rows:
     causes: tuple[str, ...]
     residual: Array
     slopes: Array
-    goal: Index
-    channel: Index
-    shared: Mask
-    places: tuple[tuple[str, float, float], ...]
 
     def only(self, causes: Sequence[str]) -> Rows:
         """The same with some of its causes."""
         num = len(self.common) + len(self.scatter)
         at = [*range(num), *(num + self.causes.index(c) for c in causes)]
-        parts = (self.goal, self.channel, self.shared, self.places)
-        return Rows(
-            self.common, self.scatter, tuple(causes), self.residual, self.slopes[:, at], *parts
-        )
+        return replace(self, causes=tuple(causes), slopes=self.slopes[:, at])
 
     @property
     def plain(self) -> Local:
@@ -272,17 +268,14 @@ def rows_at(problem: Problem, layout: Layout, point: Array, causes: Sequence[Eff
     residual, slopes = problem.linearize_scaled(problem.standardized(point), only=idx)
     slopes = slopes[:, idx]
     absolute = residual + slopes @ point[idx]  # residual at z = 0 of the linear model
-    goals = _goals_of(problem)
+    goals, keep = _goals_of(problem)
     return Rows(
-        tuple(common),
-        tuple(scatter),
-        tuple(e.name for e in causes),
-        absolute[goals.keep],
-        slopes[goals.keep],
-        goals.goal[goals.keep],
-        goals.channel,
-        goals.shared,
-        goals.places,
+        **vars(goals),
+        common=tuple(common),
+        scatter=tuple(scatter),
+        causes=tuple(e.name for e in causes),
+        residual=absolute[keep],
+        slopes=slopes[keep],
     )
 
 
@@ -305,8 +298,9 @@ def _log_normal(at: Array, variance: Array) -> Array:
     return np.asarray(-0.5 * at**2 / variance - 0.5 * np.log(variance))
 
 
-def _goals_of(problem: Problem) -> _Goals:
-    """Goals of the whitened rows of one group."""
+def _goals_of(problem: Problem) -> tuple[Goals, Mask]:
+    """Goals of the whitened rows of one group, and which of its rows have one: those as a new goal
+    comes have none."""
     goals, channels, shared, keeps = [], [], [], []
     places: list[tuple[str, float, float]] = []
     for run in problem.runs:
@@ -327,13 +321,14 @@ def _goals_of(problem: Problem) -> _Goals:
                 shared.append(are_goals)
         goals.append(own)
         keeps.append(~between[at])
-    return _Goals(
-        np.concatenate(goals),
+    keep = np.concatenate(keeps)
+    found = Goals(
+        np.concatenate(goals)[keep],
         np.array(channels, dtype=int),
         np.array(shared, dtype=bool),
         tuple(places),
-        np.concatenate(keeps),
     )
+    return found, keep
 
 
 def _stretches(run: Run) -> tuple[Index, bool]:

@@ -126,6 +126,17 @@ class FaultVerdict:
         return f"{self.group} ({names[0]}{more})"
 
     @property
+    def next_words(self) -> str:
+        """What to do next about the group, in a sentence."""
+        if self.status == SILENT:
+            return "Nothing to do; a smaller fault would not be seen."
+        if self.status == UNLISTED:
+            return f"Look where runs of {self.group} leave the others, and write that as a cause."
+        if self.status == CERTAIN:
+            return "Mend it, record the group again, and judge that with --new: it should be sound."
+        return f"Record more runs of {self.group}, or look at the part itself, before it is mended."
+
+    @property
     def is_right(self) -> bool | None:
         """Whether exactly the known causes are named; None where they are not known."""
         return None if self.known is None else set(self.causes) == set(self.known)

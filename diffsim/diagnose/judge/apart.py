@@ -12,8 +12,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 import torch
-from scipy.special import ndtri
+from scipy.special import chdtri, ndtri
 from torch import Tensor
 
 from diffsim.core.units import after_number, factor, small_unit
@@ -33,11 +34,12 @@ class ApartRow:
     Attributes:
         name: Name of the parameter or cause.
         fact: Fact of the runs by which it may differ, such as "servo".
-        label: Value of that fact: the group.
+        label: Value of that fact: the group; of several, their values.
         unit: SI unit of the number, "-" if none.
         size: The group's number with its 90 % interval, in ``unit``.
         over: The same less the median of all other groups, in ``unit``.
         differs: Whether ``over`` is not zero, of all such rows with 99 % probability.
+        others: All other groups, where the row is of several; empty: of one.
     """
 
     name: str
@@ -47,6 +49,7 @@ class ApartRow:
     size: Interval
     over: Interval
     differs: bool
+    others: str = ""
 
     def as_read(self) -> tuple[Interval, Interval, str]:
         """Number, difference and the unit in which a user reads them."""
@@ -69,11 +72,19 @@ def apart_rows(numbers: Numbers, units: Mapping[str, str]) -> tuple[ApartRow, ..
     groups = _numbers_of_groups(numbers.values)
     count = sum(len(own) if len(own) > 2 else 1 for own in groups.values())
     limit = float(ndtri(1.0 - (1.0 - SURE) / (2.0 * max(count, 1))))
-    return tuple(
-        _row(numbers, name, fact, label, own, units, limit)
-        for (name, fact), own in groups.items()
-        for label in own
-    )
+    out: list[ApartRow] = []
+    for (name, fact), own in groups.items():
+        made = partial(_row, numbers, name, fact, own=own, units=units)
+        rows = [made([label], limit=limit) for label in own]
+        if not any(row.differs for row in rows):
+            # two batches: the median of the others lies between them. What is chosen among all
+            # contrasts is held against the limit of all contrasts (Scheffe)
+            order = [row.label for row in sorted(rows, key=lambda row: row.size.value)]
+            most = float(np.sqrt(chdtri(len(own) - 1, (1.0 - SURE) / len(groups))))
+            parted = [made(order[k:], limit=most) for k in range(2, len(order) - 1)]
+            rows += sorted((r for r in parted if r.differs), key=lambda r: -r.over.low)[:1]
+        out += rows
+    return tuple(out)
 
 
 def apart_in_fit(fit: Fit, ranges: Mapping[str, Range]) -> tuple[ApartRow, ...]:
@@ -106,32 +117,36 @@ def _row(
     numbers: Numbers,
     name: str,
     fact: str,
-    label: str,
+    labels: Sequence[str],
     own: Mapping[str, Sequence[str]],
     units: Mapping[str, str],
     limit: float,
 ) -> ApartRow:
     needed = list(dict.fromkeys(n for names in own.values() for n in names))
-    others = [names for other, names in own.items() if other != label]
-    size = Interval(*range_of(partial(_sum_of, names=own[label]), own[label], numbers))
+    labels = [label for label in own if label in labels]
+    groups = [own[label] for label in labels]
+    rest = [label for label in own if label not in labels]
+    others = [own[label] for label in rest]
+    many = ", ".join(rest) if len(labels) > 1 else ""
+    here = list(dict.fromkeys(n for names in groups for n in names))
+    size = Interval(*range_of(lambda values: _sums_of(values, groups).mean(0), here, numbers))
+    # one odd group does not move a median; of two batches the means are the surer ones
+    middle = partial(torch.mean, dim=0) if many else partial(torch.quantile, q=0.5, dim=0)
     over = Interval(
-        *range_of(partial(_over_others, names=own[label], others=others), needed, numbers)
+        *range_of(
+            lambda values: _sums_of(values, groups).mean(0) - middle(_sums_of(values, others)),
+            needed,
+            numbers,
+        )
     )
     nearer = over.value - over.low if over.value > 0.0 else over.high - over.value
     differs = abs(over.value) > limit * nearer / HALF_LEVEL
-    return ApartRow(name, fact, label, units.get(needed[-1], "-"), size, over, differs)
+    unit = units.get(needed[-1], "-")
+    return ApartRow(name, fact, ", ".join(labels), unit, size, over, differs, many)
 
 
-def _sum_of(values: Mapping[str, Tensor], *, names: Sequence[str]) -> Tensor:
-    return torch.stack([values[name] for name in names]).sum(0)
-
-
-def _over_others(
-    values: Mapping[str, Tensor], *, names: Sequence[str], others: Sequence[Sequence[str]]
-) -> Tensor:
-    """A group's number less the median of the others, which one odd group does not move."""
-    middle = torch.stack([_sum_of(values, names=other) for other in others]).quantile(0.5, dim=0)
-    return _sum_of(values, names=names) - middle
+def _sums_of(values: Mapping[str, Tensor], groups: Sequence[Sequence[str]]) -> Tensor:
+    return torch.stack([torch.stack([values[n] for n in names]).sum(0) for names in groups])
 
 
 def apart_words(rows: Sequence[ApartRow], shared: Sequence[str]) -> tuple[str, ...]:
@@ -150,7 +165,8 @@ def apart_words(rows: Sequence[ApartRow], shared: Sequence[str]) -> tuple[str, .
         if len(own) == 2:  # one is as much over the other as that is below
             out += [_say_difference(own[1], f"{own[0].fact} {own[0].label}")] * own[1].differs
         else:
-            out += [_say_difference(row, "the others") for row in own if row.differs]
+            apart = [row for row in own if row.differs]
+            out += [_say_difference(row, row.others or "the others") for row in apart]
     differing = {row.name for row in rows if row.differs}
     if alike := [words_of(name) for name, _ in named if name not in differing]:
         out.append(f"No difference is seen in {', '.join(alike)}.")
@@ -164,7 +180,8 @@ def _say_difference(row: ApartRow, others: str) -> str:
     sign = 1.0 if over.value > 0.0 else -1.0
     low, high = sorted((sign * over.low, sign * over.high))
     word = "more" if over.value > 0.0 else "less"
+    verb = "have" if row.others else "has"
     return (
-        f"{row.fact.capitalize()} {row.label} has {abs(over.value):.3g}{after_number(unit)} {word} "
-        f"{words_of(row.name)} than {others} ({low:.3g} to {high:.3g}; 90 % interval)."
+        f"{row.fact.capitalize()} {row.label} {verb} {abs(over.value):.3g}{after_number(unit)} "
+        f"{word} {words_of(row.name)} than {others} ({low:.3g} to {high:.3g}; 90 % interval)."
     )

@@ -253,10 +253,12 @@ def widening(fit: Fit) -> Widening:
     The spread of K linear refits, each without one part, gives the variance of the whole fit by the
     jackknife, (K - 1) / K sum (x_k - mean)^2, without any model of the noise. It has K - 1 degrees
     of freedom; where it is small, four more come from what is usual among the fit's parameters.
-    Parts are groups of runs; blocks of time for what is known from one group alone.
+    Parts are groups of runs; blocks of time for what is known from one group alone. What a run has
+    of its own stands beside what all share, which may be another in this run than in the mean of
+    the parts: by the root of their number farther off than that mean is uncertain.
 
     Returns:
-        Factors, at least 1, of coordinates that all runs share.
+        Factors, at least 1.
     """
     known = determined(fit)
     groups, blocks = groups_of(fit.problem), blocks_of(fit.problem)
@@ -265,16 +267,29 @@ def widening(fit: Fit) -> Widening:
         alone = dict(zip(known, known_alone(fit, groups).tolist(), strict=True))
     sd = np.sqrt(np.diag(fit.covariance)) * fit.problem.stretch(fit.x)
     factors: dict[str, float] = {}
-    for folds, own in (
-        (groups, [i for i in known if not alone[i]]),
-        (blocks, [i for i in known if alone[i]]),
+    times: dict[str, float] = {}  # of the same, in a single run
+    for folds, own, count in (
+        (groups, [i for i in known if not alone[i]], 0 if groups is None else len(groups.parts)),
+        (blocks, [i for i in known if alone[i]], 1),
     ):
         if folds is not None and own:
-            found = _factors(fit, folds, own)
-            factors |= {fit.problem.names[i]: f for i, f in zip(own, found, strict=True)}
+            found = dict(
+                zip((fit.problem.names[i] for i in own), _factors(fit, folds, own), strict=True)
+            )
+            factors |= found
+            times |= {n: float(np.sqrt(1.0 + count * (f**2 - 1.0))) for n, f in found.items()}
     usual = float(np.median(list(factors.values()))) if factors else 1.0
     place = {name: i for i, name in enumerate(fit.problem.names)}
-    return Widening(factors, {n: f * float(sd[place[n]]) for n, f in factors.items()}, usual)
+    spread = {n: f * float(sd[place[n]]) for n, f in factors.items()}
+    common, own = [place[n] for n in factors], [i for n, i in place.items() if "@" in n]
+    if common and own:
+        beside = fit.covariance[np.ix_(own, common)]
+        among, each = fit.covariance[np.ix_(common, common)], np.array(list(times.values()))
+        follows = np.linalg.solve(among, beside.T).T
+        more = np.sum((follows @ (among * np.outer(each, each) - among)) * follows, axis=1)
+        ratio = 1.0 + np.maximum(more, 0.0) / np.diag(fit.covariance)[own]
+        factors |= {fit.problem.names[i]: f for i, f in zip(own, np.sqrt(ratio), strict=True)}
+    return Widening(factors, spread, usual)
 
 
 def _factors(fit: Fit, folds: Folds, own: Sequence[int]) -> list[float]:

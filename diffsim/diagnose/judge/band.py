@@ -2,15 +2,20 @@
 
 Half of its width, by reading, is
 
-    factor * sqrt(noise^2 + rest^2 + posterior^2).
+    factor * sqrt(noise^2 + times^4 rest^2 + posterior^2).
 
-Noise is the floor of the fit. Posterior is what parameters and sizes change in this very run, by
-one standard deviation along each principal direction. Rest is what the model leaves beyond both on
-parts that were not fitted: groups of runs left out one after the other (else blocks of time), and
-runs with use: select. A part stands for an unseen run where the runs that are left know its
-parameters: their posterior moves it by less than the noise. The factor holds the share of the
-readings of these parts that is wanted, each part weighing the same and with the rest that the other
-parts tell: how much parts differ is in it, and no shape of what is left is assumed.
+Noise is the floor of the fit, or what the calmest part leaves where that is less than half of it.
+Posterior is what parameters and sizes change in this very run, by one standard deviation along each
+principal direction. Rest is what the model leaves beyond both on parts that were not fitted: groups
+of runs left out one after the other (else blocks of time), and runs with use: select. Times is how
+far outside of the fitted runs the run lies, 1 inside: what a model lacks begins with its next
+power, so what it leaves grows as the square. Parts that lie outside of the others have told it from
+there.
+
+A part stands for an unseen run where the runs that are left know its parameters: their posterior
+moves it by less than the noise; and where the fit without it has not run away. The factor holds the
+share of the readings of these parts that is wanted, each part weighing the same and with the rest
+that the other parts tell: how much parts differ is in it, and no shape of what is left is assumed.
 """
 
 from __future__ import annotations
@@ -27,15 +32,17 @@ from scipy.sparse.linalg import splu
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose.judge.gain import LeftOut, Validation, held_out_residual
+from diffsim.diagnose.judge.gain import RAN_AWAY, LeftOut, Validation, held_out_residual
 from diffsim.diagnose.judge.left_out import Fold, Repeats, folds_of, kept_runs, newest_samples
 from diffsim.diagnose.judge.own_values import Frozen, held_out_point, own_names, unmet_by
 from diffsim.diagnose.judge.records import LEVEL
+from diffsim.diagnose.judge.unseen import outside_rows, spans_of, times_outside
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import touches
 from diffsim.identify.fitting import posterior_covariance
 
 Array = NDArray[np.float64]
+OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated too large
 LEAST_PARTS = 2  # one does not tell how parts differ
 
 
@@ -47,16 +54,22 @@ class Part:
         left: Measured minus predicted, (num_readings, num_channels) [unit of the channel]; NaN: not
             measured, or of another part.
         spread: Variance of the predicted by the posterior of that fit, of the same shape.
+        times: How far outside of the runs of that fit they lie; 1: inside.
+        ran_away: Whether so much more is left than by the plain model that the fit, not the model,
+            tells it.
     """
 
     left: Array
     spread: Array
+    times: float = 1.0
+    ran_away: bool = False
 
     def power(self, noise: Array) -> Array:
-        """Mean square beyond noise and posterior by channel, (num_channels,); NaN: no reading."""
+        """Mean square beyond noise and posterior by channel, were they inside, (num_channels,);
+        NaN: no reading."""
         seen = np.isfinite(self.left)
         beyond = np.where(seen, self.left**2 - self.spread - noise**2, 0.0)
-        count = seen.sum(axis=0)
+        count = seen.sum(axis=0) * self.times**4
         return np.where(count, beyond.sum(axis=0) / np.maximum(count, 1), np.nan)
 
     def is_known(self, noise: Array) -> bool:
@@ -66,7 +79,8 @@ class Part:
 
     def scores(self, noise: Array, rest_variance: Array) -> Array:
         """Sizes of what is left over its standard deviation, (num_readings, num_channels)."""
-        return np.asarray(np.abs(self.left) / np.sqrt(noise**2 + rest_variance + self.spread))
+        rest = self.times**4 * rest_variance
+        return np.asarray(np.abs(self.left) / np.sqrt(noise**2 + rest + self.spread))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +122,8 @@ class Band:
         at: Frozen,
         sd: Array,
         run: Run,
+        times: float,
+        *,
         channels: Sequence[Channel],
         unmet: Collection[str],
     ) -> Array | None:
@@ -117,6 +133,7 @@ class Band:
             at: The extended model.
             sd: Posterior standard deviation of its standardized coordinates, (n,).
             run: Run that was not fitted; its own values are fitted to it.
+            times: How far outside of the fitted runs it lies; 1: inside.
             channels: Columns of its ``measured``.
             unmet: Parameters that no fitted run has.
 
@@ -128,7 +145,8 @@ class Band:
             spread = _posterior_variance(self.names, self.correlation, at, sd, run, unmet)
         except DiffsimError:
             return None
-        fixed = [self.noise[c.name] ** 2 + self.rest.get(c.name, np.nan) ** 2 for c in channels]
+        rest = [times**2 * self.rest.get(c.name, np.nan) for c in channels]
+        fixed = [self.noise[c.name] ** 2 + r**2 for c, r in zip(channels, rest, strict=True)]
         return np.asarray(self.factor * np.sqrt(spread + np.array(fixed)))
 
 
@@ -146,22 +164,13 @@ def band_from(content: Mapping[str, Any]) -> Band:
     )
 
 
-def no_band(_: Run) -> Array | None:
-    """Half of the width where nothing tells of it: none."""
-    return None
-
-
-def posterior_sd(fit: Fit) -> Array:
-    """Posterior standard deviation of a fit's standardized coordinates, (n,)."""
-    return np.asarray(np.sqrt(np.diag(fit.covariance)))
-
-
 def band_of(
     fit: Fit,
     channels: Sequence[Channel],
     noise: Array,
     select: Sequence[Run],
     validation: Validation | None = None,
+    plain: Fit | None = None,
 ) -> Band | None:
     """The band of a fit, from parts of its runs that are left out and from select runs.
 
@@ -171,13 +180,19 @@ def band_of(
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
         select: Runs with use: select.
         validation: What names were held against; fits without a part are not made again.
+        plain: Fit without effects; None: no part is held against it.
 
     Returns:
         None where parts to leave out and select runs are fewer than two.
     """
-    parts = like_unseen(unfitted_parts(fit, select, validation), noise)
+    parts = like_unseen(unfitted_parts(fit, channels, select, validation, plain), noise)
     if len(parts) < LEAST_PARTS:
         return None
+    # noise that is stated too large would not grow with the distance, nor what it hides
+    bare = [replace(part, spread=np.zeros_like(part.left), times=1.0) for part in parts]
+    left = [np.sqrt(part.power(np.zeros_like(noise))) for part in bare]
+    calmest = np.fmin.reduce(left)
+    noise = np.where(calmest < OVERSTATED * noise, calmest, noise)
     rest, factor = factor_of(parts, noise)
     names, correlation = _posterior_of(fit)
     return Band(
@@ -198,10 +213,15 @@ def _posterior_of(fit: Fit) -> tuple[tuple[str, ...], Array]:
 
 
 def unfitted_parts(
-    fit: Fit, select: Sequence[Run], validation: Validation | None = None
+    fit: Fit,
+    channels: Sequence[Channel],
+    select: Sequence[Run],
+    validation: Validation | None = None,
+    plain: Fit | None = None,
 ) -> list[Part]:
     """Parts of its runs, and select runs, that were not fitted; arguments as of ``band_of``."""
-    return [*_left_out_parts(fit, validation), *_select_parts(fit, select)]
+    left_out = _left_out_parts(fit, channels, validation, plain)
+    return [*left_out, *_select_parts(fit, channels, select)]
 
 
 def like_unseen(parts: Sequence[Part], noise: Array) -> list[Part]:
@@ -214,8 +234,10 @@ def like_unseen(parts: Sequence[Part], noise: Array) -> list[Part]:
         parts: As ``unfitted_parts`` returns them.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
     """
-    known = [part for part in parts if part.is_known(noise)]
-    return known if len(known) >= LEAST_PARTS else list(parts)
+    told = [part for part in parts if not part.ran_away]
+    told = told if len(told) >= LEAST_PARTS else list(parts)
+    known = [part for part in told if part.is_known(noise)]
+    return known if len(known) >= LEAST_PARTS else told
 
 
 def factor_of(parts: Sequence[Part], noise: Array) -> tuple[Array, float]:
@@ -235,7 +257,9 @@ def factor_of(parts: Sequence[Part], noise: Array) -> tuple[Array, float]:
     return np.sqrt(together), _quantile(scores)
 
 
-def _left_out_parts(fit: Fit, validation: Validation | None) -> list[Part]:
+def _left_out_parts(
+    fit: Fit, channels: Sequence[Channel], validation: Validation | None, plain: Fit | None
+) -> list[Part]:
     """Every part of the fitted runs by a fit without it."""
     held = validation
     if not isinstance(held, LeftOut):
@@ -245,15 +269,27 @@ def _left_out_parts(fit: Fit, validation: Validation | None) -> list[Part]:
     if held is None:
         return []
     residuals = held.residuals(fit)
-    return [_left_out_part(fit, fold, residuals) for fold in held.folds.parts]
+    before = None if plain is None else np.concatenate(list(held.residuals(plain)))
+    parts = []
+    for fold in held.folds.parts:
+        part = _left_out_part(fit, fold, channels, residuals)
+        if before is not None:
+            after = np.concatenate(list(residuals))[fold.rows]
+            most = RAN_AWAY**2 * max(float(np.mean(before[fold.rows] ** 2)), 1.0)
+            part = replace(part, ran_away=float(np.mean(after**2)) > most)
+        parts.append(part)
+    return parts
 
 
-def _left_out_part(fit: Fit, fold: Fold, residuals: Sequence[Array]) -> Part:
+def _left_out_part(
+    fit: Fit, fold: Fold, channels: Sequence[Channel], residuals: Sequence[Array]
+) -> Part:
     """A part of the fitted runs.
 
     Args:
         fit: The extended model.
         fold: The part.
+        channels: Columns of ``measured``.
         residuals: Whitened, by run, of fits that have not seen them, (num_valid,) each.
     """
     problem, covariance = fit.problem, posterior_covariance(fit.jacobian[~fold.rows])
@@ -269,7 +305,12 @@ def _left_out_part(fit: Fit, fold: Fold, residuals: Sequence[Array]) -> Part:
         readings = _unwhiten(problem, run, residuals[i][:, None])[:, 0]
         left.append(np.where(inside, readings, np.nan).reshape(run.measured.shape))
         spread.append(_linear_variance(fit, run, slopes[i], covariance, own))
-    return Part(np.concatenate(left), np.concatenate(spread))
+    times = 1.0
+    if fold.is_whole and (kept := kept_runs(problem, fold)):
+        runs = (problem.runs[i] for i in fold.runs)
+        here = [replace(r, measured=r.measured - own) for r, own in zip(runs, left, strict=True)]
+        times = times_outside(outside_rows(here, channels, spans_of(kept, channels)))
+    return Part(np.concatenate(left), np.concatenate(spread), times)
 
 
 def _linear_variance(
@@ -293,21 +334,28 @@ def _linear_variance(
     return np.asarray(np.sum(changed**2, axis=1).reshape(run.measured.shape))
 
 
-def _select_parts(fit: Fit, select: Sequence[Run]) -> list[Part]:
+def _select_parts(fit: Fit, channels: Sequence[Channel], select: Sequence[Run]) -> list[Part]:
     """Select runs, those of one command together; none that its posterior cannot simulate."""
     pieces: dict[str, list[Part]] = {}
     names, correlation = _posterior_of(fit)
-    sd, unmet = posterior_sd(fit), unmet_by(fit.problem)
+    sd, unmet = np.sqrt(np.diag(fit.covariance)), unmet_by(fit.problem)
+    spans = spans_of(fit.problem.runs, channels)
     for run in select:
         left = _unwhiten(fit.problem, run, held_out_residual(fit, run)[:, None])
+        said = replace(run, measured=run.measured - left.reshape(run.measured.shape))
+        far = times_outside(outside_rows([said], channels, spans))
         try:
             spread = _posterior_variance(names, correlation, fit, sd, run, unmet)
         except DiffsimError:
             continue
-        piece = Part(left.reshape(run.measured.shape), spread)
+        piece = Part(left.reshape(run.measured.shape), spread, far)
         pieces.setdefault(run.group, []).append(piece)
     return [
-        Part(np.concatenate([p.left for p in own]), np.concatenate([p.spread for p in own]))
+        Part(
+            np.concatenate([p.left for p in own]),
+            np.concatenate([p.spread for p in own]),
+            max(p.times for p in own),
+        )
         for own in pieces.values()
     ]
 

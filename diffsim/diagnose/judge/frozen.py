@@ -19,11 +19,13 @@ from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_from
 from diffsim.diagnose.judge.described import description_of, differences, require_same_system
+from diffsim.diagnose.judge.rivals import beside_no_skill, without_each
 from diffsim.diagnose.judge.unseen import At, Span, Unseen, constants_of, on_unseen, spans_of
 from diffsim.identify import Problem
 from diffsim.identify.extended import ExtendedModel
 from diffsim.identify.model_file import (
     SavedModel,
+    effects_of,
     rebuilt,
     without_effects,
     without_values_of,
@@ -86,37 +88,41 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
     said = differences(saved, study)
     runs = _choose_unseen(study, saved, names)
     saved = without_values_of(saved, [run.name for run in runs])
-    models = [rebuilt(s, inputs.setup) for s in (without_effects(saved), saved)]
+    bare = without_each(saved, effects_of(saved, inputs.setup.effects))
+    models = [rebuilt(s, inputs.setup) for s in (without_effects(saved), saved, *bare.values())]
     noise = _noise_of(saved, study)
     spans = {
         what: Span(**{**s, "labels": tuple(s["labels"])}) for what, s in facts["range"].items()
     }
-    plain, extended = (_at(model, noise, inputs) for model in models)
+    plain, extended, *others = (_at(model, noise, inputs) for model in models)
     facts_named = [p.name for p in inputs.setup.model.base if "[" in p.name]
     unmet = [name for name in facts_named if name not in saved.parameters]
     half_widths = partial(
         _half_widths, extended, facts.get("band"), channels=study.channels, unmet=unmet
     )
-    found = on_unseen(
-        plain,
-        extended,
-        runs,
-        study.channels,
-        noise.sd,
-        spans,
+    compare = partial(
+        on_unseen,
+        extended=extended,
+        runs=runs,
+        channels=study.channels,
+        sd=noise.sd,
+        spans=spans,
         seed=inputs.seed,
         commands=study.commands,
         unmet=unmet,
-        half_widths=half_widths,
         constants=facts.get("constants", {}),
     )
-    return replace(found, differences=said)
+    found = compare(plain, half_widths=half_widths)
+    causes = {name: compare(other) for name, other in zip(bare, others, strict=True)}
+    errors = beside_no_skill(found, study)
+    return replace(found, errors=errors, differences=said, causes=causes)
 
 
 def _half_widths(
     extended: At,
     band: Mapping[str, Any] | None,
     run: Run,
+    times: float,
     *,
     channels: Sequence[Channel],
     unmet: Sequence[str],
@@ -126,7 +132,7 @@ def _half_widths(
         return None
     # priors of the rebuilt model are posteriors of the fit
     sd = np.ones(len(extended.x))
-    return band_from(band).half_widths(extended, sd, run, channels, unmet)
+    return band_from(band).half_widths(extended, sd, run, times, channels=channels, unmet=unmet)
 
 
 def _choose_unseen(study: Study, saved: SavedModel, names: Sequence[str]) -> tuple[Run, ...]:

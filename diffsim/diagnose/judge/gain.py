@@ -23,7 +23,7 @@ from diffsim.diagnose.judge.left_out import (
     left_out_residual,
     newest_samples,
 )
-from diffsim.diagnose.judge.own_values import Frozen, held_out_point
+from diffsim.diagnose.judge.own_values import FAR_OFF, Frozen, held_out_point
 from diffsim.identify import Fit, Problem
 
 Array = NDArray[np.float64]
@@ -47,6 +47,8 @@ class Gain:
         num_blocks: Number of blocks of samples, as long as what moves the share is correlated.
         fall: Lower end of the 90 % interval of e_null^2 - e_ext^2, in noise variances per sample:
             what is known of it where the excess, and with it every share, is uncertain.
+        farthest: How far a value that was fitted to these runs ended from what is stated of it, at
+            most [prior sd].
     """
 
     value: float
@@ -55,17 +57,20 @@ class Gain:
     excess: float
     num_blocks: int
     fall: float = 0.0
+    farthest: float = 0.0
 
     @property
     def status(self) -> str:
         """Where the interval lies: "confirmed" (above zero), "not confirmed", "withdrawn" (below);
         "nothing to gain": the plain model's error is noise alone; "cannot be judged": the share is
-        one of next to nothing, or the extended model ran away. Too few blocks confirm nothing."""
+        one of next to nothing, or the extended model ran away. Too few blocks confirm nothing, nor
+        do runs whose own values had to be fitted far off."""
         if self.high < 0.0 and self.num_blocks > 1:
             return "withdrawn" if self._can_be_judged else "cannot be judged"
         if self.excess <= 0.0:
             return "nothing to gain"
-        return "confirmed" if self.is_above_zero else "not confirmed"
+        is_sure = self.is_above_zero and self.farthest <= FAR_OFF
+        return "confirmed" if is_sure else "not confirmed"
 
     @property
     def _can_be_judged(self) -> bool:
@@ -110,6 +115,8 @@ class Gain:
             why = ": next to nothing was there to be removed"
             if self.left > 1.0 + max(self.excess, 0.0) + NEAR_ZERO:
                 why = ": without these samples the fit ran away"
+        if self.farthest > FAR_OFF:
+            why = f"; a value fitted to these runs is {self.farthest:.2g} sd from what is stated"
         if self.is_below_noise:
             share = _percent(float(np.sqrt(max(self.left, 0.0))))
             why = f"; the stated noise is too large, {share} of it is left"

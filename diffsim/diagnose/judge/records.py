@@ -196,6 +196,8 @@ class ErrorRow:
         held: Error of each channel's first reading of this run, held; None: too few samples.
         without: Error of the extended model without the values that were fitted to this run; None:
             there are none, or it cannot be simulated.
+        command: Error of a command in the channel's unit, its delay and zero fitted to this run;
+            None: there is none, or it was not asked for.
     """
 
     run: str
@@ -212,13 +214,18 @@ class ErrorRow:
     constant: float | None = None
     held: float | None = None
     without: float | None = None
+    command: float | None = None
 
 
 def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:
     """Where the extended model is worse than what takes no skill, a sentence for each run."""
     out = []
     for row in errors:
-        better = {"a constant": row.constant, "the first reading, held,": row.held}
+        better = {
+            "a constant": row.constant,
+            "the first reading, held,": row.held,
+            "the command itself, late and shifted,": row.command,
+        }
         said = [
             f"{what} would leave {value:.3g}{after_number(row.unit)}"
             for what, value in better.items()

@@ -10,6 +10,7 @@ range of the fitted runs: levels, strokes, rates and frequencies, facts of the s
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -25,7 +26,6 @@ from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.checks.misread import choose_commands
 from diffsim.diagnose.checks.noise import without_spikes
-from diffsim.diagnose.judge.band import no_band
 from diffsim.diagnose.judge.gain import Gain, compared
 from diffsim.diagnose.judge.own_values import Frozen, OwnRow, held_out_point, own_names, own_rows
 from diffsim.diagnose.judge.records import RATIOS, ErrorRow, OutsideRow, band_words
@@ -34,7 +34,9 @@ Array = NDArray[np.float64]
 TAIL = 0.01  # share of samples on either side that a range leaves out: spikes are none
 MARGIN = 1.02  # of the distance from the middle of the range: rounding is not outside
 LEAST_WIDTH = 0.1  # half-width of a range over its middle, where all fitted runs are alike
+FAST = ("rate of", "frequency of")  # quantities that tell no distance of levels
 LEVEL = "level of"  # smallest and largest value alike: what lies between was passed through
+OF_ONE_RUN = re.compile(r"([_\- ]*(\d+|(?<=[_\- ])[a-z]))+$")  # what tells runs of a kind apart
 MIN_RATE_SAMPLES = 8  # samples; fewer have no rate and no frequency
 
 
@@ -112,6 +114,18 @@ def outside_rows(
                 if key not in rows or rows[key].times < times:
                     rows[key] = OutsideRow(run.name, what, value, span.low, span.high, times, unit)
     return tuple(sorted(rows.values(), key=lambda row: -row.times))
+
+
+def times_outside(rows: Sequence[OutsideRow]) -> float:
+    """How far outside runs lie, at least 1, by levels, strokes and facts that are numbers; of
+    channels as they are predicted, for a band is there before the record.
+
+    How fast a signal moves is no reach: a step has any rate, by its clock. Labels have no distance.
+    """
+    return max(
+        (row.times for row in rows if not row.what.startswith(FAST) and np.isfinite(row.times)),
+        default=1.0,
+    )
 
 
 def _times(what: str, value: float | str, span: Span) -> float:
@@ -208,6 +222,10 @@ class Unseen:
             NaN in channels without one.
         own: What was fitted to each run for the extended model, with its prior.
         differences: What the study describes otherwise than the model's own, a sentence each.
+        kinds: Gain by kind of run, where there are several: runs whose names differ in a number or
+            a letter at their end.
+        causes: By name of a cause, the extended model without it as the plain one; empty where
+            nothing was asked of single causes.
     """
 
     runs: tuple[str, ...]
@@ -222,6 +240,8 @@ class Unseen:
     bands: Mapping[str, Array] = field(default_factory=dict)
     own: tuple[OwnRow, ...] = ()
     differences: tuple[str, ...] = ()
+    kinds: Mapping[str, Gain] = field(default_factory=dict)
+    causes: Mapping[str, Unseen] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``judge.json``."""
@@ -231,6 +251,15 @@ class Unseen:
             "band": band_words(self.errors),
             "gain": None if self.gain is None else gain_to_dict(self.gain),
             "gains": {name: gain_to_dict(g) for name, g in self.gains.items()},
+            "kinds": {name: gain_to_dict(g) for name, g in self.kinds.items()},
+            "causes": {
+                name: {
+                    "errors": [asdict(row) for row in without.errors],
+                    "gain": None if without.gain is None else gain_to_dict(without.gain),
+                    "gains": {run: gain_to_dict(g) for run, g in without.gains.items()},
+                }
+                for name, without in self.causes.items()
+            },
             "outside": [asdict(row) for row in self.outside],
             "fitted": [asdict(row) for row in self.own],
             "differences": list(self.differences),
@@ -257,7 +286,7 @@ def on_unseen(
     use: str = "test",
     commands: Sequence[Command] = (),
     unmet: Collection[str] = (),
-    half_widths: Callable[[Run], Array | None] = no_band,
+    half_widths: Callable[[Run, float], Array | None] = lambda *_: None,
     constants: Mapping[str, float] = MappingProxyType({}),
 ) -> Unseen:
     """Judge a model and its extension on runs; each at its own coordinates, which stay.
@@ -273,7 +302,8 @@ def on_unseen(
         use: What the runs are for, as the rows say it.
         commands: What is known of commands: their units.
         unmet: Parameters of facts that no fitted run has: a run with such a fact tells its own.
-        half_widths: Half of the width of the band around the extended model; None: there is none.
+        half_widths: Half of the width of the band around the extended model, of a run that is so
+            many times outside; None: there is none.
         constants: Best constant of the fitted runs by channel, as ``constants_of`` returns it.
     """
     constant = np.array([constants.get(c.name, np.nan) for c in channels])
@@ -304,7 +334,10 @@ def on_unseen(
         num_own = len(own)
         if callable(inside := getattr(extended.problem.model, "num_fitted_inside", None)):
             num_own += int(inside(run))
-        if (half := half_widths(run)) is not None:
+        # by what is predicted: a band that asks what was measured would excuse itself
+        unseen = replace(run, measured=np.where(np.isfinite(run.measured), said[1], np.nan))
+        far = times_outside(outside_rows([unseen], channels, spans, commands))
+        if (half := half_widths(run, far)) is not None:
             bands[run.name] = half
         left += [
             run.measured - constant,
@@ -317,15 +350,36 @@ def on_unseen(
         after.append(whitened[1])
         cleaned.append(run)
     gains = {
-        run.name: compared([run], plain, [b], [a], seed=seed)
+        run.name: replace(
+            compared([run], plain, [b], [a], seed=seed),
+            farthest=max((abs(row.pull) for row in fitted if row.run == run.name), default=0.0),
+        )
         for run, b, a in zip(cleaned, before, after, strict=True)
     }
+    kinds: dict[str, list[int]] = {}
+    for k, run in enumerate(cleaned):
+        kinds.setdefault(OF_ONE_RUN.sub("", run.name), []).append(k)
+    gain = None  # without the runs that fail it would be one over chosen runs
+    if cleaned and not failed:
+        farthest = max((abs(row.pull) for row in fitted), default=0.0)
+        whole = compared(cleaned, plain, before, after, seed=seed)
+        gain = replace(whole, farthest=farthest)
     return Unseen(
         runs=tuple(run.name for run in runs),
         errors=tuple(errors),
-        # a gain without the runs that fail would be one over chosen runs
-        gain=compared(cleaned, plain, before, after, seed=seed) if cleaned and not failed else None,
+        gain=gain,
         gains=gains,
+        kinds={
+            kind: compared(
+                [cleaned[k] for k in which],
+                plain,
+                [before[k] for k in which],
+                [after[k] for k in which],
+                seed=seed,
+            )
+            for kind, which in kinds.items()
+            if 1 < len(kinds) < len(cleaned)
+        },
         outside=outside_rows(cleaned, channels, spans, commands),
         num_spikes=num_spikes,
         num_misread=num_misread,

@@ -20,7 +20,7 @@ from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.apart import apart_in_fit
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
-from diffsim.diagnose.judge.band import band_of, no_band, posterior_sd
+from diffsim.diagnose.judge.band import band_of
 from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.data_sheet import base_rows
 from diffsim.diagnose.judge.gain import Gain, Validation
@@ -185,7 +185,14 @@ def report_of(
         base=base,
         unknown_share=_unknown_share(null, best, judgment),
         interval_factor=_interval_factor(causes, about),
-        band=band_of(best, case.study.channels, null.noise.sd, case.study.select_runs, validation),
+        band=band_of(
+            best,
+            case.study.channels,
+            null.noise.sd,
+            case.study.select_runs,
+            validation,
+            null.fit,
+        ),
     )
 
 
@@ -249,15 +256,17 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
         laws: Names of the causes that no library holds.
     """
     seen, is_test = frozen.study, bool(study.test_runs)
-    unmet, half_widths = unmet_by(frozen.best.problem), no_band
+    unmet = unmet_by(frozen.best.problem)
+    banded: dict[str, Any] = {}
     if frozen.band is not None:
         half_widths = partial(
             frozen.band.half_widths,
             frozen.best,
-            posterior_sd(frozen.best),
+            np.sqrt(np.diag(frozen.best.covariance)),
             channels=seen.channels,
             unmet=unmet,
         )
+        banded = {"half_widths": half_widths}
     found = on_unseen(
         frozen.null,
         frozen.best,
@@ -269,7 +278,7 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
         use="test" if is_test else "select",
         commands=seen.commands,
         unmet=unmet,
-        half_widths=half_widths,
+        **banded,
         constants=constants_of(seen.fit_runs, seen.channels),
     )
     gain = found.gain if frozen.best.problem.effects else None

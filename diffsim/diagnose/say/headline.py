@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby, product
+from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.core.units import after_number
+from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.checks.gates import LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, why_unconfirmed
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -23,6 +25,7 @@ from diffsim.diagnose.judge.records import (
     CauseRow,
     ErrorRow,
 )
+from diffsim.diagnose.judge.unseen import OF_ONE_RUN
 from diffsim.diagnose.say.wording import (
     Answer,
     capital,
@@ -64,13 +67,26 @@ def headline(
     return " ".join([first, *_second(answer, errors, failed, gained), *_noise(errors, gained)])
 
 
-def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended: bool) -> str:
-    """The errors of a saved model on new runs in a sentence.
+def first_of(said: str) -> str:
+    """The first sentence of a headline; a point within it, as of a number, ends none."""
+    return re.split(r"(?<=\.) (?=Not certain: |No gain is known: |The stated noise )", said)[0]
+
+
+def judged_headline(
+    errors: Sequence[ErrorRow],
+    gained: Gain | None,
+    *,
+    extended: bool,
+    gains: Mapping[str, Gain] = MappingProxyType({}),
+) -> str:
+    """The errors of a saved model on new runs in a sentence; first, where some kinds of runs get
+    worse and others better, which.
 
     Args:
         errors: Errors on the runs; none where no run could be simulated.
         gained: Gain over all of them; None: not known.
         extended: Whether the model names a cause.
+        gains: Gain by run.
     """
     if not errors:
         return "No run could be simulated."
@@ -81,7 +97,26 @@ def judged_headline(errors: Sequence[ErrorRow], gained: Gain | None, *, extended
     if ending.startswith("no skill"):
         with_model = f"The extended model has {ending}."
     doubts = [f"Not certain: {why}." for why in _of_gain(gained)]
-    return " ".join([with_model, *doubts, *_noise(errors, gained)])
+    return " ".join([*_by_kind(gains), with_model, *doubts, *_noise(errors, gained)])
+
+
+def _by_kind(gains: Mapping[str, Gain]) -> list[str]:
+    """Which kinds of runs get better and which worse, where both are: "better on gravity (2 of 2),
+    worse on heavy (8 of 8)"."""
+    kinds: dict[str, list[Gain]] = {}
+    for run, gain in gains.items():
+        kinds.setdefault(OF_ONE_RUN.sub("", run), []).append(gain)
+    said: dict[str, list[str]] = {"Better": [], "worse": []}
+    for kind, own in kinds.items():
+        num_worse = sum(gain.status == "withdrawn" for gain in own)
+        num_better = sum(gain.is_above_zero for gain in own)
+        if num_worse != num_better:
+            verb, most = ("worse", num_worse) if num_worse > num_better else ("Better", num_better)
+            said[verb].append(f"{kind} ({most} of {len(own)})" if len(own) > 1 else kind)
+    if not all(said.values()):
+        return []
+    parts = [f"{verb} on {_join(names[:MAX_NAMES])}" for verb, names in said.items()]
+    return [f"{', '.join(parts)}."]
 
 
 def _first_that_fits(said: Sequence[str], endings: Sequence[str]) -> str:
@@ -137,7 +172,7 @@ def _of_gain(gained: Gain | None) -> list[str]:
         return []
     if gained.status == "cannot be judged":
         return ["unseen runs cannot judge it"]
-    return ["no gain is confirmed on unseen runs"]
+    return [f"{why_unconfirmed(gained)} on unseen runs"]
 
 
 def _noise(errors: Sequence[ErrorRow], gained: Gain | None) -> list[str]:
@@ -216,7 +251,7 @@ def _open(answer: Answer) -> list[str]:
     sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
     parts = [[_brief(plain_name(answer, n)) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
-    shown = " or ".join(names[:2]) + (" or another cause" if len(names) > 2 else "")
+    shown = f"{names[0]}, {names[1]} or another cause" if len(names) > 2 else " or ".join(names)
     if names and len(shown.split()) > MAX_OPEN:
         shown = f"{names[0]} or another cause"
     if not names or len(shown.split()) > MAX_OPEN:
@@ -440,8 +475,11 @@ def _numbers(row: ErrorRow) -> tuple[str, str, str, str]:
     if row.unit == "-" and row.noise > 0.0:
         before, after = (f"{v / row.noise:.3g}" for v in (row.before, row.after))
         return before, after, " times the noise", ""
-    unit = after_number(row.unit)
-    return f"{row.before:.3g}", f"{row.after:.3g}", unit, f"{row.noise:.3g}{unit}"
+    shown = small_unit(row.unit, (row.after, row.noise))
+    times = 1.0 if shown == row.unit else factor(row.unit, shown)
+    before, after, noise = (f"{times * v:.3g}" for v in (row.before, row.after, row.noise))
+    unit = after_number(shown)
+    return before, after, unit, f"{noise}{unit}"
 
 
 def _telling_kind(errors: Sequence[ErrorRow], changed: bool, *, worst: bool) -> ErrorRow:

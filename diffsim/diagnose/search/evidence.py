@@ -13,7 +13,8 @@ a problem that is linear in sizes, however large. Bounds of base parameters cost
 normal beyond them. Where several bounds are active they cost together what the optimum within them
 has lost, so no model is credited with a fit beyond its bounds. The amplitude a is averaged over
 ``AMPLITUDES``. Constants are left out: -N/2 ln(2 pi) + ln|W|, and the share of the base parameters'
-prior within the bounds.
+prior within the bounds. An unknown cause is eliminated first: H'H = V L V' once, and an amplitude
+then divides by 1 + a^2 L along the columns of V.
 
 Candidates are screened by their score at the null fit: what could matter, how large, what mimics
 what. With r, J = dWS/dtheta and G = dWS/dphi there:
@@ -88,6 +89,22 @@ class SetPosterior:
     fit: Fit | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """Knots of an unknown cause along the principal axes of what they do alone: there an amplitude
+    is one factor per axis.
+
+    Attributes:
+        power: Of each axis, (m,).
+        cross: With the slopes of all coordinates, (m, n).
+        projection: With the record, (m,).
+    """
+
+    power: Array
+    cross: Array
+    projection: Array
+
+
 class LaplaceEvidence:
     """Evidence of any hypothesis from the Gram matrix of all columns at a point; no simulation.
 
@@ -125,7 +142,6 @@ class LaplaceEvidence:
         right = residual + slopes @ problem.scaled(x)
         powers = [_power(h) for h in responses]
         edges = np.cumsum([jacobian.shape[1], *(h.shape[1] for h in responses)])
-        self.unknown_columns = [list(range(a, b)) for a, b in pairwise(edges)]
         gram, self.projection = np.zeros((edges[-1], edges[-1])), np.zeros(edges[-1])
         with np.errstate(over="ignore", invalid="ignore"):
             for rows in _parts(len(right)):
@@ -140,6 +156,7 @@ class LaplaceEvidence:
                 "slopes or misfit left the range of numbers: the simulation there means nothing"
             )
         self.gram = kept_definite(gram)
+        self.knots = [self._along_axes(slice(a, b)) for a, b in pairwise(edges)]
         self.columns = [problem.columns_of(e) for e in problem.effects]
         self.bounds = problem.bounds
 
@@ -154,10 +171,10 @@ class LaplaceEvidence:
         choice = sum(self.family_price + self.problem.effects[i].price for i in members)
         free = list(range(self.problem.num_base)) + [c for i in members for c in self.columns[i]]
         if hypothesis.unknown is None:
-            nats, x, sd, chi2 = self._gaussian(free, members, [], 0.0, wide)
+            nats, x, sd, chi2 = self._gaussian(free, members, None, 0.0, wide)
             return SetPosterior(nats - choice, x, sd, chi2, 0.0)
-        extra = self.unknown_columns[hypothesis.unknown]
-        tried = [self._gaussian(free, members, extra, a, wide) for a in AMPLITUDES]
+        knots = self.knots[hypothesis.unknown]
+        tried = [self._gaussian(free, members, knots, a, wide) for a in AMPLITUDES]
         evidences = np.array([t[0] for t in tried])
         best = int(np.argmax(evidences))
         mean = special.logsumexp(evidences) - np.log(len(AMPLITUDES))
@@ -166,71 +183,67 @@ class LaplaceEvidence:
         price_unknown = self.family_price + np.log(self.num_unknowns)
         return SetPosterior(mean - choice - price_unknown, x, sd, chi2, AMPLITUDES[best])
 
+    def _along_axes(self, own: slice) -> Knots:
+        """The knots of an unknown cause along the principal axes of what they do alone."""
+        power, axes = linalg.eigh(self.gram[own, own])
+        known = slice(self.jacobian.shape[1])
+        return Knots(
+            np.maximum(power, 0.0), axes.T @ self.gram[own, known], axes.T @ self.projection[own]
+        )
+
     def _gaussian(
         self,
         free: list[int],
         members: list[int],
-        extra: list[int],
+        knots: Knots | None,
         amplitude: float,
         wide: Mapping[int, float],
     ) -> tuple[float, Array, Array, float]:
-        idx = free + extra
         count, is_size = len(free), np.array([i >= self.problem.num_base for i in free], dtype=bool)
         low, high = (bound[free] for bound in self.bounds)
         reach = np.where(is_size, np.maximum(REACH, FARTHER * np.abs(self.scaled0[free])), np.inf)
-        scale = np.concatenate([np.ones(count), np.full(len(extra), amplitude)])
-        b = scale * self.projection[idx]
-        gram = self.gram[np.ix_(idx, idx)] * np.outer(scale, scale)
+        b, gram, power = self.projection[free], self.gram[np.ix_(free, free)], self.power
+        log_det = 0.0
+        if knots is not None:  # at their best, whatever the free coordinates are
+            gained = amplitude**2 / (1.0 + amplitude**2 * knots.power)
+            cross = knots.cross[:, free]
+            b = b - cross.T @ (gained * knots.projection)
+            gram = gram - cross.T @ (gained[:, None] * cross)
+            power -= float(gained @ knots.projection**2)
+            log_det = float(np.log1p(amplitude**2 * knots.power).sum())
         precision = np.ones(count)
         if is_size.any():
             near = np.maximum(low, -reach), np.minimum(high, reach)
-            best = optimum(*_without(gram, b, count), *near, is_size, self.scaled0[free])
+            best = optimum(gram, b, *near, is_size, self.scaled0[free])
             precision[is_size] = precision_at(best[is_size])
-        width = np.concatenate([1.0 / np.sqrt(precision), np.ones(len(extra))])
+        width = 1.0 / np.sqrt(precision)
         for j, factor_of_sd in wide.items():  # base parameters come first, all of them
             width[j] = factor_of_sd
         b, gram = width * b, gram * np.outer(width, width)
-        unbounded = np.full(len(extra), np.inf)
-        low = np.concatenate([low / width[:count], -unbounded])
-        high = np.concatenate([high / width[:count], unbounded])
-        reach = np.concatenate([reach / width[:count], unbounded])
-        factor = linalg.cho_factor(gram + np.eye(len(idx)), lower=True)
+        low, high, reach = low / width, high / width, reach / width
+        factor = linalg.cho_factor(gram + np.eye(count), lower=True)
         mean = linalg.cho_solve(factor, b)
-        log_det = 2.0 * np.log(np.diag(factor[0])).sum()
-        nats = -0.5 * (self.power - b @ mean) - 0.5 * log_det
-        sd = np.sqrt(np.diag(linalg.cho_solve(factor, np.eye(len(idx)))))
-        gained = _log_share(mean, sd, low, high)
+        log_det += 2.0 * float(np.log(np.diag(factor[0])).sum())
+        nats = -0.5 * (power - b @ mean) - 0.5 * log_det
+        sd = np.sqrt(np.diag(linalg.cho_solve(factor, np.eye(count))))
+        gained_by_bounds = _log_share(mean, sd, low, high)
         signed = [self.problem.effects[i].signed for i in members for _ in self.columns[i]]
         for k, is_signed in zip(np.flatnonzero(is_size), signed, strict=True):
-            gained[k] = log_tilt(mean[k], sd[k], precision[k], is_signed)
-        mean, lost = _within(mean, sd, gram, b, low, high, reach, count)
-        chi2 = self.power - 2.0 * (b @ mean) + mean @ gram @ mean
+            gained_by_bounds[k] = log_tilt(mean[k], sd[k], precision[k], is_signed)
+        mean, lost = _within(mean, sd, gram, b, low, high, reach)
+        chi2 = power - 2.0 * (b @ mean) + mean @ gram @ mean
+        if knots is not None:  # without the prior of the knots
+            left = knots.projection - cross @ (width * mean)
+            chi2 -= float(np.sum((amplitude * left / (1.0 + amplitude**2 * knots.power)) ** 2))
         u, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
-        u[free] = (width * mean)[:count]
+        u[free] = width * mean
         x = self.problem.standardized(u)
-        deviation[free] = (width * sd)[:count] / self.problem.stretch(x)[free]
-        return float(nats + gained.sum() - lost), x, deviation, float(chi2)
-
-
-def _without(gram: Array, b: Array, count: int) -> tuple[Array, Array]:
-    """Misfit in the first coordinates, the others N(0, 1) and at their best."""
-    if len(b) == count:
-        return gram, b
-    outer = gram[count:, :count]
-    inner = linalg.cho_factor(gram[count:, count:] + np.eye(len(b) - count))
-    solved = linalg.cho_solve(inner, np.column_stack([outer, b[count:]]))
-    return gram[:count, :count] - outer.T @ solved[:, :-1], b[:count] - outer.T @ solved[:, -1]
+        deviation[free] = width * sd / self.problem.stretch(x)[free]
+        return float(nats + gained_by_bounds.sum() - lost), x, deviation, float(chi2)
 
 
 def _within(
-    mean: Array,
-    sd: Array,
-    gram: Array,
-    b: Array,
-    low: Array,
-    high: Array,
-    reach: Array,
-    count: int,
+    mean: Array, sd: Array, gram: Array, b: Array, low: Array, high: Array, reach: Array
 ) -> tuple[Array, float]:
     """The optimum within bounds and reach, and the nats lost beyond what each bound costs alone.
 
@@ -239,18 +252,12 @@ def _within(
         gram, b: Quadratic and linear part of the misfit; the prior is N(0, 1).
         low, high: Bounds of the coordinates, (n,).
         reach: Distance from zero up to which slopes are believed, (n,).
-        count: Coordinates that may have bounds, the first ones.
     """
-    inside = np.clip(mean, low, high)
     near = np.maximum(low, -reach), np.minimum(high, reach)
     if (np.clip(mean, *near) == mean).all():
         return mean, 0.0
-    hessian = gram + np.eye(len(b))
-    # the others follow: many knots would make every step with bounds dear
-    reduced, right = _without(gram, b, count)
-    x = quadratic_optimum(reduced + np.eye(count), right, near[0][:count], near[1][:count])
-    rest = b[count:] - gram[count:, :count] @ x
-    x = np.concatenate([x, linalg.solve(hessian[count:, count:], rest, assume_a="pos")])
+    inside, hessian = np.clip(mean, low, high), gram + np.eye(len(b))
+    x = quadratic_optimum(hessian, b, *near)
     # together the bounds cost what the optimum lost, not each one's share of it once more
     lost = 0.5 * float((x - mean) @ hessian @ (x - mean))
     return x, lost - 0.5 * float(np.sum(((mean - inside) / sd) ** 2))

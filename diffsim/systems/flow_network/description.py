@@ -8,12 +8,16 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.causes.plant import Plant
-from diffsim.core.check import did_you_mean
 from diffsim.core.schema_numbers import KilogramsPerCubicMeter, PerSecond
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.model import SimModel
-from diffsim.systems.description import BaseParameters, Description
+from diffsim.systems.description import (
+    BaseParameters,
+    Description,
+    mismatched_channels,
+    missing_commands,
+)
 from diffsim.systems.flow_network.keys import FlowNuisanceKeys, MeterKeys, SourceKeys, TubeKeys
 from diffsim.systems.flow_network.lumped_build import (
     LumpedNetwork,
@@ -110,18 +114,12 @@ class FlowNetworkDescription(Description):
         )
 
     def _find_problems(self, study: Study) -> Iterator[Problem]:
-        channels = [c.name for c in study.channels]
         named = [m.channel for m in self.meters]
         for name in named:
-            if name not in channels:
-                said = f"no channel {name!r}{did_you_mean(name, channels)}"
-                yield Problem("error", "model.meters", said)
             if named.count(name) > 1:
                 yield Problem("error", "model.meters", f"channel {name} is named twice")
-        for name in channels:
-            if name not in named:
-                said = "model.meters does not name it; name it, or take it out of channels"
-                yield Problem("error", f"channel {name}", said)
+        hint = "model.meters does not name it; name it, or take it out of channels"
+        yield from mismatched_channels([("model.meters", name) for name in named], study, hint)
         closed = dead_ends(self.channels, self.sources)
         for meter in self.meters:
             tube = next((t for t in self.channels if t.name == meter.flow_in), None)
@@ -131,11 +129,6 @@ class FlowNetworkDescription(Description):
                     f"{node.pop()}, where nothing flows out; give that node a pressure in sources"
                 )
                 yield Problem("error", "model.meters", said)
-        for i, source in enumerate(self.sources):
-            command = source.flow if source.flow is not None else source.pressure
-            for run in study.runs:
-                if isinstance(command, str) and command not in run.command:
-                    said = f"run {run.name} has no command {command!r}"
-                    hint = did_you_mean(command, run.command)
-                    yield Problem("error", f"model.sources[{i}]", said + hint)
-                    break
+        given = [s.flow if s.flow is not None else s.pressure for s in self.sources]
+        wanted = [(f"model.sources[{i}]", c) for i, c in enumerate(given) if isinstance(c, str)]
+        yield from missing_commands(wanted, study.runs)

@@ -7,11 +7,15 @@ from collections.abc import Iterator
 from pydantic import model_validator
 
 from diffsim.causes.plant import Plant
-from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.model import SimModel
-from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.description import (
+    BaseParameters,
+    Quantity,
+    mismatched_channels,
+    missing_commands,
+)
 from diffsim.systems.flow_network.keys import FlowDeviceKeys
 from diffsim.systems.flow_network.manifold import Manifold
 from diffsim.systems.flow_network.plane import PlaneNetwork
@@ -88,23 +92,10 @@ class FlowDeviceDescription(FlowDeviceKeys):
         return [*flows, *(self.pressures or (None,) * self.device.num_gauges), *self.velocities]
 
     def _find_problems(self, study: Study) -> Iterator[Problem]:
-        channels, shown = (
-            [c.name for c in study.channels],
-            [n for n in self._list_shown_channels() if n],
-        )
-        for name in shown:
-            if name not in channels:
-                said = f"no channel {name!r}{did_you_mean(name, channels)}"
-                yield Problem("error", "model.flows, pressures or velocities", said)
-        for name in channels:
-            if name not in shown:
-                said = "flows, pressures and velocities do not name it; take it out of channels"
-                yield Problem("error", f"channel {name}", said)
-        for key, commands in (("drives", self.drives), ("back_pressures", self.back_pressures)):
-            for command in commands:
-                for run in study.runs:
-                    if command is not None and command not in run.command:
-                        said = f"run {run.name} has no command {command!r}"
-                        hint = did_you_mean(command, run.command)
-                        yield Problem("error", f"model.{key}", said + hint)
-                        break
+        where = "model.flows, pressures or velocities"
+        shown = [(where, name) for name in self._list_shown_channels() if name]
+        hint = "flows, pressures and velocities do not name it; take it out of channels"
+        yield from mismatched_channels(shown, study, hint)
+        drives = [("model.drives", name) for name in self.drives]
+        held = [("model.back_pressures", name) for name in self.back_pressures]
+        yield from missing_commands([*drives, *held], study.runs)

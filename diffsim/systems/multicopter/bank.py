@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import GRAVITY, Feedback, FlightState, Multicopter, fly, linearize, lqr
+from diffsim.copter.vehicle.multicopter import NUMBERS
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights
@@ -49,20 +50,9 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
 
 def _build_vehicle(flights: DescribedFlights) -> Multicopter:
     fleet = flights.nominal_fleet()
-    values = {
-        name: getattr(fleet, name)[0].detach()
-        for name in (
-            "mass",
-            "inertia",
-            "positions",
-            "directions",
-            "spins",
-            "torque_ratios",
-            "radii",
-        )
-    }
+    values = {name: getattr(fleet, name)[0].detach() for name in NUMBERS}
     top = torch.full_like(values["radii"], flights.full_thrust)
-    return Multicopter(**values, max_thrusts=top)
+    return Multicopter(**{**values, "max_thrusts": top})
 
 
 def _fly_path(

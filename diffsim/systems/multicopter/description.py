@@ -12,12 +12,11 @@ from diffsim.causes.listing import list_causes
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import SCALES
 from diffsim.copter.vehicle.multicopter import GRAVITY
-from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import chosen_effects, settings_with
+from diffsim.systems.description import chosen_effects, missing_commands, settings_with
 from diffsim.systems.multicopter.assembly import (
     assembled,
     usual_magnitudes,
@@ -108,15 +107,9 @@ class MulticopterDescription(MulticopterKeys):
         wanted = [("commands.columns", name) for name in self.commands.columns]
         if self.battery is not None:
             wanted.append(("battery", self.battery))
+        yield from missing_commands([(f"model.{key}", name) for key, name in wanted], study.runs)
         for key, name in wanted:
-            for run in study.runs:
-                if name not in run.command:
-                    yield Problem(
-                        "error",
-                        f"model.{key}",
-                        f"run {run.name} has no command {name!r}{did_you_mean(name, run.command)}",
-                    )
-                    break
+            for run in (r for r in study.runs if name in r.command):
                 if key == "commands.columns" and (
                     said := self._find_command_beyond(run.command[name])
                 ):

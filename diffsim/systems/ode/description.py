@@ -137,7 +137,13 @@ class OdeDescription(FormulaKeys):
             chosen_effects(found, self.effects, study, plant_of(library)),
             unknown_forces(library),
             settings=settings_with(DiagnosisSettings(), self.effort),
-            laws=OdeLaws(library, self.setup),
+            laws=OdeLaws(
+                library=library,
+                model=library.model,
+                study=library.study,
+                whole=library.study,
+                make=self.setup,
+            ),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.law import (
     FEWEST_VALUES,
     LASTING,
-    LAWS,
     VALUE,
     Entry,
     Gains,
@@ -27,16 +26,15 @@ from diffsim.identify.law import (
     Law,
     Memory,
     Variable,
-    numbers_of,
     put_variable,
     reading_entries,
 )
 from diffsim.identify.problem import Problem
-from diffsim.identify.setup import DiagnosisSetup, law_effect
+from diffsim.identify.setup import LawPort, law_effect
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.ode.applying import entering, symbol
 from diffsim.systems.ode.described import FormulaSystem
-from diffsim.systems.ode.keys import FormulaKeys, Place
+from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import TIME, Change, filled, named, product
 from diffsim.systems.ode.scene import OdeScene, at_start
@@ -56,38 +54,20 @@ _RATE = "hidden_rate"
 _LASTING, _REACH, _SWING, _SLOW = "lasting", "slip_reach", "swing_rate", "slow_speed"
 
 
-@dataclass(frozen=True, eq=False)
-class OdeLaws:
-    """Entries and variables of a described system (``identify.law.LawPort``).
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OdeLaws(LawPort):
+    """Entries and variables of a described system.
 
     Attributes:
         library: Names and usual magnitudes of the described system.
-        make: Function (study) -> setup, of a study whose frame holds laws.
-        whole: Study with runs to test by; None: the library's has all.
     """
 
     library: Library
-    make: Callable[[Study], DiagnosisSetup]
-    whole: Study | None = None
-
-    def made_by(self, make: Callable[[Study], DiagnosisSetup], study: Study) -> OdeLaws:
-        """The same for a study of more runs, whose setup another function makes."""
-        return replace(self, make=make, whole=study)
 
     @property
     def system(self) -> FormulaSystem:
         """The description with its formulas parsed."""
         return self.library.system
-
-    @property
-    def study(self) -> Study:
-        """Study with the recordings."""
-        return self.library.study
-
-    @property
-    def keys(self) -> FormulaKeys:
-        """Keys of the description."""
-        return self.system.keys
 
     @property
     def entries(self) -> Sequence[Entry]:
@@ -106,7 +86,7 @@ class OdeLaws:
                 continue
             yield Entry("rate", state, "1/s", self._usual_rate(state))
         used = self._names_in_use()
-        for name, q in self.keys.parameters.items():
+        for name, q in self.system.keys.parameters.items():
             if name not in used:
                 continue
             if q.sd is not None and q.sd >= abs(q.value):  # a share of what may be zero says little
@@ -143,11 +123,11 @@ class OdeLaws:
 
     def _list_plain(self) -> Iterator[Variable]:
         motion, runs = self.system.motion, self.study.fit_runs
-        names = dict.fromkeys((*motion.states, *self.system.held, *self.keys.define))
+        names = dict.fromkeys((*motion.states, *self.system.held, *self.system.keys.define))
         units = self._units()
         for name in names:
             yield Variable(name, name, units.get(name, "-"), is_turn=True)
-        for channel, text in self.keys.readings.items():
+        for channel, text in self.system.keys.readings.items():
             if text.strip() not in names:
                 yield Variable(channel, f"({text})", units.get(channel, "-"), is_turn=True)
         for column in self.system.columns:
@@ -163,7 +143,7 @@ class OdeLaws:
         out = {c.name: c.unit for c in self.study.channels}
         out |= {c.name: c.unit for c in self.study.commands if c.unit}
         out |= {c.name: c.unit for c in self.study.columns if c.unit}
-        for channel, text in self.keys.readings.items():
+        for channel, text in self.system.keys.readings.items():
             out.setdefault(text.strip(), out[channel])
         for place in self.system.motion.places:
             out[place.position] = place.position_unit
@@ -375,8 +355,8 @@ class OdeLaws:
     def _place(self, name: str) -> Place:
         return next(place for place, _ in self.library.places if place.name == name)
 
-    def block(self, law: Law) -> Mapping[str, Any]:
-        """A law as a cause of formulas, as ``effects.own`` takes it."""
+    def action(self, law: Law) -> Mapping[str, Any]:
+        """What a law changes, in the keys of a cause of formulas."""
         entry, variable = law.entry, law.variable
         term = put_variable(law.term, variable)
         target = {"adds_to": entry.target}
@@ -389,25 +369,8 @@ class OdeLaws:
                 target = {"adds_to": place.force}
         elif entry.kind == "number":
             target, term = {"multiplies": entry.target}, f"1 + ({term})"
-        return {
-            "name": law.name,
-            **target,
-            "term": term,
-            "states": {s: {"rate": h.rate, "start": h.start} for s, h in variable.states.items()},
-            "shapes": {name: numbers_of(s) for name, s in law.shapes.items()},
-            "typical": law.typical,
-            "unit": law.unit,
-            "one_sided": not law.signed,
-            "scanned": True,
-            "family": "law",
-            "price": law.price,
-        }
-
-    def setup_with(self, blocks: Sequence[Mapping[str, Any]]) -> DiagnosisSetup:
-        """The system with laws among its candidate causes."""
-        study = self.whole or self.study
-        frame = {**study.frame, **self.library.model.frame, LAWS: [dict(b) for b in blocks]}
-        return self.make(replace(study, frame=frame))
+        states = {s: {"rate": h.rate, "start": h.start} for s, h in variable.states.items()}
+        return {**target, "term": term, "states": states}
 
 
 def _apply_terms(

@@ -13,7 +13,7 @@ from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import SimModel
-from diffsim.systems.description import Description, Quantity
+from diffsim.systems.description import Description, Quantity, mismatched_channels
 from diffsim.systems.quantities import Acceleration
 from diffsim.systems.rigid_body.ball_setup import Balls
 from diffsim.systems.rigid_body.parts import (
@@ -70,18 +70,9 @@ class RigidBodyDescription(Description):
 
     def problems(self, study: Study) -> list[Problem]:
         """Channels that no measure shows, and facts that runs lack."""
-        names = [c.name for c in study.channels]
-        shown = [c for m in self.measures for _, _, c in m.rows()]
-        out = [
-            Problem("error", "model.measures", f"no channel {c}{did_you_mean(c, names)}")
-            for c in shown
-            if c not in names
-        ]
-        out += [
-            Problem("error", f"channel {c}", "no entry of model.measures says what it shows")
-            for c in names
-            if c not in shown
-        ]
+        shown = [("model.measures", c) for m in self.measures for _, _, c in m.rows()]
+        hint = "no entry of model.measures says what it shows"
+        out = list(mismatched_channels(shown, study, hint))
         if not all(b.is_ball for b in self.bodies):
             if len(self.bodies) > 1:
                 out.append(Problem("error", "model.bodies", "several bodies must all be balls"))

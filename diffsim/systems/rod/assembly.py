@@ -47,10 +47,8 @@ class Numbers:
         return self[key][..., None] + self.stacked(*(f"{n}_{key}" for n in names))
 
 
-def rod_of(
-    layout: RodLayout, given: Mapping[str, Tensor], command: Tensor
-) -> tuple[RodStatics, int]:
-    """The rod with axes (K, num_samples) in front, and K.
+def rod_of(layout: RodLayout, given: Mapping[str, Tensor], command: Tensor) -> RodStatics:
+    """The rod with axes (K, num_samples) in front.
 
     Args:
         layout: Elements, paths, places of masses.
@@ -65,30 +63,25 @@ def rod_of(
     mass = numbers["density"][..., None] * shape.area * thicker**2 * shape.lengths
     offset, slope = _place_paths(layout, numbers)
     end = layout.paths.end + numbers["tendon_end"][..., None]
-    return (
-        RodStatics(
-            shape=shape,
-            bending=flexural,
-            stretch=stretch,
-            rest=_compute_rest_strains(layout, numbers),
-            stiffening=numbers["strain_stiffening"],
-            weight=mass[..., None] * gravity[..., None, :],
-            points=layout.masses,
-            loads=_list_masses(layout, numbers)[..., None] * gravity[..., None, :],
-            base=layout.base
-            @ matrix_from_rotation_vector(
-                numbers.stacked("base_twist", "base_tilt_y", "base_tilt_z")
-            ),
-            place=layout.place + numbers.stacked(*(f"base_shift_{a}" for a in "xyz")),
-            offset=offset,
-            slope=slope,
-            share=((end[..., None] - shape.edges[:-1]) / shape.lengths).clamp(0.0, 1.0),
-            pull=_compute_tension(layout, numbers, command),
-            friction=numbers["tendon_friction"],
-            wobble=numbers["tendon_wobble"],
-            rubber=numbers["compression_stiffening"],
-        ),
-        max(numbers.count, len(command) if command.ndim > 2 else 1),
+    return RodStatics(
+        shape=shape,
+        bending=flexural,
+        stretch=stretch,
+        rest=_compute_rest_strains(layout, numbers),
+        stiffening=numbers["strain_stiffening"],
+        weight=mass[..., None] * gravity[..., None, :],
+        points=layout.masses,
+        loads=_list_masses(layout, numbers)[..., None] * gravity[..., None, :],
+        base=layout.base
+        @ matrix_from_rotation_vector(numbers.stacked("base_twist", "base_tilt_y", "base_tilt_z")),
+        place=layout.place + numbers.stacked(*(f"base_shift_{a}" for a in "xyz")),
+        offset=offset,
+        slope=slope,
+        share=((end[..., None] - shape.edges[:-1]) / shape.lengths).clamp(0.0, 1.0),
+        pull=_compute_tension(layout, numbers, command),
+        friction=numbers["tendon_friction"],
+        wobble=numbers["tendon_wobble"],
+        rubber=numbers["compression_stiffening"],
     )
 
 

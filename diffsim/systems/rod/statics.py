@@ -17,60 +17,47 @@ Rubber that is pressed together by the share 1 - y keeps its volume: a section w
 so do the levers of the tendons. Its fibers follow P = E (y - y^-2) / 3 (incompressible neo-Hookean,
 Treloar, The Physics of Rubber Elasticity, 1975, 4.3), so that the stiffness against bends becomes
 P'(y) I / y, and against twist G J / y. ``rubber`` is the share of all this that acts.
+
+All of it is compiled, derivatives too: ``csrc/kernels/rod``. Newton's method finds each equilibrium
+by itself, from its guess or, where that fails, from no tension by growing shares of it.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError
-from diffsim.core.rotation import cross, matrix_from_rotation_vector
+from diffsim.systems.rod import _ops
 from diffsim.systems.rod.layout import RodPoints, RodShape
 
-STRETCH_ROUNDS = 4  # each gains about two digits: tendons compress by a few percent
-MOST_TURN = 0.5  # of all elements together in one step of Newton's method [rad]
-MOST_STEPS = 40
-SHRINKS = 0.7  # factor by which steps with foreign slopes become shorter, or they are given up
-MIXED = 3  # earlier steps that the next one learns from
-RIDGE = 1e-10  # of scaled differences: where they are alike, none is preferred
-DIFFERENCE = 1e-5  # step of difference quotients by strains [1/m]
-MOST_PRESSED = 0.2  # stretch below which rubber stiffens no further: solvers pass through it
-SMOOTHING = 1e-3  # bends below this do not count as a kink of a tendon [1/m]
 
-
-def running_products(steps: Tensor) -> Tensor:
-    """Products steps[0] ... steps[k] along the third last axis, (..., N, 3, 3), by doubling."""
-    reach, count = 1, steps.shape[-3]
-    while reach < count:
-        longer = steps[..., :-reach, :, :] @ steps[..., reach:, :, :]
-        steps = torch.cat([steps[..., :reach, :, :], longer], -3)
-        reach *= 2
-    return steps
-
-
-class _SectionFactors(NamedTuple):
-    """Factors by which sections differ from those without loads.
+class Survey(NamedTuple):
+    """What else is known of rods, in equilibrium or not; no gradients.
 
     Attributes:
-        width: (..., N) of the radius.
-        bending: (..., N, 3) of the stiffness against twist and bends.
-        stretch: (..., N, 3) of the stiffness against stretch and shears.
+        frames: (K, S, N + 1, 3, 3) rotations of the sections at the edges.
+        nodes: (K, S, N + 1, 3) their places [m].
+        stretches: (K, S, N, 3) stretch and shears of the elements, 1 0 0 at rest [-].
+        tensions: (K, S, N, T) of the tendons at the middles of the elements [N].
+        residual: (K, S, N, 3) moment that is left over in the sections [N m].
     """
 
-    width: Tensor
-    bending: Tensor
-    stretch: Tensor
+    frames: Tensor
+    nodes: Tensor
+    stretches: Tensor
+    tensions: Tensor
+    residual: Tensor
 
 
 @dataclass(frozen=True, eq=False)
 class RodStatics:
-    """All numbers of an equilibrium; leading axes (...) are alike or one.
+    """All numbers of rods; the leading axes (...) are at most two, K points and S poses, each whole
+    or one.
 
     Attributes:
         shape: Elements.
@@ -110,302 +97,85 @@ class RodStatics:
     wobble: Tensor
     rubber: Tensor
 
-    def with_pull(self, factor: float) -> RodStatics:
-        """The rod with a share of all tensions."""
-        return replace(self, pull=factor * self.pull)
-
-    def row(self, k: int) -> RodStatics:
-        """The rod of one row of the first of two leading axes."""
-        own = {}
-        for name, axes in _AXES.items():
-            value = getattr(self, name)
-            if value.ndim > axes + 1:
-                value = value[k if value.shape[0] > 1 else 0]
-            own[name] = value
-        return replace(self, **own)
-
-    def frames(self, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Rotations at the edges, (..., N + 1, 3, 3), and at the middles, (..., N, 3, 3)."""
-        steps = u * self.shape.lengths[:, None]
-        after = self.base[..., None, :, :] @ running_products(matrix_from_rotation_vector(steps))
-        first = self.base[..., None, :, :].expand(*after.shape[:-3], 1, 3, 3)
-        edges = torch.cat([first, after], -3)
-        return edges, edges[..., :-1, :, :] @ matrix_from_rotation_vector(0.5 * steps)
-
-    def tension(self, u: Tensor) -> Tensor:
-        """(..., T, N) tension of the tendons at the middles [N]."""
-        turn = self.shape.lengths * (u[..., 1:].square().sum(-1) + SMOOTHING**2).sqrt()
-        wrapped = turn.cumsum(-1) - 0.5 * turn
-        loss = self.friction[..., None] * wrapped + self.wobble[..., None] * self.shape.middles
-        return self.pull[..., None] * self.share * torch.exp(-loss)[..., None, :]
-
-    def section(self, u: Tensor, force: Tensor) -> tuple[Tensor, Tensor]:
-        """Stretch and moment of the sections.
+    def solve(
+        self,
+        seen: RodPoints,
+        offset: Tensor,
+        start: Tensor,
+        tolerance: float,
+        *,
+        straight: bool = False,
+    ) -> tuple[Tensor, Tensor]:
+        """Strains in equilibrium (K, S, N, 3) [1/m] and places of points there (K, S, P, 3) [m].
 
         Args:
-            u: (..., N, 3) twist and bends [1/m].
-            force: (..., N, 3) force that acts beyond the section, in its frame [N].
-
-        Returns:
-            Stretch and shears (..., N, 3) [-], 1 0 0 at rest, and moment of body and tendons
-            (..., N, 3) [N m].
-        """
-        tension = self.tension(u)[..., None]
-        along = torch.tensor([1.0, 0.0, 0.0], dtype=u.dtype)
-        v = along + force / self.stretch
-        for _ in range(STRETCH_ROUNDS):
-            factors = self._section_factors(v)
-            offset = factors.width[..., None, :, None] * self.offset
-            tangent = v[..., None, :, :] + cross(u[..., None, :, :], offset) + self.slope
-            pull = tension * tangent / tangent.square().sum(-1, keepdim=True).sqrt()
-            v = along + (force - pull.sum(-3)) / (self.stretch * factors.stretch)
-        bent = u - self.rest
-        strain = (bent[..., 1:].square().sum(-1) * self.shape.radius**2)[..., None]
-        moment = self.bending * bent * (1.0 + self.stiffening[..., None, None] * strain)
-        factors = self._section_factors(v)
-        levers = cross(factors.width[..., None, :, None] * self.offset, pull)
-        return v, factors.bending * moment + levers.sum(-3)
-
-    def _section_factors(self, v: Tensor) -> _SectionFactors:
-        """What stretch and shears v (..., N, 3) make of the sections."""
-        y = v[..., 0].clamp(min=MOST_PRESSED)
-        share = self.rubber[..., None]
-        secant = 1.0 + share * ((1.0 + 1.0 / y + y**-2) / 3.0 - 1.0)  # P / (E (y - 1))
-        flexural = 1.0 + share * ((1.0 + 2.0 * y**-3) / (3.0 * y) - 1.0)
-        twist, shear = 1.0 + share * (1.0 / y - 1.0), torch.ones_like(secant)
-        return _SectionFactors(
-            1.0 + share * (y**-0.5 - 1.0),
-            torch.stack([twist, flexural, flexural], -1),
-            torch.stack([secant, shear, shear], -1),
-        )
-
-    def at_points(self, points: RodPoints, offset: Tensor, u: Tensor) -> Tensor:
-        """Places (..., P, 3) of points fixed to sections [m].
-
-        Args:
-            points: Their arc lengths.
+            seen: Arc lengths of the points.
             offset: (..., P, 3) from the axis, in the frame of the section [m].
-            u: (..., N, 3) twist and bends [1/m].
+            start: Guess of the strains, (..., S, N, 3) with all poses [1/m].
+            tolerance: Largest turn of the last step, of all elements together [rad].
+            straight: Whether to come from no tension by small steps at once, without the guess.
+
+        Raises:
+            ConvergenceError: no equilibrium is found on the way from no tension.
         """
-        v, edges, nodes = self._integrate_course(u)
-        return _place_points(self.shape, points, offset, u, v, edges, nodes)
-
-    def course(self, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Rotations (..., N + 1, 3, 3) and places (..., N + 1, 3) [m] of the sections at the edges.
-
-        Args:
-            u: (..., N, 3) twist and bends [1/m].
-        """
-        return self._integrate_course(u)[1:]
-
-    def _integrate_course(self, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Stretch and shears, and what ``course`` returns."""
-        edges, middles = self.frames(u)
-        force = self._sum_forces(middles)[0]
-        v, _ = self.section(u, _rotate_into(middles, force))
-        return v, edges, self._integrate_places(middles, v)[0]
-
-    def residual(self, u: Tensor) -> Tensor:
-        """(..., N, 3) moment that is left over in the sections [N m]."""
-        edges, middles = self.frames(u)
-        force, beyond = self._sum_forces(middles)
-        v, moment = self.section(u, _rotate_into(middles, force))
-        nodes, centers = self._integrate_places(middles, v)
-        torque = cross(centers, self.weight)
-        outer = torque.flip(-2).cumsum(-2).flip(-2) - torque  # of all elements beyond
-        lever = 0.25 * self.shape.lengths[:, None] * (middles @ v[..., None])[..., 0]
-        outer = outer + cross(centers + lever, 0.5 * self.weight)
-        if len(self.points.names):
-            at = _place_points(self.shape, self.points, self.points.offset, u, v, edges, nodes)
-            outer = outer + beyond @ cross(at, self.loads)
-        return moment - _rotate_into(middles, outer - cross(centers, force))
-
-    def _sum_forces(self, middles: Tensor) -> tuple[Tensor, Tensor]:
-        """Force that acts beyond the middles, (..., N, 3) [N], and (N, P) which points do."""
-        weight = self.weight.expand(*middles.shape[:-1])
-        force = weight.flip(-2).cumsum(-2).flip(-2) - 0.5 * weight
-        beyond = (self.points.at > self.shape.middles[:, None]).to(force.dtype)
-        if len(self.points.names):
-            force = force + beyond @ self.loads
-        return force, beyond
-
-    def _integrate_places(self, middles: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-        """Places of the edges (..., N + 1, 3) and of the middles (..., N, 3) [m]."""
-        steps = (middles @ v[..., None])[..., 0] * self.shape.lengths[:, None]
-        after = self.place[..., None, :] + steps.cumsum(-2)
-        first = self.place[..., None, :].expand(*after.shape[:-2], 1, 3)
-        nodes = torch.cat([first, after], -2)
-        return nodes, nodes[..., :-1, :] + 0.5 * steps
-
-
-_AXES = {
-    "bending": 2, "stretch": 2, "rest": 2, "stiffening": 0, "weight": 2, "loads": 2, "base": 2,
-    "place": 1, "offset": 3, "slope": 3, "share": 2, "pull": 1, "friction": 0, "wobble": 0,
-    "rubber": 0,
-}  # fmt: skip
-"""Own axes of the tensors of a rod, behind the leading ones."""
-
-
-def _rotate_into(frames: Tensor, vectors: Tensor) -> Tensor:
-    """Components of vectors (..., 3) in frames (..., 3, 3)."""
-    return (frames.mT @ vectors[..., None])[..., 0]
-
-
-def _place_points(
-    shape: RodShape,
-    points: RodPoints,
-    offset: Tensor,
-    u: Tensor,
-    v: Tensor,
-    edges: Tensor,
-    nodes: Tensor,
-) -> Tensor:
-    i = points.element
-    past = (points.at - shape.edges[i])[:, None]
-    own = u[..., i, :]
-    frame = edges[..., i, :, :]
-    half = frame @ matrix_from_rotation_vector(0.5 * past * own)
-    axis = nodes[..., i, :] + (half @ (past * v[..., i, :])[..., None])[..., 0]
-    return axis + ((frame @ matrix_from_rotation_vector(past * own)) @ offset[..., None])[..., 0]
-
-
-def _compute_slopes(rod: RodStatics, u: Tensor) -> Tensor:
-    """Derivatives (B, 3 N, 3 N) of the residual by u (B, N, 3), by central differences: right to
-    nine digits, and all in one call."""
-    size = u.shape[-2] * 3
-    moves = DIFFERENCE * torch.eye(size, dtype=u.dtype).reshape(size, 1, *u.shape[-2:])
-    ahead, behind = rod.residual(torch.stack([u + moves, u - moves]))
-    return ((ahead - behind) / (2.0 * DIFFERENCE)).flatten(2).permute(1, 2, 0)
-
-
-def _solve_by_newton(rod: RodStatics, u: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
-    """Equilibria from a guess (B, N, 3), and the slopes there.
-
-    Raises:
-        ConvergenceError: it does not settle.
-    """
-    most = float("inf")
-    for _ in range(MOST_STEPS):
-        slopes = _compute_slopes(rod, u)
-        step = torch.linalg.solve(slopes, rod.residual(u).flatten(1)).reshape(u.shape)
-        turn = (step.norm(dim=-1) * rod.shape.lengths).sum(-1)
-        most = float(turn.max())
-        if not math.isfinite(most):
-            break
-        u = u - (MOST_TURN / turn).clamp(max=1.0)[:, None, None] * step
-        if most < tolerance:
-            return u, slopes
-    raise ConvergenceError(
-        "the rod finds no equilibrium; is a tendon pulled too hard?",
-        residual_norm=most,
-        tolerance=tolerance,
-        num_iters=MOST_STEPS,
-    )
-
-
-def equilibrium(
-    rod: RodStatics, start: Tensor, tolerance: float, *, straight: bool = False
-) -> tuple[Tensor, Tensor]:
-    """Equilibria without gradients.
-
-    Args:
-        rod: Rod with one leading axis of B rows.
-        start: Guess of the bending strains, (B, N, 3) [1/m].
-        tolerance: Largest turn of the last step, of all elements together [rad].
-        straight: Whether to come from no tension by small steps, from the guess.
-
-    Returns:
-        Strains (B, N, 3) and slopes of the residual there (B, 3 N, 3 N).
-
-    Raises:
-        ConvergenceError: no equilibrium is found on the way from no tension.
-    """
-    if not straight:
-        try:
-            return _solve_by_newton(rod, start, tolerance)
-        except ConvergenceError:
-            start = torch.zeros_like(start)
-    found, share, step = start, 0.0, 0.25
-    found, slopes = _solve_by_newton(rod.with_pull(0.0), found, 1e-3)
-    while share < 1.0:
-        tried = min(1.0, share + step)
-        try:
-            found, slopes = _solve_by_newton(
-                rod.with_pull(tried), found, tolerance if tried == 1.0 else 1e-3
+        given = self._given(start, seen, offset)
+        strains, places, turns = _ops.rod_solve(
+            **given, tolerance=float(tolerance), straight=straight
+        )
+        most = float(turns.detach().max())
+        if not most < tolerance:
+            raise ConvergenceError(
+                "the rod finds no equilibrium; is a tendon pulled too hard?",
+                residual_norm=most,
+                tolerance=tolerance,
+                num_iters=_ops.MOST_STEPS,
             )
-        except ConvergenceError:
-            step *= 0.5
-            if step < 0.01:
-                raise
-        else:
-            share = tried
-    return found, slopes
+        return strains, places[..., len(self.points.names) :, :]
+
+    def survey(self, strains: Tensor) -> Survey:
+        """What else is known of rods of given strains, (K, S, N, 3) [1/m]."""
+        given = self._given(strains.detach())
+        given["strains"] = given.pop("start")
+        return Survey(*_ops.rod_survey(**given))
+
+    def _given(
+        self, start: Tensor, seen: RodPoints | None = None, offset: Tensor | None = None
+    ) -> dict[str, Any]:
+        """Arguments of an op, by name."""
+        points, offsets = self.points, [_with_lead(self.points.offset, 2)]
+        at, around = [points.at], [points.element]
+        if seen is not None and offset is not None:
+            at, around = [*at, seen.at], [*around, seen.element]
+            offsets.append(_with_lead(offset, 2))
+        own = {
+            name: _with_lead(getattr(self, name), len(spec.shape) - 2)
+            for name, spec in _ops.FIELDS.items()
+            if name != "points"
+        }
+        own["start"] = _with_lead(start, 2)
+        shared = _lead_of(offsets)
+        own["points"] = torch.cat([value.expand(*shared, -1, -1) for value in offsets], -2)
+        rows, columns = _lead_of(own.values())
+        return own | {
+            "edges": self.shape.edges,
+            "radius": self.shape.radius,
+            "point_at": torch.cat(at),
+            "around": torch.cat(around),
+            "rows": rows,
+            "columns": columns,
+            "num_threads": torch.get_num_threads(),
+        }
 
 
-def nearby(
-    residual: Callable[[Tensor], Tensor],
-    u: Tensor,
-    slopes: Tensor,
-    lengths: Tensor,
-    tolerance: float,
-) -> Tensor | None:
-    """Equilibria of rows that differ little from one whose slopes are known; None: too much.
-
-    Args:
-        residual: Function of strains (K, S, N, 3).
-        u: Strains of the known equilibria, for each row, (K, S, N, 3).
-        slopes: Slopes there, (S, 3 N, 3 N).
-        lengths: (N,) of the elements [m].
-        tolerance: As of :func:`equilibrium`.
-    """
-    factor = torch.linalg.lu_factor(slopes)
-    last, before = float("inf"), Mixing()
-    for _ in range(MOST_STEPS):
-        left = residual(u)
-        step = torch.linalg.lu_solve(*factor, left.flatten(2).permute(1, 2, 0))
-        step = step.permute(2, 0, 1).reshape(left.shape)
-        most = float((step.norm(dim=-1) * lengths).sum(-1).max())
-        if not most < SHRINKS * last:
-            return None
-        if most < tolerance:
-            return u - step
-        u, last = before.next(u, step), most
-    return None
+def _with_lead(value: Tensor, axes: int) -> Tensor:
+    """A tensor with two leading axes before its own ones."""
+    return value[(None,) * (axes + 2 - value.ndim)] if value.ndim < axes + 2 else value
 
 
-class Mixing:
-    """Anderson's mixing of a fixed-point iteration, each row by itself.
-
-    Steps with slopes of another place shrink the error by a constant factor. What the last steps
-    changed shows most of what the slopes lack.
-
-    Source: Walker and Ni, Anderson acceleration for fixed-point iterations, SIAM J. Numer. Anal. 49
-    (2011) 1715, eq. 2.2.
-    """
-
-    def __init__(self) -> None:
-        self.places: list[Tensor] = []
-        self.steps: list[Tensor] = []
-
-    def next(self, u: Tensor, step: Tensor) -> Tensor:
-        """The next place of each row.
-
-        Args:
-            u: Places, (K, S, N, 3).
-            step: What the iteration itself would take off, the same shape.
-        """
-        self.places = [*self.places, u.flatten(2)][-MIXED - 1 :]
-        self.steps = [*self.steps, -step.flatten(2)][-MIXED - 1 :]
-        plain = u - step
-        if len(self.steps) < 2:
-            return plain
-        moves = torch.stack(self.places, -1).diff(dim=-1)
-        turns = torch.stack(self.steps, -1).diff(dim=-1)
-        scale = turns.norm(dim=-2, keepdim=True).clamp_min(1e-300)
-        moves, turns = moves / scale, turns / scale
-        inner = turns.mT @ turns + RIDGE * torch.eye(turns.shape[-1], dtype=u.dtype)
-        shares = torch.linalg.solve(inner, turns.mT @ self.steps[-1][..., None])
-        return plain - ((moves + turns) @ shares)[..., 0].reshape(u.shape)
+def _lead_of(values: Iterable[Tensor]) -> tuple[int, int]:
+    """Leading axes of tensors together, each of which has the whole axis or one."""
+    rows, columns = zip(*(value.shape[:2] for value in values), strict=True)
+    return max(rows), max(columns)
 
 
-__all__ = ["RodStatics", "equilibrium", "nearby", "running_products"]
+__all__ = ["RodStatics", "Survey"]

@@ -21,6 +21,7 @@ from diffsim.systems.description import (
     BaseParameters,
     chosen_effects,
     fact_in,
+    missing_commands,
     settings_with,
     unstated_facts,
 )
@@ -75,11 +76,7 @@ class SoftBodyDescription(SoftBodyKeys):
                   for i, d in enumerate(getattr(self, k))]  # fmt: skip
         if self.support is not None:
             wanted += [("model.support.x", self.support.x), ("model.support.z", self.support.z)]
-        for run in runs:
-            for key, command in wanted:
-                if command not in run.command:
-                    guess = did_you_mean(command, run.command)
-                    yield Problem("error", key, f"run {run.name} has no command {command!r}{guess}")
+        yield from missing_commands(wanted, runs)
         for i, load in enumerate(self.masses):
             have = [load.mass_from in run.setup for run in runs]
             if load.mass_from is not None and not any(have):

@@ -13,6 +13,7 @@ from diffsim import cli
 from diffsim.data import Command, save_study
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.discover.stage import find_laws
+from diffsim.diagnose.say.headline import first_of
 from diffsim.diagnose.search.fit import silent
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Problem, extended_model
@@ -23,7 +24,6 @@ from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.registry import load_extended, setup_of
 from tests.diagnose.discover.answers import found
 from tests.diagnose.discover.turntable import DAMPING, turntable_study
-from tests.diagnose.say import first_of
 
 USES = ("fit", "fit", "select", "test")
 NOISE = 0.01  # [rad]

@@ -23,11 +23,11 @@ from diffsim.diagnose.judge.band import (
     band_of,
     factor_of,
     like_unseen,
-    posterior_sd,
     unfitted_parts,
 )
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.records import LEVEL, ErrorRow, band_words
+from diffsim.diagnose.judge.unseen import outside_rows, spans_of, times_outside
 from diffsim.identify import DiagnosisSetup, Fit, WhiteNoise, fit
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.model_file import read_extended
@@ -51,8 +51,14 @@ def fitted(runs) -> Fit:
     return fit(linear.model(), runs, linear.CHANNELS, whitener=WhiteNoise(linear.CHANNELS))
 
 
-def widths(band: Band, found: Fit, run):
-    return band.half_widths(found, posterior_sd(found), run, linear.CHANNELS, ())
+def posterior_sd(fit: Fit):
+    return np.sqrt(np.diag(fit.covariance))
+
+
+def widths(band: Band, found: Fit, run, times=1.0):
+    return band.half_widths(
+        found, posterior_sd(found), run, times, channels=linear.CHANNELS, unmet=()
+    )
 
 
 def share_inside(found: Fit, half, run) -> float:
@@ -145,7 +151,7 @@ def test_a_part_that_alone_tells_of_a_parameter_stands_for_no_unseen_run():
 def test_one_part_tells_no_band(monkeypatch):
     found = fitted([with_error("only", np.random.default_rng(9))])
     for count, is_told in ((1, False), (2, True)):
-        few = unfitted_parts(found, ())[:count]
+        few = unfitted_parts(found, linear.CHANNELS, ())[:count]
         monkeypatch.setattr(judged, "unfitted_parts", lambda *_, few=few: few)
         assert (band_of(found, linear.CHANNELS, SD, ()) is not None) == is_told
 
@@ -153,7 +159,7 @@ def test_one_part_tells_no_band(monkeypatch):
 def test_the_spread_of_a_part_is_that_of_the_fit_without_it():
     rng = np.random.default_rng(11)
     runs = [with_error(f"p{k}", rng) for k in range(4)]
-    parts = unfitted_parts(fitted(runs), ())
+    parts = unfitted_parts(fitted(runs), linear.CHANNELS, ())
     for k, found in enumerate(parts):
         rest = fitted([run for i, run in enumerate(runs) if i != k])
         slopes = np.stack([linear.shapes(n, runs[k]).numpy()[..., 0] for n in ("mass", "gain")], -1)
@@ -261,3 +267,41 @@ def test_the_docs_hold_the_table_that_the_benchmark_prints():
     # what nothing was fitted to is held as promised
     means = [float(cell.strip(" |%")) / 100.0 for cell in rows[-1][2:]]
     assert all(0.85 <= mean <= 0.95 for mean in means)
+
+
+def test_the_band_widens_with_the_distance_from_what_was_fitted():
+    """A model that lacks a square: commands of 1 to 1.4 are fitted, one of 3 is not."""
+
+    def commanded(name, level):
+        made = linear.run(name, 3)
+        lacks = 3.0 * (level - 0.9) ** 2 * SD
+        command = {"u": np.full(len(made.time_s), level)}
+        return replace(made, measured=made.measured + lacks, command=command)
+
+    found = fitted([commanded(f"u{level}", level) for level in (1.0, 1.1, 1.2, 1.3, 1.4)])
+    band = band_of(found, linear.CHANNELS, SD, ())
+    far, near = commanded("far", 3.0), commanded("near", 1.2)
+    spans = spans_of(found.problem.runs, linear.CHANNELS)
+    times = times_outside(outside_rows([far], linear.CHANNELS, spans))
+    assert times == pytest.approx((3.0 - 1.2) / 0.2, rel=0.01)
+    assert share_inside(found, widths(band, found, near), near) >= 0.8
+    assert share_inside(found, widths(band, found, far), far) == 0.0
+    assert share_inside(found, widths(band, found, far, times), far) >= 0.8
+
+
+def test_a_part_whose_fit_ran_away_tells_no_band():
+    calm, mad = part(*STEPS), replace(part(1e3, 2e3), ran_away=True)
+    assert like_unseen([calm, calm, mad], ONE) == [calm, calm]
+    assert mad in like_unseen([calm, mad], ONE)  # too few are left to tell
+
+
+def test_noise_that_is_stated_too_large_does_not_hide_the_rest():
+    rng = np.random.default_rng(2)
+    runs = [with_error(f"n{k}", rng) for k in range(4)]
+    found = fitted(runs)
+    honest, stated = (band_of(found, linear.CHANNELS, sd, ()) for sd in (SD, 20.0 * SD))
+    assert honest.noise == {c.name: c.sd for c in linear.CHANNELS}
+    assert all(stated.noise[c.name] < 5.0 * c.sd for c in linear.CHANNELS)
+    assert max(stated.rest.values()) > 0.0
+    near, far = (widths(stated, found, runs[0], times).mean() for times in (1.0, 3.0))
+    assert far > 2.0 * near

@@ -1,9 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.gain import Gain, compared, share_removed
+from diffsim.diagnose.judge.records import ErrorRow
+from diffsim.diagnose.say.headline import judged_headline
 from tests.diagnose import linear
 
 STEP_S = 0.01
@@ -152,3 +156,15 @@ def test_no_excess_gives_no_gain():
     table[:, 1:] *= 0.8
     found = share_removed(table, seed=0)
     assert (found.value, found.low, found.high) == (0.0, 0.0, 0.0)
+
+
+def test_a_gain_that_own_values_pay_for_is_not_confirmed():
+    sure = Gain(0.8, 0.7, 0.9, 3.0, 20, farthest=2.9)
+    bought = replace(sure, farthest=5.0)
+    assert (sure.status, bought.status) == ("confirmed", "not confirmed")
+    assert bought.words.endswith("a value fitted to these runs is 5 sd from what is stated.")
+    row = ErrorRow("a", "position", "mm", 2.0, 1.1, 1.0, 100, 1)
+    assert "with a value 5 sd from what is stated no gain" in judged_headline(
+        [row], bought, extended=True
+    )
+    assert "Not certain" not in judged_headline([row], sure, extended=True)

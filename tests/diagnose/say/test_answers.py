@@ -18,9 +18,8 @@ import pytest
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import CauseRow, ErrorRow, Interval
-from diffsim.diagnose.say.headline import headline
+from diffsim.diagnose.say.headline import first_of, headline
 from diffsim.diagnose.say.wording import Answer, BeforeTest
-from tests.diagnose.say import first_of
 
 HERE = Path(__file__).parent / "answers"
 KEPT = ("verdict", "named", "rivals", "gain", "before_test", "errors", "unknown_share")

@@ -19,12 +19,11 @@ from diffsim.diagnose.judge.preconditions import singled_out
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
 from diffsim.diagnose.say.causes import CauseEvidence, _rise_without
-from diffsim.diagnose.say.headline import _on_unseen, headline
+from diffsim.diagnose.say.headline import _on_unseen, first_of, headline
 from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
-from diffsim.identify.model import Parameter
+from diffsim.identify.model import Parameter, SimModel
 from tests.diagnose import linear
-from tests.diagnose.say import first_of
 
 QUICK = DiagnosisSettings(search=SearchSettings(num_refits=4))
 PUSH, OTHER = linear.line("push"), linear.line("other", family="twins")
@@ -292,6 +291,36 @@ def test_intervals_cover_where_runs_differ_by_more_than_noise():
         narrow += away <= half
     # 90 % of 20 is 18 +- 1.3
     assert narrow <= 15 < 16 <= inside
+
+
+def test_intervals_of_a_runs_own_numbers_are_widened_with_what_runs_share():
+    """The push differs from run to run, and a wind of each run stands in for the difference."""
+    rng, inside, narrow = np.random.default_rng(0), 0, 0
+    names = [f"r{k}" for k in range(6)]
+
+    def build(values, run, numerics):
+        push = linear.shapes("push", run)[..., 0]
+        wind = 0.7 * push + 0.7 * linear.shapes("wind", run)[..., 0]
+        own = {n: v for n, v in values.items() if n == f"wind@{run.name}"}
+        return linear.LinearScene(values["push"] * push + sum(own.values()) * wind)
+
+    base = [Parameter("push", 0.8, 3.0, "N"), *(Parameter(f"wind@{n}", 0.0, 3.0) for n in names)]
+    model = SimModel(build, base, "winds")
+    for seed in range(10):
+        runs = []
+        for k, name in enumerate(names):
+            run = linear.run(name, 100 * seed + k)
+            values = {"push": rng.normal(1.0, 0.8), f"wind@{name}": 0.5}
+            with torch.no_grad():
+                moved = build(values, run, None).record.numpy()
+            runs.append(replace(run, measured=run.measured + moved))
+        found = fit(model, runs, linear.CHANNELS)
+        wider = widening(found).factors
+        for name in (f"wind@{n}" for n in names):
+            away, half = abs(found.values[name] - 0.5), 1.645 * found.sd[name]
+            inside += away <= half * wider[name]
+            narrow += away <= half
+    assert narrow < 42 and 50 <= inside < 60  # 90 % of 60 are 54 +- 2.3, were all independent
 
 
 def test_intervals_of_a_right_model_are_hardly_widened():

@@ -7,9 +7,8 @@ import pytest
 
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import CauseRow, ErrorRow, Interval
-from diffsim.diagnose.say.headline import headline
+from diffsim.diagnose.say.headline import first_of, headline
 from diffsim.diagnose.say.wording import Answer, capital
-from tests.diagnose.say import first_of
 
 PULSES = "pulses of 5.038 at drive, 0.5 s each 1 s, from 1.344 s"
 FELL = ErrorRow("t", "position", "um", 72.4, 7.21, 1.0, 100, 0)

@@ -247,6 +247,21 @@ def test_unknown_against_the_marginal_normal_averaged_over_amplitudes():
         np.testing.assert_allclose(found, truth, rtol=1e-6)
 
 
+@pytest.mark.parametrize("low", [-np.inf, 0.4])
+def test_the_optimum_beside_an_unknown_is_that_of_all_its_coefficients(low):
+    y, a = linear.matrices(())
+    h = np.random.default_rng(0).normal(size=(len(y), 7))
+    linearization = linearized(linear.problem(), np.zeros(2), (Given(h),), 1)
+    linearization.bounds = np.array([low, -np.inf]), np.full(2, np.inf)
+    found = linearization.weigh(Hypothesis(frozenset(), 0))
+    scaled = found.amplitude * h / np.sqrt(np.sum(h**2) / len(y))
+    columns = np.vstack([np.hstack([a[:, :2], scaled]), np.eye(9)])
+    bounds = np.r_[low, np.full(8, -np.inf)], np.full(9, np.inf)
+    best = optimize.lsq_linear(columns, np.r_[y, np.zeros(9)], bounds, tol=1e-14).x
+    np.testing.assert_allclose(found.x, best[:2], atol=1e-9)
+    np.testing.assert_allclose(found.chi2, np.sum((y - columns[: len(y)] @ best) ** 2), rtol=1e-9)
+
+
 def test_a_form_chosen_among_many_pays_for_the_choice():
     """By its price exactly, alone and beside others; a set without it pays nothing."""
     effects, runs = (linear.line("push"), linear.line("wind")), pushed(2.0)

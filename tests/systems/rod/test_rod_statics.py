@@ -10,9 +10,10 @@ import torch
 from scipy.integrate import solve_bvp
 
 from diffsim.core.errors import ConvergenceError
-from diffsim.systems.rod import statics
+from diffsim.systems.rod import _ops
 from diffsim.systems.rod.layout import points_on, rod_shape
-from diffsim.systems.rod.statics import RodStatics, equilibrium, nearby
+from diffsim.systems.rod.statics import RodStatics
+from tests.helpers import check_layer, with_derivatives
 
 RADIUS, LENGTH, YOUNG = 0.01, 1.0, 1e6
 STIFFNESS = YOUNG * np.pi * RADIUS**4 / 4  # against bending [N m^2]
@@ -54,14 +55,19 @@ def rod(
     )
 
 
-def bent(made):
+def solved(made, **how):
+    """Strains (N, 3) of a rod that comes from straight, and the place of its end (3)."""
     start = torch.zeros(1, len(made.shape.radius), 3, dtype=F64)
-    return equilibrium(made, start, 1e-11, straight=True)[0]
+    u, places = made.solve(made.points, made.points.offset, start, 1e-11, straight=True, **how)
+    return u[0, 0], places[0, 0, 0].numpy()
+
+
+def bent(made):
+    return solved(made)[0]
 
 
 def end_of(made):
-    u = bent(made)
-    return made.at_points(made.points, made.points.offset, u)[0, 0].numpy()
+    return solved(made)[1]
 
 
 def elastica(load):
@@ -113,7 +119,7 @@ def test_small_weight_bends_it_like_a_beam():
 def test_a_parallel_tendon_bends_it_to_a_circle_as_far_as_it_goes():
     pull, distance = 8.0, 0.004
     bend = pull * distance / STIFFNESS
-    u = bent(rod(20, pull=pull, end=0.6))[0]
+    u = bent(rod(20, pull=pull, end=0.6))
     inside = rod(20, end=0.6).shape.middles < 0.6
     assert u[inside, 2].numpy() == pytest.approx(bend, rel=1e-5)
     assert u[~inside].abs().max() < 1e-9
@@ -139,21 +145,21 @@ def test_pressed_rubber_is_stiffer_and_its_tendons_are_farther_out():
     y = max(np.roots([1.0, 3.0 * force, 0.0, -1.0]).real)
     assert y < 0.92  # 13 % without it
     u = bent(made)
-    v, _ = made.section(u, torch.zeros(20, 3, dtype=F64))
+    v = made.survey(u[None, None]).stretches[0, 0]
     # four rounds of the stretch leave 4e-5 where 11 % are pressed together
-    assert v[0, :, 0].numpy() == pytest.approx(y, abs=1e-4)
+    assert v[:, 0].numpy() == pytest.approx(y, abs=1e-4)
     bend = pull * distance * y**0.5 / (STIFFNESS * (1.0 + 2.0 * y**-3) / 3.0)
-    assert u[0, :, 2].numpy() == pytest.approx(bend, rel=5e-4)  # it goes with y^3.5
+    assert u[:, 2].numpy() == pytest.approx(bend, rel=5e-4)  # it goes with y^3.5
     soft = bent(replace(made, rubber=torch.zeros((), dtype=F64)))
-    assert float(soft[0, 0, 2]) > 1.15 * bend
+    assert float(soft[0, 2]) > 1.15 * bend
 
 
 @pytest.mark.reference
 def test_friction_around_a_bend_follows_the_capstan_law():
     made = rod(60, pull=8.0, friction=0.3)
     u = bent(made)
-    tension = made.tension(u)[0, 0].numpy()
-    bends = u[0, :, 2].numpy()
+    tension = made.survey(u[None, None]).tensions[0, 0, :, 0].numpy()
+    bends = u[:, 2].numpy()
     angle = 0.5 * (bends[1:] + bends[:-1]).sum() * LENGTH / 60  # from middle to middle
     assert tension[-1] / tension[0] == pytest.approx(np.exp(-0.3 * angle), rel=1e-5)
     assert tension[-1] < 0.7 * tension[0]
@@ -195,42 +201,84 @@ def test_weight_beyond_an_element_turns_with_a_rod_that_hangs_sideways():
     assert (4.0 * ends[1] - ends[0]) / 3.0 == pytest.approx(solved.y[2:, -1], abs=1e-4)
 
 
-def test_neighbors_are_found_by_the_slopes_of_one():
-    made = rod(12, pull=4.0, density=100.0)
-    start = torch.zeros(1, 12, 3, dtype=F64)
-    known, slopes = equilibrium(made, start, 1e-10)
-    changed = replace(made, pull=torch.tensor([[[4.0]], [[4.05]], [[3.9]]], dtype=F64))
-    many = nearby(changed.residual, known.expand(3, 1, 12, 3), slopes, made.shape.lengths, 1e-10)
-    assert many is not None
-    for k, pull in enumerate((4.0, 4.05, 3.9)):
-        alone = equilibrium(replace(made, pull=torch.tensor([pull], dtype=F64)), start, 1e-10)[0]
-        torch.testing.assert_close(many[k], alone, atol=1e-8, rtol=0.0)
-    far = replace(made, pull=torch.tensor([[[4.0]], [[-40.0]]], dtype=F64))
-    few = known.expand(2, 1, 12, 3)
-    assert nearby(far.residual, few, slopes, made.shape.lengths, 1e-10) is None
+def general(rows=1, columns=1):
+    """A rod with all that the kernel knows, differently in each row or column of some numbers."""
+    made = rod(5, density=300.0, taper=0.6, end=0.8)  # 6 elements
+    count = len(made.shape.radius)
+    random = torch.Generator().manual_seed(0)
+
+    def about(value, *lead):
+        value = torch.as_tensor(value, dtype=F64)
+        noise = torch.rand(*lead, *value.shape, generator=random, dtype=F64)
+        return value * (0.9 + 0.2 * noise) + 1e-3 * noise
+
+    offset = torch.zeros(2, count, 3, dtype=F64)
+    offset[0, :, 1], offset[1, :, 2] = 0.006, -0.005
+    return replace(
+        made,
+        bending=about(made.bending, rows, 1),
+        stretch=about(made.stretch / TENSE, 1, 1),
+        rest=about(0.2 * torch.ones(count, 3), 1, columns),
+        stiffening=about(0.3, rows, 1),
+        weight=about(made.weight, rows, 1),
+        points=points_on(
+            made.shape, ["a", "b"], [0.35, 1.0], [(0.0, 0.01, 0.0), (0.01, 0.0, 0.02)]
+        ),
+        loads=about(torch.tensor([[0.0, 0.0, -0.02], [0.01, 0.0, -0.03]]), rows, 1),
+        base=about(made.base, 1, 1),
+        place=about(made.place, rows, columns),
+        offset=about(offset, rows, 1),
+        slope=about(0.01 * torch.ones(2, count, 3), 1, 1),
+        share=about(made.share.expand(2, count), rows, 1),
+        pull=about(torch.tensor([3.0, 5.0]), rows, columns),
+        friction=about(0.2, rows, 1),
+        wobble=about(0.1, rows, 1),
+        rubber=about(0.8, rows, 1),
+    )
 
 
-def test_mixed_steps_take_what_the_slopes_lack_from_earlier_ones(monkeypatch):
-    """Slopes of a rod that is pulled less: half the residuals, the same equilibrium."""
-    made = rod(12, pull=4.0, density=100.0)
-    start = torch.zeros(1, 12, 3, dtype=F64)
-    slopes = equilibrium(rod(12, pull=2.5, density=100.0), start, 1e-10)[1]
-    known = equilibrium(made, start, 1e-10)[0]
-    guess = known + 0.01 * torch.randn(1, 1, 12, 3, generator=torch.manual_seed(0), dtype=F64)
-    asked = []
+@pytest.mark.reference
+def test_a_rod_with_everything_bends_as_in_other_arithmetic():
+    """Places by the same balance written in PyTorch's operations, before it was compiled."""
+    end = end_of(general())
+    assert end == pytest.approx([0.1635394, 0.04949164, -0.25481798], abs=1e-8)
 
-    def residual(u):
-        asked.append(len(u))
-        return made.residual(u)
 
-    counts = []
-    for mixed in (0, statics.MIXED):
-        monkeypatch.setattr(statics, "MIXED", mixed)
-        found = nearby(residual, guess, slopes, made.shape.lengths, 1e-10)
-        assert found is not None
-        torch.testing.assert_close(found[0], known, atol=1e-8, rtol=0.0)
-        counts.append(len(asked) - sum(counts))
-    assert counts[1] <= 0.6 * counts[0]
+def test_each_member_of_a_batch_is_itself_whatever_it_starts_from():
+    made = general(3, 2)
+    seen = made.points
+    start = torch.zeros(2, 6, 3, dtype=F64)
+    u, places = made.solve(seen, seen.offset, start, 1e-11)
+    assert made.survey(u).residual.abs().max() < 1e-12
+    lead = {name: len(spec.shape) - 2 for name, spec in _ops.FIELDS.items() if name != "points"}
+    for row, column in ((0, 0), (2, 1)):
+        own = {}
+        for name, axes in lead.items():
+            value = getattr(made, name)
+            if value.ndim == axes + 2:
+                value = value[min(row, value.shape[0] - 1), min(column, value.shape[1] - 1)]
+            own[name] = value
+        alone, end = solved(replace(made, **own))
+        torch.testing.assert_close(u[row, column], alone, atol=1e-9, rtol=0.0)
+        assert places[row, column, 0].numpy() == pytest.approx(end, abs=1e-10)
+
+
+@pytest.mark.grad
+@pytest.mark.cpu(12)  # ops of 21 inputs are checked and compiled by PyTorch
+def test_derivatives_of_an_equilibrium_are_those_of_differences():
+    made = general(2, 2)
+    given = made._given(torch.zeros(2, 6, 3, dtype=F64), made.points, made.points.offset)
+    given |= {"tolerance": 1e-12, "straight": False, "num_threads": 1}
+    args = [given[name] for name in _ops.rod_solve.arguments]
+    factors = [torch.ones_like(given[name]).requires_grad_() for name in _ops.FIELDS]
+
+    def layer(*factors):  # so that differences are small beside each number
+        scaled = {n: given[n] * f for n, f in zip(_ops.FIELDS, factors, strict=True)}
+        strains, places, _ = _ops.rod_solve(**given | scaled)
+        return torch.cat([0.1 * strains.flatten(), places.flatten()])
+
+    ops = with_derivatives(_ops.rod_solve, *args)
+    check_layer(layer, factors, ops=ops, fast_mode=True, atol=1e-8, rtol=1e-7)
 
 
 def test_no_equilibrium_is_said():

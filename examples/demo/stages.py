@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from diffsim.core.files import to_plain, write_json_atomic
+import diffsim
+from diffsim.core.files import digest_of, read_kept, to_plain, write_json_atomic
 
 Result = dict[str, Any]
 
@@ -28,7 +28,7 @@ class Stages:
     def __init__(self, folder: Path, settings: Result, *, resume: bool):
         self.folder, self.resume = folder / "stages", resume
         self.reused: list[str] = []
-        self._key = _digest(settings)
+        self._key = digest_of(settings)
 
     def run(
         self,
@@ -47,8 +47,8 @@ class Stages:
             **inputs: Inputs that this stage depends on beyond the settings and the stages before.
         """
         path = self.folder / f"{name}.json"
-        self._key = _digest({"before": self._key, "name": name, "inputs": inputs})
-        kept = _read(path) if self.resume else None
+        self._key = digest_of({"before": self._key, "name": name, "inputs": inputs})
+        kept = read_kept(path) if self.resume else None
         if kept is not None and kept.get("key") == self._key and valid(kept["result"]):
             self.reused.append(name)
             return kept["result"]
@@ -71,7 +71,7 @@ def code_digest(*folders: Path) -> str:
     Args:
         folders: Code outside the package that the stages run.
     """
-    package = Path(__file__).parents[1]
+    package = Path(diffsim.__file__).parent
     return file_digest(
         sorted(
             path
@@ -80,15 +80,3 @@ def code_digest(*folders: Path) -> str:
             if path.suffix in (".py", ".so", ".j2")
         )
     )
-
-
-def _read(path: Path) -> Result | None:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, json.JSONDecodeError):
-        return None
-
-
-def _digest(value: Any) -> str:
-    text = json.dumps(to_plain(value), sort_keys=True)
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffsim.core.stages import Stages, file_digest
+from examples.demo.stages import Stages, file_digest
 
 
 def run(folder, settings, *, resume, calls, first=1):

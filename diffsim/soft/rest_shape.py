@@ -1,0 +1,95 @@
+"""A rest shape in place of the mesh's, as kernels take it and with its gradient.
+
+What kernels know of a shape are its *tables*: the shape gradients and weights of all elements, and
+the directions of the fibers, which are drawn on the material and turn with it. They are parameters
+as a stiffness is (csrc/kernels/soft/shape_derivatives.h); how they follow from the positions is
+said in PyTorch's own operations, once for both modes of differentiation.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from diffsim.core.check import require
+from diffsim.core.errors import MeshError
+from diffsim.core.numbers import values_of
+from diffsim.core.torch_names import on_constants
+from diffsim.mesh import HexMesh, TetMesh
+from diffsim.mesh.shape import lump, nodal_shares, shape_tables
+from diffsim.mesh.split import join_eighths
+from diffsim.soft.elements import moved_tables
+from diffsim.soft.muscles import MuscleSet
+
+
+class RestShape(NamedTuple):
+    """A rest shape and what follows from it.
+
+    Attributes:
+        x_rest: Positions, (num_nodes, 3) [m].
+        shares: Volume of each element lumped to its nodes, (num_elements, 8 or 4) [m^3].
+        nodal: Volume of each node, (num_nodes,) [m^3].
+        tables: Of all elements, then the directions of all fibers, (num_tables,); empty: those of
+            the mesh.
+    """
+
+    x_rest: Tensor
+    shares: Tensor
+    nodal: Tensor
+    tables: Tensor
+
+
+def moved_shape(
+    mesh: HexMesh | TetMesh, element: str, muscles: MuscleSet, x_rest: Tensor
+) -> RestShape:
+    """The shape of a mesh whose nodes lie at x_rest, (num_nodes, 3) [m]. Gradient: x_rest.
+
+    Raises:
+        MeshError: an element is turned inside out, or midpoints of quadratic elements are not in
+            the middle.
+    """
+    x_rest = require("x_rest", x_rest, (mesh.num_nodes, 3))
+    if muscles.has_lengths:
+        raise ValueError(
+            "x_rest is not taken by a body with tendons (weighted fibers): the stiffness of their "
+            "pieces is of the lengths that they have in the mesh; make the body of a mesh with "
+            "other positions"
+        )
+    if not torch.compiler.is_compiling():
+        with on_constants():
+            _require_upright(mesh, element, values_of(x_rest))
+    tables = moved_tables(mesh, element, x_rest)
+    shares = nodal_shares(mesh, x_rest)
+    directions = _carried_directions(mesh, muscles, x_rest)
+    return RestShape(
+        x_rest=x_rest,
+        shares=shares,
+        nodal=lump(mesh, shares),
+        tables=torch.cat([tables.by_element().flatten(), directions.flatten()]),
+    )
+
+
+def _carried_directions(mesh: HexMesh | TetMesh, muscles: MuscleSet, x_rest: Tensor) -> Tensor:
+    """Directions of the fibers, (num_fibers, 3): those of the mesh carried along by the mean
+    deformation of their elements from there to x_rest."""
+    if not len(muscles.elements):
+        return muscles.directions
+    with on_constants():
+        grad, weight = shape_tables(mesh, mesh.x_rest, muscles.elements)
+        mean = torch.einsum("fq,fqai->fai", weight / weight.sum(1, keepdim=True), grad)
+        along = torch.einsum("fai,fi->fa", mean, muscles.directions)
+    carried = torch.einsum("fa,fai->fi", along, x_rest[mesh.elements[muscles.elements]])
+    return carried / carried.norm(dim=1, keepdim=True)
+
+
+def _require_upright(mesh: HexMesh | TetMesh, element: str, x_rest: Tensor) -> None:
+    """Refuse what is no mesh, by the checks of one."""
+    for items in x_rest.reshape(-1, *x_rest.shape[-2:]):
+        try:
+            moved = type(mesh)(items, mesh.elements)
+            if element == "quadratic" and isinstance(moved, TetMesh):
+                join_eighths(moved)
+        except MeshError as err:
+            raise MeshError(f"x_rest makes no mesh: {err}", err.indices) from err
