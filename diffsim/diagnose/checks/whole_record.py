@@ -31,6 +31,7 @@ MOST_NUMBERS = 40  # of the model, that are moved
 FAR_SDS = 3.0  # of numbers: how far they may move
 NUDGE = 0.01  # sd, for slopes
 STEPS = 3  # of their fit
+SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step: the nearest is taken
 TWIN = 3.0  # times what the best leaves: others explain as much
 FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
 
@@ -128,9 +129,11 @@ class _Asked:
             off = ((measured - plain) * weight)[seen]
             if not (np.isfinite(off).all() and np.isfinite(ways).all()):
                 return False
-            step = np.linalg.lstsq(np.stack(ways, axis=1), off, rcond=None)[0]
-            at[: len(which)] += torch.from_numpy(step)
-            at = torch.minimum(torch.maximum(at, q - FAR_SDS), q + FAR_SDS)
+            step = torch.zeros_like(q)
+            found = np.linalg.lstsq(np.stack(ways, axis=1), off, rcond=None)[0]
+            step[: len(which)] = torch.from_numpy(found)
+            tried = [(at + share * step).clamp(q - FAR_SDS, q + FAR_SDS) for share in SHARES]
+            at = min(tried, key=lambda x: float(self.left(x, self.runs).max()))
             if not (self.left(at, self.runs) > FAR).any():
                 return True
         return False
