@@ -91,8 +91,8 @@ def ties(members: Sequence[Member], what: str) -> Iterator[Effect]:
         if len(own) < 2 or not is_apart or any(m.effect.components[1:] for m in own):
             continue
         # a name without a unit where there is none, or where a time is the size
-        is_all = unit is None or unit == "s" or found == everything
-        ending = "" if is_all else f"_in_{spell_plainly(unit)}"
+        is_plain = unit is None or unit == "s" or found == everything
+        ending = "" if is_plain else f"_in_{spell_plainly(unit or '')}"
         yield tie([m.effect for m in own], f"{row}_of_{what}{ending}")
 
 

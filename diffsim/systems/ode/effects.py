@@ -95,7 +95,6 @@ def plant_of(library: Library) -> Plant:
         "extra_inertia": inertia,
         COUPLING: coupling,
         "delay_inside": partial(late_inside, library),
-        "inverter_dead_time": partial(loses_by_sign, library=library, channel=current),
         "slow_share": come_slowly,
         "held_between_samples": partial(between_samples, held=True),
         "straight_between_samples": partial(between_samples, held=False),
@@ -103,6 +102,9 @@ def plant_of(library: Library) -> Plant:
         # a command on its way, but one that is not held afterwards
         "acceleration_limit": partial(follow_profile, held=system.held),
     }
+    if current is not None:
+        found = partial(loses_by_sign, library=library, channel=current)
+        functions["inverter_dead_time"] = found
     if pose is not None:
         functions["marker_offset"] = away_from_center(system.network, pose, "marker_offset")
     return Plant(
