@@ -1,8 +1,8 @@
 """Columns in another unit, or exchanged: only a model can tell, and is asked where it is far off.
 
 The model simulates the beginning of some runs at its priors, as they are and with a column changed.
-A column is at fault where that alone brings the model from far off to near, and where no number of
-the model does, moved as far as it may.
+A column is at fault where that alone brings the model from far off to near, and where its numbers,
+moved as far as they may, do not.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ NEAR_EXCHANGED = 0.15  # likewise with the right columns: two channels come near
 RUNS, ROWS = 2, 600  # that are simulated, of the beginning
 MOST_WAYS = 300  # changes that are tried
 MOST_NUMBERS = 40  # of the model, that are moved
-FAR_SDS = 3.0  # of a number: how far it may move
+FAR_SDS = 3.0  # of numbers: how far they may move
+NUDGE = 0.01  # sd, for slopes
+STEPS = 3  # of their fit
 TWIN = 3.0  # times what the best leaves: others explain as much
 FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
 
@@ -74,7 +76,7 @@ def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
         left = asked.left(q, [way.of(run, names) for run in runs]).max()
         if left <= (NEAR if len(way.names) == 1 else NEAR_EXCHANGED):
             found.append((float(left), way))
-    if not found or asked.some_number_explains(q):
+    if not found or asked.numbers_explain(q):
         return
     found.sort(key=lambda pair: pair[0])
     best, first = found[0]
@@ -110,14 +112,32 @@ class _Asked:
             out.append(share if np.isfinite(share) else np.inf)
         return np.array(out)
 
-    def some_number_explains(self, q: torch.Tensor) -> bool:
-        """Whether a number of the model, moved alone as far as it may, brings it near."""
-        for k, sign in product(range(min(len(q), MOST_NUMBERS)), (-1.0, 1.0)):
-            moved = q.clone()
-            moved[k] += sign * FAR_SDS
-            if not (self.left(moved, self.runs) > FAR).any():
+    def numbers_explain(self, q: torch.Tensor) -> bool:
+        """Whether the numbers of the model, moved as far as they may, bring it to half the way:
+        a few steps of Gauss and Newton, each held within ``FAR_SDS``."""
+        at, which = q.clone(), range(min(len(q), MOST_NUMBERS))
+        measured = np.concatenate([run.measured for run in self.runs])
+        weight = 1.0 / np.maximum(np.nanstd(measured, axis=0), 1e-300)
+        seen = np.isfinite(measured)
+        for _ in range(STEPS if len(which) else 0):
+            plain, ways = self._predict(at), []
+            for k in which:
+                moved = at.clone()
+                moved[k] += NUDGE
+                ways.append(((self._predict(moved) - plain) * weight)[seen] / NUDGE)
+            off = ((measured - plain) * weight)[seen]
+            if not (np.isfinite(off).all() and np.isfinite(ways).all()):
+                return False
+            step = np.linalg.lstsq(np.stack(ways, axis=1), off, rcond=None)[0]
+            at[: len(which)] += torch.from_numpy(step)
+            at = torch.minimum(torch.maximum(at, q - FAR_SDS), q + FAR_SDS)
+            if not (self.left(at, self.runs) > FAR).any():
                 return True
         return False
+
+    def _predict(self, q: torch.Tensor) -> NDArray[np.float64]:
+        with torch.no_grad():
+            return np.concatenate([self.model.predict(run, q).numpy() for run in self.runs])
 
 
 def _ways(study: Study, runs: Sequence[Run]) -> Iterator[_Way]:
