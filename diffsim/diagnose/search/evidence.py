@@ -156,7 +156,12 @@ class LaplaceEvidence:
                 "slopes or misfit left the range of numbers: the simulation there means nothing"
             )
         self.gram = kept_definite(gram)
-        self.knots = [self._along_axes(slice(a, b)) for a, b in pairwise(edges)]
+        self.knots = []
+        for own in (slice(a, b) for a, b in pairwise(edges)):
+            power, axes = linalg.eigh(self.gram[own, own])
+            cross = axes.T @ self.gram[own, : edges[0]]
+            knots = Knots(np.maximum(power, 0.0), cross, axes.T @ self.projection[own])
+            self.knots.append(knots)
         self.columns = [problem.columns_of(e) for e in problem.effects]
         self.bounds = problem.bounds
 
@@ -182,14 +187,6 @@ class LaplaceEvidence:
         # the unknown causes share what one more family may claim
         price_unknown = self.family_price + np.log(self.num_unknowns)
         return SetPosterior(mean - choice - price_unknown, x, sd, chi2, AMPLITUDES[best])
-
-    def _along_axes(self, own: slice) -> Knots:
-        """The knots of an unknown cause along the principal axes of what they do alone."""
-        power, axes = linalg.eigh(self.gram[own, own])
-        known = slice(self.jacobian.shape[1])
-        return Knots(
-            np.maximum(power, 0.0), axes.T @ self.gram[own, known], axes.T @ self.projection[own]
-        )
 
     def _gaussian(
         self,

@@ -122,35 +122,30 @@ def has_left_prior(fit: Fit) -> bool:
 
 
 def _first_center(search: Search) -> tuple[Center, Search]:
-    """Where the search begins: at what an earlier one found, else at the plain model."""
-    if len(search.fits) == 1:
-        return _refit_from_prior(search)
+    """Where the search begins: at what an earlier one found; else at the plain model or, if its fit
+    has left the data sheet, at the best set that was fitted from there."""
+    if len(search.fits) == 1 and has_left_prior(search.fit_of(NONE)):
+        search = _fit_from_prior(search)
     best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
     return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
 
-def _refit_from_prior(search: Search) -> tuple[Center, Search]:
-    """The plain model; or the best set that was fitted from the data sheet, if its fit has left
-    that."""
-    if not has_left_prior(search.fit_of(NONE)):
-        return search.plain, search
+def _fit_from_prior(search: Search) -> Search:
+    """Single causes and pairs that linear evidence promises at the data sheet, fitted from it."""
     settings = search.settings
     if is_prior_too_dear(search.simulations, settings):
-        return search.plain, search.with_late()
+        return search.with_late()
     at_prior, made = center_at_prior(search.simulations, settings, search.num_families)
     search = replace(search, simulations=made)
-    if at_prior is not None:
-        ranked = promising_sets(at_prior, settings.max_effects)
-        begun = search.null.case.searching
-        until = begun + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
-        for members, _ in ranked[: max(settings.num_refits, LEAST_REFITS)]:
-            # what an earlier round fitted begins at its own end and costs little
-            is_late = search.steps >= until and members not in made.fitted
-            search = (
-                search.with_late() if is_late else refit(search, members, at_prior, begin=cooled)
-            )
-    best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
-    return (search.plain, search) if best == NONE else _center(search, best, search.plain)
+    if at_prior is None:
+        return search
+    until = search.null.case.searching + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
+    ranked = promising_sets(at_prior, settings.max_effects)
+    for members, _ in ranked[: max(settings.num_refits, LEAST_REFITS)]:
+        # what an earlier round fitted begins at its own end and costs little
+        is_late = search.steps >= until and members not in made.fitted
+        search = search.with_late() if is_late else refit(search, members, at_prior, begin=cooled)
+    return search
 
 
 def refit(
@@ -345,8 +340,8 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
     slack = search.linear_slack(center.members)
     plain, best = search.nats(Hypothesis()), search.nats(Hypothesis(center.members))
     neighbors, num_overtaking = search.neighbors(center.members), 0
+    nats, search = _with_linear(search, center, neighbors)
     if np.isfinite(until):  # what could decide most comes first
-        nats, search = _with_linear(search, center, neighbors)
         neighbors.sort(key=lambda s: (not s < center.members, -nats[s]))
     for members in neighbors:
         enough = best + KEEP_NATS if members > center.members else best - ALONE_NATS
@@ -354,7 +349,6 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
             enough = best - KEEP_NATS
         elif not members > center.members:
             enough = max(enough, plain + KEEP_NATS)
-        nats, search = _with_linear(search, center, [members])
         if nats[members] > enough - slack:
             is_late = search.steps > until and not members < center.members
             overtakes = nats[members] > best + KEEP_NATS and num_overtaking < MAX_OVERTAKING

@@ -13,7 +13,7 @@ from diffsim.diagnose import diagnose
 from diffsim.diagnose.search import search as searching
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.diagnose.search.fitted_sets import Search
-from diffsim.diagnose.search.search import _refit_from_prior, begin, search_sets
+from diffsim.diagnose.search.search import _fit_from_prior, begin, search_sets
 from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.systems.registry import setup_of
@@ -116,9 +116,9 @@ def left(monkeypatch):
 
 
 def test_sets_from_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
-    whole = _refit_from_prior(begun(SearchSettings()))[1]
+    whole = _fit_from_prior(begun(SearchSettings()))
     assert not whole.is_cut_short and len(whole.fits) > 1
-    short = _refit_from_prior(begun(SearchSettings(refit_steps=1.0)))[1]
+    short = _fit_from_prior(begun(SearchSettings(refit_steps=1.0)))
     assert short.num_late == len(whole.fits) - 1 and set(short.fits) == {NONE}
     assert short.is_cut_short
 
@@ -126,29 +126,29 @@ def test_sets_from_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
 def test_sets_of_an_earlier_round_are_weighed_again_though_the_budget_is_spent(left):
     search = begun(SearchSettings(refit_steps=1.0))
     made = Simulations(search.wide).under(search.null)
-    kept = _refit_from_prior(begun(SearchSettings()))[1].simulations.fitted
+    kept = _fit_from_prior(begun(SearchSettings())).simulations.fitted
     again = replace(search, simulations=replace(search.simulations, fitted={**made.fitted, **kept}))
-    after = _refit_from_prior(again)[1]
+    after = _fit_from_prior(again)
     assert not after.is_cut_short and set(after.fits) == set(kept)
 
 
 def test_slopes_at_the_data_sheet_that_are_too_dear_are_counted(left):
-    center, search = _refit_from_prior(begun(SearchSettings(scan_steps=1.0)))
-    assert center is search.plain and search.num_late == 1 and search.is_cut_short
+    search = _fit_from_prior(begun(SearchSettings(scan_steps=1.0)))
+    assert set(search.fits) == {NONE} and search.num_late == 1 and search.is_cut_short
     # what an earlier round has simulated costs nothing
-    made = _refit_from_prior(begun(SearchSettings()))[1].simulations
+    made = _fit_from_prior(begun(SearchSettings())).simulations
     known = replace(search, num_late=0, simulations=replace(made, scan_steps=0))
-    assert _refit_from_prior(known)[1].simulations.at_prior is made.at_prior
+    assert _fit_from_prior(known).simulations.at_prior is made.at_prior
 
 
 def test_scans_at_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
     kinked = replace(toy.DRAG, scanned=True)
     effects = (toy.BIAS, kinked)
-    search = _refit_from_prior(begun(SearchSettings(scan_points=0), effects))[1]
+    search = _fit_from_prior(begun(SearchSettings(scan_points=0), effects))
     places = {place for place, _, _ in search.simulations.scans_late}
     assert " at the data sheet" in places and search.is_cut_short
     assert not search.simulations.place and not search.simulations.scans
-    assert not _refit_from_prior(begun(SearchSettings(), effects))[1].is_cut_short
+    assert not _fit_from_prior(begun(SearchSettings(), effects)).is_cut_short
 
 
 def test_a_search_that_runs_out_of_moves_is_cut_short(monkeypatch):
