@@ -246,7 +246,7 @@ def test_what_is_fitted_to_a_run_is_shown_with_its_prior_and_the_error_without(
     assert "fitted to fresh: offset" in said and "gain factor" in said
     assert "Run fresh was fitted far from what the study states: offset" in said
     assert "sd off." in said and "stated 0 +- 0.02 m" in said
-    assert "offset@fresh" in (tmp_path / "judge.html").read_text("utf-8")
+    assert ">offset</td>" in (tmp_path / "judge.html").read_text("utf-8")
 
 
 def test_a_study_of_test_runs_alone_asks_for_a_model(new_folder, tmp_path, capsys):
