@@ -19,6 +19,7 @@ from pathlib import Path
 from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[1]
+FOLDER = 0.05  # what a folder in a test's name counts; a name that one test says, a step away: 0.1
 LOOK_AT_TEXT = (  # and see no answer: of every planted line, of what git knows
     "tests/benchmarks/test_planted_errors.py",
     "tests/test_changed.py",
@@ -38,6 +39,7 @@ def nearest_tests(file: str, line: int) -> list[str]:
     parts = Path(file).with_suffix("").parts
     room, stem = (parts[2] if parts[0] == "csrc" else parts[1]), parts[-1].strip("_")
 
+    folders = parts[parts.index(room) + 1 : -1]
     said = {test: _words_of_file(test) & steps.keys() for test in found}
     sayers = Counter(word for words in said.values() for word in words)
 
@@ -45,7 +47,8 @@ def nearest_tests(file: str, line: int) -> list[str]:
         own = Path(test).stem == f"test_{stem}"
         shared = len(set(Path(test).parts) & set(parts)) + (f"tests/{room}/" in test)
         near = sum(0.1 ** steps[word] / sayers[word] for word in said[test])
-        return not own, -near * (1 + shared), test
+        of_folder = any(Path(test).stem.startswith(f"test_{part}") for part in folders)
+        return not own, -near * (1 + shared) - FOLDER * of_folder, test
 
     return sorted(found, key=far)
 
@@ -72,8 +75,9 @@ def _steps_over_names(file: str, line: int) -> dict[str, int]:
 
 def _holders(file: str, line: int) -> list[str]:
     """Names of what holds a line."""
+    text = (ROOT / file).read_text(encoding="utf-8")
     if file.endswith(".py"):
-        tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+        tree = ast.parse(text)
         around = [
             node.name
             for node in ast.walk(tree)
@@ -82,11 +86,11 @@ def _holders(file: str, line: int) -> list[str]:
         ]
         return [name for name in around if not _is_called_unsaid(name)]
     changed = _changed_tests()
-    including = changed.reach([Path(file).stem], changed.include_edges(changed.tracked_files()))
-    texts = [path.read_text() for path in (ROOT / "csrc/bindings").glob("*.cpp")
-             if path.stem in including]  # fmt: skip
+    stems = [Path(file).stem, *re.findall(r'^#include "(?:\S*/)?(\w+)\.h"', text, re.M)[:1]]
+    including = changed.reach(stems, changed.include_edges(changed.tracked_files()))
+    bindings = [p for p in (ROOT / "csrc/bindings").glob("*.cpp") if p.stem in including]
     known = r'(?:m\.def\(|class_<[^"]*\(m,)\s*"(\w+)"'
-    return [name for text in texts for name in re.findall(known, text)]
+    return [name for path in bindings for name in re.findall(known, path.read_text())]
 
 
 def _is_called_unsaid(name: str) -> bool:

@@ -6,10 +6,12 @@ import sys
 from collections.abc import Iterable
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from tests.conftest import COLLECTION_S, STORY_ROOMS, TESTS
+from tests.conftest import COLLECTION_S, STORY_ROOMS, TESTS, pytest_ignore_collect
 from tests.cpu_seconds import BEGAN, slowness
 
 LIMIT_S = 8.0
@@ -29,6 +31,26 @@ def test_collecting_all_tests_takes_few_seconds(request: pytest.FixtureRequest) 
         pytest.skip("holds where all tests are collected")
     limit = LIMIT_S + COMPILING_S * share_compiled(files)
     assert request.config.stash[COLLECTION_S] <= limit * slowness()
+
+
+@pytest.mark.parametrize(
+    ("marks", "named", "is_left_out"),
+    [
+        ("not slow and not story", "tests", True),
+        ("not slow and not story", "tests/systems", True),
+        ("not slow and not story", "tests/labs", False),
+        ("not slow and not story", "tests/labs/loop/test_loop.py::test_report", False),
+        ("not slow", "tests", False),
+    ],
+)
+def test_rooms_of_stories_run_by_name_and_with_all_stories(marks, named, is_left_out):
+    config: Any = SimpleNamespace(
+        option=SimpleNamespace(markexpr=marks),
+        args=[named],
+        invocation_params=SimpleNamespace(dir=TESTS.parent),
+    )
+    assert bool(pytest_ignore_collect(TESTS / "labs", config)) is is_left_out
+    assert pytest_ignore_collect(TESTS / "soft", config) is None
 
 
 def share_compiled(files: set[Path]) -> float:

@@ -39,6 +39,28 @@ def follow(how: Literal["play", "slowed"], targets: Tensor, room: Tensor, start:
     return torch.from_numpy(states)
 
 
+def approach(
+    targets: Tensor, steps: Tensor, most: Tensor, fastest: Tensor, *, held: bool
+) -> Tensor:
+    """What goes to a signal with its acceleration limited, from rest, (..., num_times).
+
+    Args:
+        targets: Signal that is followed, (..., num_times).
+        steps: Time between two times, (num_times - 1,) [s].
+        most: Largest acceleration, (...); leading axes broadcast.
+        fastest: Largest speed, (...).
+        held: Whether each target lasts until the next time.
+    """
+    lead = np.broadcast_shapes(targets.shape[:-1], most.shape, fastest.shape)
+    rows = _numbers(targets.expand(*lead, targets.shape[-1]))
+    limits, speeds = (_numbers(number.expand(lead)) for number in (most, fastest))
+    h, out, num_times = _numbers(steps), np.empty_like(rows), rows.shape[-1]
+    if out.size:
+        given = (numbers.ctypes.data for numbers in (rows, h, limits, speeds))
+        core.approach(rows.size // num_times, num_times, *given, held, out.ctypes.data)
+    return torch.from_numpy(out)
+
+
 def find_intervals(times: Tensor, places: Tensor, *, of_equal: Literal["left", "right"]) -> Tensor:
     """Index of the interval of times that holds each place, 0 to num_times - 2.
 

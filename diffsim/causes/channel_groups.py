@@ -18,9 +18,11 @@ from diffsim.data.study import Channel
 from diffsim.data.study_check import Problem
 
 MAX_SINGLE_CHANNELS = 4  # channels of a kind, up to which each is tried alone
+FEWEST_ON_BUS = 3  # channels of a kind whose age may grow from one to the next
 CLOCK = ("sensor_delay", "sensor_lag")
 ZERO = ("sensor_offset", "sensor_drift")  # one size for each channel anyway
 READING = ("sensor_scale", "sensor_backlash")
+BUS = "bus_age"
 TURN = "orientation"  # kind of channels, parts of a turn, which have no scale and no zero
 WHOLE = (*CLOCK, *ZERO, *READING, "sensor_curvature")
 
@@ -62,13 +64,14 @@ def channel_groups(channels: Sequence[Channel], *, late_record: bool) -> tuple[C
     out = []
     for group in found:
         is_whole = group.channels == everything
+        on_bus = (BUS,) if len(group.channels) >= FEWEST_ON_BUS and group.causes == WHOLE else ()
         causes = tuple(
             c
             for c in (CLOCK if turns.issuperset(group.channels) else group.causes)
             if c in group.causes and (late_record or not is_whole or c != "sensor_delay")
         )
         if causes:
-            out.append(ChannelGroup(group.name, group.channels, causes))
+            out.append(ChannelGroup(group.name, group.channels, (*causes, *on_bus)))
     return tuple(out)
 
 

@@ -49,7 +49,7 @@ class OwnRow(Row):
     memories: dict[str, MemoryKeys] = Field(
         {}, description="What a map remembers, by the names that it uses"
     )
-    shapes: dict[str, ShapeKeys] = Field(
+    shapes: dict[str, ShapeKeys] = Field(  # type: ignore[assignment]  # of numbers alone
         {}, description="Further numbers of the formula, fitted where they have an `sd`"
     )
     price: float = Field(0.0, ge=0, description="Nats that its choice among other formulas costs")

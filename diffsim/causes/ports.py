@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim.causes.row import ANY, Row
 from diffsim.causes.scene import ForceLaw, LawFormula, Scene
 from diffsim.causes.sessions import Sessions
-from diffsim.causes.signals import MAPS, Between, Grid, SignalMap, SizedMap
+from diffsim.causes.signals import JOINT, MAPS, Between, Grid, SignalMap, SizedMap
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
@@ -31,11 +31,13 @@ class SignalChange:
         map: Function (signals, grid, size).
         size: (..., 1), or (..., width) where each signal has its own.
         is_kinked: Whether the map has a kink at size 0.
+        is_joint: Whether a signal depends on the others.
     """
 
     map: SizedMap
     size: Tensor
     is_kinked: bool = False
+    is_joint: bool = False
 
     def __call__(self, u: Tensor, grid: Grid) -> Tensor:
         changed = self.map(u, grid, self.size)
@@ -57,11 +59,15 @@ class SignalMapper:
         map: Function (signals, grid, size).
         is_kinked: Whether the map has a kink at size 0.
         has_start: Whether it depends on where the run starts in a play.
+        is_joint: Whether a signal depends on the others.
+        num_shapes: How many further numbers the map has, which stand behind the sizes.
     """
 
     map: SizedMap
     is_kinked: bool
     has_start: bool
+    is_joint: bool = False
+    num_shapes: int = 0
 
     @classmethod
     def of(
@@ -84,7 +90,9 @@ class SignalMapper:
         """
         text: str = row.said("map", system)
         if text in MAPS:
-            return cls(MAPS[text][between], row.said("kink", system), text == PLAY)
+            is_kinked = row.said("kink", system)
+            made = MAPS[text][between]
+            return cls(made, is_kinked, text == PLAY, text in JOINT, len(row.shapes))
         formula = parse_expression(text, (*OF_SIGNALS, *scales))
         used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in OF_SIGNALS)
         return cls(partial(_evaluate, text=text, scales=used), row.said("kink", system), False)
@@ -97,10 +105,13 @@ class SignalMapper:
             scene: Scene with ``play_start``.
             size: (..., 1), or (..., width) where each signal has its own.
         """
-        change = self.map
+        change, count = self.map, size.shape[-1] - self.num_shapes
+        if self.num_shapes:
+            shapes = tuple(size[..., k, None] for k in range(count, size.shape[-1]))
+            change, size = partial(_with_shapes, map=self.map, shapes=shapes), size[..., :count]
         if self.has_start and (start := scene.play_start) is not None:
             change = partial(change, start=start[..., None])  # type: ignore[call-arg]  # a play's
-        return SignalChange(change, size, self.is_kinked)
+        return SignalChange(change, size, self.is_kinked, self.is_joint)
 
 
 @lru_cache(maxsize=256)
@@ -115,6 +126,12 @@ def _evaluate(
     values = {name: torch.tensor(value, dtype=u.dtype) for name, value in scales}
     formula = _formula(text, (*OF_SIGNALS, *values))
     return formula({**values, "u": u, "size": size[..., None], "t": grid.since_start})
+
+
+def _with_shapes(
+    u: Tensor, grid: Grid, size: Tensor, *, map: Any, shapes: tuple[Tensor, ...]
+) -> Tensor:
+    return torch.as_tensor(map(u, grid, size, *shapes))
 
 
 def on_commands(
@@ -163,17 +180,26 @@ def _change_readings(
     return scene.with_reading(channels, mapper.at(scene, size))
 
 
-def on_clock(channels: Sequence[int]) -> Apply:
+def on_clock(channels: Sequence[int], *, in_turn: bool = False) -> Apply:
     """How lateness acts on channels of one instrument.
 
     Args:
         channels: Indices of the channels.
+        in_turn: Whether each is late by one size more than the one before, the first by none.
     """
+    if in_turn:
+        return partial(_delay_in_turn, channels=tuple(channels[1:]))
     return partial(_delay_channels, channels=tuple(channels))
 
 
 def _delay_channels(scene: Scene, size: Tensor, run: Run, *, channels: tuple[int, ...]) -> Any:
     return scene.with_clock(channels, size[..., 0])
+
+
+def _delay_in_turn(scene: Scene, size: Tensor, run: Run, *, channels: tuple[int, ...]) -> Any:
+    for place, channel in enumerate(channels, start=1):
+        scene = scene.with_clock((channel,), place * size[..., 0])
+    return scene
 
 
 def on_numbers(row: Row) -> Apply:

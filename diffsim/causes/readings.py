@@ -21,6 +21,7 @@ from diffsim.identify.effect import Effect
 
 SENSOR = "sensor"  # the table
 _OF_EACH = ("sensor_offset", "sensor_drift")  # with a size for each channel
+_IN_TURN = ("bus_age",)  # of which each channel has one size more than the one before it
 
 
 @dataclass(frozen=True)
@@ -57,10 +58,13 @@ def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
         system: Kind of system.
     """
     is_in_unit = row.unit == "channel"
+    is_in_turn = row.name in _IN_TURN
     several = row.name in _OF_EACH and len(of.channels) > 1
     shown = {c.shown_unit for c in of.channels} if is_in_unit else {row.shown}
     return row.effect(
-        on_clock(of.places) if row.at == "clock" else on_readings(row, of.places, of.scales),
+        on_clock(of.places, in_turn=is_in_turn)
+        if row.at == "clock"
+        else on_readings(row, of.places, of.scales),
         of.scales,
         system=system,
         ending=of.ending,
@@ -118,19 +122,18 @@ def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tens
     return ChainMap(middle, values)  # type: ignore[arg-type]  # it is only read
 
 
-def pace(effects: Iterable[Effect], sample_s: float) -> tuple[Effect, ...]:
-    """Delays and lags that may be as long as half a sample without surprise.
+def pace(effect: Effect, sample_s: float) -> Effect:
+    """A delay or lag that may be as long as half a sample without surprise; others as they are.
 
     What is read every two seconds is seldom late by milliseconds.
 
     Args:
-        effects: Candidate causes.
+        effect: Candidate cause.
         sample_s: Usual time between two samples [s].
     """
     least = 0.5 * sample_s
-    return tuple(
-        replace(e, typical=least) if e.unit == "s" and e.typical < least else e for e in effects
-    )
+    is_short = effect.unit == "s" and effect.typical < least
+    return replace(effect, typical=least) if is_short else effect
 
 
 def usual_sample(runs: Iterable[Run]) -> float:

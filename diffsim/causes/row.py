@@ -6,6 +6,7 @@ cause and for studies that add one of their own.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -17,6 +18,7 @@ from diffsim.causes.needs import NEEDS
 from diffsim.core.expression import parse_expression
 from diffsim.core.schema import Part, fill_in
 from diffsim.identify.effect import Apply, Effect
+from diffsim.identify.law import Shape
 
 Port = Literal["command", "reading", "clock", "number", "force", "law", "store", "scene"]
 
@@ -51,6 +53,16 @@ NamesBySystem = Annotated[dict[str, Names], BeforeValidator(_for_any)]
 SizeBySystem = Annotated[dict[str, float | str], BeforeValidator(_for_any)]
 TextBySystem = Annotated[dict[str, str], BeforeValidator(_for_any)]
 FlagBySystem = Annotated[dict[str, bool], BeforeValidator(_for_any)]
+
+
+class ShapeOfRow(Part):
+    """A further number of a cause, fitted beside its size; a formula as ``typical`` is."""
+
+    value: float | str = Field(description="Best guess beforehand")
+    sd: float | str = Field(description="Standard deviation of the prior")
+    lower: float | str = Field(-math.inf, description="Lower bound")
+    upper: float | str = Field(math.inf, description="Upper bound")
+    unit: str = Field("-", description="SI unit")
 
 
 class Row(Part):
@@ -109,6 +121,9 @@ class Row(Part):
     )
     per: Literal["session"] | None = Field(
         None, description="Sizes of later sessions: the first is as described"
+    )
+    shapes: dict[str, ShapeOfRow] = Field(
+        {}, description="Further numbers that are fitted beside the size"
     )
     needs: TextBySystem | None = Field(
         None, description="What a study must have for it to be judged"
@@ -202,21 +217,23 @@ class Row(Part):
         stated: Mapping[str, Any] = getattr(self, key) or {ANY: None}
         return stated.get(system, stated[ANY])
 
-    def typical_in(self, scales: Mapping[str, float], system: str = ANY) -> float:
-        """Size that would be no surprise [unit].
+    def shapes_in(self, scales: Mapping[str, float], cause: str) -> dict[str, Shape]:
+        """Further numbers with their priors, by name of the base parameter that each is.
 
         Args:
-            scales: Usual magnitudes by the names that ``typical`` may use.
-            system: Kind of system.
-
-        Raises:
-            ValueError: it uses a name that there is not.
+            scales: Usual magnitudes by the names that formulas may use.
+            cause: Name of the cause.
         """
-        stated = self.said("typical", system)
-        if not isinstance(stated, str):
-            return float(stated)
-        formula = parse_expression(stated, tuple(scales))
-        return float(formula.on_floats(*scales)(*scales.values()))
+        return {
+            f"{name}_of_{cause}": Shape(
+                number_in(s.value, scales),
+                number_in(s.sd, scales),
+                s.unit,
+                number_in(s.lower, scales),
+                number_in(s.upper, scales),
+            )
+            for name, s in self.shapes.items()
+        }
 
     def effect(
         self,
@@ -254,10 +271,28 @@ class Row(Part):
             "needs": NEEDS[self.said("needs", system) or "nothing"],
         }
         if "typical" not in own:
-            own["typical"] = self.typical_in(known, system)
+            own["typical"] = number_in(self.said("typical", system), known)
+        if self.shapes and "shapes" not in own:
+            own["shapes"] = self.shapes_in(known, self.name + ending)
         if "form" not in own:
             own["form"] = fill_in(self.form, known)
         return Effect(apply=apply, **{**stated, **own})
+
+
+def number_in(stated: float | str, scales: Mapping[str, float]) -> float:
+    """A number, or the value of a formula of usual magnitudes.
+
+    Args:
+        stated: The number or formula.
+        scales: Usual magnitudes by the names that it may use.
+
+    Raises:
+        ValueError: it uses a name that there is not.
+    """
+    if not isinstance(stated, str):
+        return float(stated)
+    formula = parse_expression(stated, tuple(scales))
+    return float(formula.on_floats(*scales)(*scales.values()))
 
 
 _PLACE_OF_PART = re.compile(r"\{(\w+)\}")
@@ -278,4 +313,4 @@ def spell_plainly(name: str) -> str:
     return kept.strip("_") or "x"
 
 
-__all__ = ["ANY", "Port", "Row", "spell_plainly", "with_size"]
+__all__ = ["ANY", "Port", "Row", "number_in", "spell_plainly", "with_size"]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.causes.signals import AT_ZERO
 from diffsim.data.study import Run, Study
 
 Array = NDArray[np.float64]
@@ -29,11 +30,13 @@ class CommandScale:
     Attributes:
         low, high: Least and greatest value.
         rate: What its rate of change mostly stays below [1/s].
+        rests: Whether it leaves zero within a run, after resting there.
     """
 
     low: float
     high: float
     rate: float
+    rests: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +68,12 @@ class Scales:
         """
         runs = study.fit_runs or study.without_tests().runs or study.runs
         names = dict.fromkeys(name for run in runs for name in run.command)
-        channels = {
-            c.name: _range([run.measured[:, i] for run in runs])
-            for i, c in enumerate(study.channels)
-        }
+        channels = dict[str, tuple[float, float]]()
+        for i, channel in enumerate(study.channels):
+            seen = np.concatenate([np.zeros(0), *(run.measured[:, i] for run in runs)])
+            seen = seen[np.isfinite(seen)]
+            low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 0.0)
+            channels[channel.name] = (low, high) if high > low else (low - 0.5, low + 0.5)
         return cls(
             MappingProxyType({name: _command_scale(runs, name) for name in names}),
             MappingProxyType(channels),
@@ -169,6 +174,14 @@ class Scales:
         """
         return all(self.commands[name].low >= 0.0 for name in names if name in self.commands)
 
+    def rests(self, names: Sequence[str]) -> bool:
+        """Whether any of some commands leaves zero within a run, after resting there.
+
+        Args:
+            names: Names of the commands.
+        """
+        return any(self.commands[name].rests for name in names if name in self.commands)
+
     def of_channels(self, names: Sequence[str]) -> dict[str, float]:
         """Magnitudes of channels of one instrument, as tables of causes call them.
 
@@ -190,27 +203,33 @@ class Scales:
 
 
 def _command_scale(runs: Sequence[Run], name: str) -> CommandScale:
-    rates, seen = [0.0], [np.zeros(0)]
+    rates, seen, rests = [0.0], [np.zeros(0)], False
     for run in runs:
         if name not in run.command:
             continue
         values = np.asarray(run.command[name], dtype=np.float64)
         known = np.isfinite(values)
         seen.append(values[known])
+        rests = rests or leaves_zero(values[known])
         if known.sum() > 2:
             rate = np.abs(np.diff(values[known])) / np.diff(np.asarray(run.time_s)[known])
             rates.append(float(np.percentile(rate, _MOSTLY)))
     every = np.concatenate(seen)
     if not len(every):
         return CommandScale(0.0, 0.0, 0.0)
-    return CommandScale(float(every.min()), float(every.max()), max(rates))
+    return CommandScale(float(every.min()), float(every.max()), max(rates), rests)
 
 
-def _range(columns: Sequence[Array]) -> tuple[float, float]:
-    every = np.concatenate([np.zeros(0), *columns])
-    every = every[np.isfinite(every)]
-    low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 0.0)
-    return (low, high) if high > low else (low - 0.5, low + 0.5)
+def leaves_zero(values: Array) -> bool:
+    """Whether a command leaves zero after resting there: at first, or for two samples.
+
+    Args:
+        values: The command at the samples of a run.
+    """
+    is_zero = np.abs(values) <= AT_ZERO * np.abs(values).max(initial=0.0)
+    rests = is_zero.copy()
+    rests[1:] &= is_zero[:-1]
+    return bool((rests[:-1] & ~is_zero[1:]).any())
 
 
-__all__ = ["SCALES", "CommandScale", "Scales"]
+__all__ = ["SCALES", "CommandScale", "Scales", "leaves_zero"]

@@ -196,8 +196,11 @@ class Commands:
         """
         rows = list(self.values.unbind(-2))
         for places, change in self.changes:
-            for k in places:
-                rows[k] = change(rows[k][..., None, :], grid)[..., 0, :]
+            parts = [places] if getattr(change, "is_joint", False) else [(k,) for k in places]
+            for part in parts:
+                given = torch.stack(torch.broadcast_tensors(*(rows[k] for k in part)), -2)
+                for k, row in zip(part, change(given, grid).unbind(-2), strict=True):
+                    rows[k] = row
         return rows
 
     def pass_through(self, values: Tensor, grid: Grid) -> Tensor:

@@ -19,11 +19,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from diffsim.causes._ops_signals import find_intervals, follow
+from diffsim.causes._ops_signals import approach, find_intervals, follow
 
 _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
 _SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
 _NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
+_SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
+_PARTS = 16  # of a step, in which what accelerates goes on; kParts of csrc/kernels/signals
+AT_ZERO = 1e-3  # of the greatest value: a command below it rests
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,6 +337,86 @@ def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     )
 
 
+def accelerated(
+    u: Tensor, grid: Grid, slowness: Tensor, cruise: Tensor | None = None, *, held: bool = False
+) -> Tensor:
+    """Followed with no more acceleration than 1 / ``slowness``, from rest, and no overshoot.
+
+    It brakes in time to stop at what it follows, as the profile of a drive does.
+
+    Args:
+        u: Signal, (..., num_times).
+        grid: Times of the signal.
+        slowness: () or (K,) [s^2 per unit]; 0: the signal itself.
+        cruise: Way above which a step is done at the greatest speed for a while, () or (K,) [unit];
+            None: no speed is too great.
+        held: Whether the signal is held over each step.
+
+    Returns:
+        Where it is at each time.
+    """
+    if _is_alone(grid):
+        return _alone(u, slowness)
+    steps, most = grid.times.diff(), 1.0 / slowness.clamp(min=1.0 / _SPRINT)
+    fastest = torch.full_like(most, _SPRINT) if cruise is None else (cruise * most).sqrt()
+    is_plain = not _differentiates(u, slowness, fastest)
+    found = (approach if is_plain else _accelerate)(u, steps, most, fastest, held=held)
+    return torch.where(slowness[..., None] > 0.0, found, u)
+
+
+def held_accelerated(
+    u: Tensor, grid: Grid, slowness: Tensor, cruise: Tensor | None = None
+) -> Tensor:
+    """``accelerated`` of a command that is held over each step: the middle of the step's ends."""
+    place = accelerated(u, grid, slowness, cruise, held=True)
+    after = torch.cat([place[..., 1:], place[..., -1:]], -1)
+    return torch.where(slowness[..., None] > 0.0, 0.5 * (place + after), u)
+
+
+def _accelerate(u: Tensor, steps: Tensor, most: Tensor, fastest: Tensor, *, held: bool) -> Tensor:
+    """``approach`` with derivatives."""
+    lead = np.broadcast_shapes(u.shape[:-1], most.shape, fastest.shape)
+    targets = u.expand(*lead, u.shape[-1]).unbind(-1)
+    place, speed = targets[0], torch.zeros(lead, dtype=u.dtype)
+    out = [place]
+    for k, step in enumerate(steps):
+        h, change = step / _PARTS, most * (step / _PARTS)
+        for i in range(1, _PARTS + 1):
+            way = 0.0 if held else (targets[k + 1] - targets[k]) * (i / _PARTS)
+            away = targets[k] + way - place
+            root = (2.0 * most * away.abs() + 0.25 * change * change).sqrt()
+            least = torch.minimum(torch.minimum(root - 0.5 * change, away.abs() / h), fastest)
+            speed = limited(away.sign() * least, speed - change, speed + change)
+            place = place + speed * h
+        out.append(place)
+    return torch.stack(out, -1)
+
+
+def late_from_rest(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+    """Nothing for ``delay``, () or (K,) [s], whenever a signal leaves zero; then the signal.
+
+    It rests where two samples in a row are zero, or the first one is. A run that begins with
+    another value moves already.
+    """
+    if _is_alone(grid):
+        return _alone(u, delay)
+    t, value = grid.times, u.detach()
+    is_zero = value.abs() <= AT_ZERO * value.abs().amax(-1, keepdim=True)
+    rests = is_zero.clone()
+    rests[..., 1:] &= is_zero[..., :-1]
+    # up to each time the last one at which it rests; -1: it has not rested yet
+    last = torch.where(rests, torch.arange(len(t)), -1).cummax(-1).values
+    begun = torch.where(last < 0, t[0] - _measure_beyond(t), t[(last + 1).clamp(max=len(t) - 1)])
+    steps = torch.cat([t.diff(), t.diff()[-1:]])
+    share = ((t + steps - begun - delay[..., None]) / steps).clamp(0.0, 1.0)
+    return torch.where(rests, u, u * share)
+
+
+def exchanged(u: Tensor, grid: Grid, share: Tensor) -> Tensor:
+    """Two signals (..., 2, num_times), a ``share`` () or (K,) of each come in the other's place."""
+    return u + share[..., None] * (u.flip(-2) - u)
+
+
 def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = None) -> Tensor:
     """Play: rests until the signal has crossed the gap.
 
@@ -485,7 +568,15 @@ MAPS: Mapping[str, Mapping[Between, SizedMap]] = MappingProxyType(
         "smoothly_delayed": dict.fromkeys(("held", "straight", "smooth"), smoothly_delayed),
         "lagged": {"held": held_lagged, "straight": lagged, "smooth": lagged},
         "in_steps": {"held": held_in_steps, "straight": in_steps, "smooth": in_steps},
+        "late_from_rest": dict.fromkeys(("held", "straight", "smooth"), late_from_rest),
+        "accelerated": {
+            "held": held_accelerated,
+            "straight": accelerated,
+            "smooth": accelerated,
+        },
+        "exchanged": dict.fromkeys(("held", "straight", "smooth"), exchanged),
         "slowed": dict.fromkeys(("held", "straight", "smooth"), slowed),
         "with_play": dict.fromkeys(("held", "straight", "smooth"), with_play),
     }
 )
+JOINT = ("exchanged",)  # maps of several signals together

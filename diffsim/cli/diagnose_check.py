@@ -21,6 +21,7 @@ from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_like import read_whole
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
+from diffsim.diagnose.checks.whole_record import column_problems
 from diffsim.diagnose.faults.given import take_apart
 from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.registry import description_of, setup_of
@@ -52,7 +53,8 @@ def check(study: Study, given: str, *, accept_record: bool = False) -> None:
     problems = [_as_note(p) if only_judged else p for p in problems_of(study)]
     problems = accepted(problems) if accept_record else problems
     if not any(p.severity == "error" for p in problems) and study.model is not None:
-        problems, made = [*problems, *(found := _of_setup(study))[0]], found[1]
+        found, made = _of_setup(study)
+        problems += accepted(found) if accept_record else found
         print(made) if made else None
     _tell(problems, given)
     if only_judged:
@@ -245,7 +247,8 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     starts = f"; {PLAY_START}, {more} more, one per run: only beside a play" if more else ""
     cut = setup.study or study
     told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
-    return list(trial_problems(study, setup)), "".join(told) + (
+    problems = [*trial_problems(study, setup), *column_problems(study, setup)]
+    return problems, "".join(told) + (
         f"model: {len(shown)} base parameters ({_list_first(shown)}{starts}), "
         f"{len(causes)} candidate causes ({_list_first(causes)})"
     )

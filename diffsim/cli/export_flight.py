@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from diffsim.cli.diagnose_export import flown_constants, is_text
 from diffsim.core.expression import parse_expression
 from diffsim.core.files import write_json_atomic, write_text_atomic
-from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.core.units import factor
+from diffsim.data.record.shapes import spikes
+from diffsim.data.record.signals import Samples
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.model_file import SavedModel, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
@@ -204,17 +205,16 @@ def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
     for run in answer.runs:
         constants = flown_constants(study, answer.saved, MUJOCO, run)
         flown, own, seen = fly(constants, run), answer.record(run)[:, 0], run.measured[:, 0]
-        out.append(Flight.of(run.name, channel, own, flown, seen, is_read(seen)))
+        out.append(Flight.of(run.name, channel, own, flown, seen, is_read(run)))
     return out
 
 
-def is_read(position: Array) -> Mask:
-    """Samples that are no single misreadings: near the median of the five around them."""
-    padded = np.pad(position, 2, mode="edge")
-    around = np.lib.stride_tricks.sliding_window_view(padded, 5)
-    away = np.abs(position - np.nanmedian(around, axis=1))
-    usual = SD_OVER_MAD * float(np.nanmedian(np.abs(position - np.nanmedian(position)))) + 1e-12
-    return np.asarray(np.isfinite(position) & (away < usual))
+def is_read(run: Run) -> Mask:
+    """Samples of the first channel that were measured, and not misread."""
+    good = np.isfinite(run.measured[:, 0])
+    at = np.flatnonzero(good)
+    good[at[spikes(Samples(run.name, at, run.time_s[at], run.measured[at, 0]))]] = False
+    return good
 
 
 def write_drive(answer: Answer, out: Path) -> list[Path]:

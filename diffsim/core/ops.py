@@ -158,34 +158,32 @@ class Op:
 
     # A call.
 
-    def _name(self, args: tuple[Any, ...]) -> Call:
-        """Tensors and options of a call."""
+    def _bind(self, args: tuple[Any, ...], sizes: dict[str, Any] | None = None) -> Call:
+        """Tensors, options and sizes of a call; ``sizes`` where they are known."""
         count = len(self.inputs)
-        return Call(
+        call = Call(
             zip(self.inputs, args[:count], strict=True),
             dict(zip(self._option_names, args[count:], strict=True)),
         )
-
-    def _bind(self, args: tuple[Any, ...]) -> Call:
-        """Tensors, options and sizes of a call."""
-        call = self._name(args)
-        call.sizes.update(call.options)
-        call.sizes.update(self._sizes(call))
+        if sizes is not None:
+            call.sizes = sizes
+        else:
+            call.sizes.update(call.options)
+            call.sizes.update(self._sizes(call))
         return call
 
     def _run_kernel(self, *args: Any) -> Any:
         """The kernel, as PyTorch and its callers call it."""
         count = len(self.inputs)
-        key = args[count:], [value.shape for value in args[:count]]
-        known = self._last
-        if key == known.key and all(map(_is_as_stated, args, self.inputs.values())):
-            call = self._name(args)
-            call.sizes = known.sizes
-        else:
-            call = self._bind(args)
-            self._check(call)
-            known = self._last = _Layout(key, call.sizes, self._shape_outputs(call))
-        return self._fill(call, known.outputs, self._kernel)
+        tensors, known = args[:count], self._last
+        key = args[count:], [(value.shape, value.dtype) for value in tensors]
+        if key == known.key and all([v.is_cpu and v.is_contiguous() for v in tensors]):
+            return self._fill(self._bind(args, known.sizes), known.outputs, self._kernel)
+        call = self._bind(args)
+        self._check(call)
+        shapes = self._shape_outputs(call)
+        self._last = _Layout(key, call.sizes, shapes)
+        return self._fill(call, shapes, self._kernel)
 
     def _check(self, call: Call) -> None:
         """Refuse tensors that the kernel cannot read; others become contiguous."""
@@ -195,7 +193,13 @@ class Op:
             # what belongs to an input that is not there is not there either
             owner = name if spec.optional is True else spec.optional or ""
             is_absent = bool(owner) and not call[owner].numel()
-            if not is_absent and _fits(value.shape, spec, sizes) and _is_as_stated(value, spec):
+            if (
+                not is_absent
+                and _fits(value.shape, spec, sizes)
+                and value.dtype is spec.dtype
+                and value.is_cpu
+                and value.is_contiguous()
+            ):
                 continue
             if is_absent:
                 wanted = (0,) if value.numel() else value.shape
@@ -359,11 +363,6 @@ def _linearize(function: Callable[..., Many], *at: Tensor) -> tuple[Many, Callab
 
 def _many(found: Any) -> Many:
     return (found,) if isinstance(found, Tensor) else tuple(found)
-
-
-def _is_as_stated(value: Tensor, spec: Array) -> bool:
-    """Whether a kernel can read a tensor of the right shape as it lies."""
-    return value.dtype is spec.dtype and value.is_cpu and value.is_contiguous()
 
 
 def _fits(shape: Sequence[Any], spec: Array, sizes: dict[Any, Any]) -> bool:

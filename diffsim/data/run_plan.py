@@ -81,7 +81,10 @@ def cases_of(
     cases = []
     patterns = entry.file or (f"{entry.name}.csv",)
     for words in rows:
-        first, *further = [_fill_in_known_words(p, words) for p in patterns]
+        first, *further = [
+            _FIELD.sub(lambda m, words=words: words.get(m.group(1), m.group(0)), p)
+            for p in patterns
+        ]
         for path, found in _files(root, first, where, given):
             all_words = {**words, **found, "file": split_part(path)[0].stem}
             others = [
@@ -90,10 +93,6 @@ def cases_of(
             ]
             cases.append(RunFiles(where, entry, (path, *others), all_words))
     return cases, left_out
-
-
-def _fill_in_known_words(pattern: str, words: Mapping[str, str]) -> str:
-    return _FIELD.sub(lambda m: words.get(m.group(1), m.group(0)), pattern)
 
 
 def _resolve_file(root: Path, stated: str, where: str, given: Given) -> Path:
@@ -181,7 +180,9 @@ def filled(text: str, words: Mapping[str, str], where: str) -> str:
         ValueError: a word that there is not.
     """
     try:
-        return fill_in(text, {k: as_label(v) if _is_plain(v) else v for k, v in words.items()})
+        # a number where it is written as numbers are: 7, not 007
+        labels = {k: as_label(v) for k, v in words.items()}
+        return fill_in(text, {k: v if str(v) == words[k] else words[k] for k, v in labels.items()})
     except KeyError as error:
         name = str(error.args[0])
         raise ValueError(
@@ -201,11 +202,6 @@ def constants(table: Table, rows: Rows, texts: Sequence[str]) -> dict[str, str]:
         if len(found := {cells[i] for i in rows}) == 1:
             out[name] = found.pop()
     return out
-
-
-def _is_plain(cell: str) -> bool:
-    """Whether the number in a cell is written as numbers are: 7, not 007."""
-    return str(as_label(cell)) == cell
 
 
 def chosen_rows(table: Table, rows: Rows, where: Mapping[str, Any], path: str) -> Rows:

@@ -95,6 +95,8 @@ class Effect:
         shown_unit: Unit in which a user reads the size, such as "mm"; None: ``unit``.
         shown_times: What a size is multiplied by to be read in it; None: as the units say.
         price: Nats that the choice of its form among others costs, beside that of its family.
+        members: Names of the causes that it is with one size, such as delays of commands; empty:
+            it is of one member, or one cause in itself.
         shapes: Further numbers of its formula, such as a wave number, by name of the base
             parameter that each is. ``apply`` gets their values after the components; they do
             nothing without it.
@@ -121,6 +123,7 @@ class Effect:
     shown_unit: str | None = None
     shown_times: float | None = None
     price: float = 0.0
+    members: tuple[str, ...] = ()
     shapes: Mapping[str, Shape] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -339,7 +339,9 @@ class SimModel:
             numerics: Factors on time step, mesh and tolerance; None: the model's own.
         """
         if self.batched:
-            return self.predict(run, q, sizes, numerics)
+            out = self.predict(run, q, sizes, numerics)
+            # readings that nothing of these points enters are alike at all of them
+            return out.expand(len(q), *out.shape[-2:])
         physical, numerical = _split_effects(sizes)
         self.note_simulations(run, len(q), numerics)
         out = plain = self.simulate_many(run, q, physical, numerics)

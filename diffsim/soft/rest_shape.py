@@ -53,15 +53,16 @@ def moved_shape(
     x_rest = require("x_rest", x_rest, (mesh.num_nodes, 3))
     if muscles.has_lengths:
         raise ValueError(
-            "x_rest is not taken by a body with tendons (weighted fibers): the stiffness of their pieces is of the "
-            "lengths that they have in the mesh; make the body of a mesh with other positions"
+            "x_rest is not taken by a body with tendons (weighted fibers): the stiffness of their "
+            "pieces is of the lengths that they have in the mesh; make the body of a mesh with "
+            "other positions"
         )
     if not torch.compiler.is_compiling():
         with on_constants():
             _require_upright(mesh, element, values_of(x_rest))
     tables = moved_tables(mesh, element, x_rest)
     shares = nodal_shares(mesh, x_rest)
-    directions = _turned(mesh, muscles, x_rest)
+    directions = _carried_directions(mesh, muscles, x_rest)
     return RestShape(
         x_rest=x_rest,
         shares=shares,
@@ -70,7 +71,7 @@ def moved_shape(
     )
 
 
-def _turned(mesh: HexMesh | TetMesh, muscles: MuscleSet, x_rest: Tensor) -> Tensor:
+def _carried_directions(mesh: HexMesh | TetMesh, muscles: MuscleSet, x_rest: Tensor) -> Tensor:
     """Directions of the fibers, (num_fibers, 3): those of the mesh carried along by the mean
     deformation of their elements from there to x_rest."""
     if not len(muscles.elements):

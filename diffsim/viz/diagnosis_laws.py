@@ -252,6 +252,8 @@ def _screen_table(answer: LawAnswer) -> page.Table:
         "periodic, by evidence and by runs left out. The choice among them has its price. In bold: "
         "laws of the answer.",
         emphasis=[i for i, place in enumerate(places) if place in found],
+        folded=range(len(shown)),
+        folded_words=f"{len(shown)} laws that were weighed, by evidence",
     )
 
 

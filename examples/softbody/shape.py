@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, optim, soft
-from diffsim.core.errors import DiffsimError, MeshError
+from diffsim.core import DiffsimError, MeshError
 
 SIZE = (0.1, 0.02, 0.02)  # [m]
 STATIONS, MOST = 5, 5e-3  # along the finger; farthest that a control point moves [m]

@@ -17,7 +17,10 @@ import numpy as np
 from diffsim.data.study_check import check_study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.checks.gates import require_separate
+from diffsim.diagnose.checks.whole_record import column_problems
+from diffsim.systems.registry import setup_of
 from labs.records.damages import DAMAGES, Damage
+from labs.records.rates import rates_page
 from labs.records.rig import Folder
 from labs.records.rigs import ALIKE, SOUND
 
@@ -36,6 +39,9 @@ def told(folder: Folder, room: Path) -> list[tuple[str, str, bool]]:
         require_separate(study)
     except ValueError as error:
         found.append(("copies", str(error), True))
+    if not any(f[2] for f in found):
+        asked = column_problems(study, setup_of(study))
+        found += [(p.rule, p.message, True) for p in asked]
     return [f for f in found if f[2] or f[0] != "check"]
 
 
@@ -61,6 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--quiet", action="store_true", help="only counts")
     parser.add_argument("--keep", type=Path, help="write what was missed there")
     parser.add_argument("--sound", type=int, default=2, help="copies of each sound rig")
+    parser.add_argument("--page", type=Path, help="write counts of faults and rules there")
     args = parser.parse_args(argv)
     seed = args.seed if args.seed is not None else secrets.randbelow(2**31)
     rng, started = np.random.default_rng(seed), time.process_time()
@@ -94,6 +101,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                     print(f"SOUND {folder.study['name']}: {f[0]} stops={f[2]}: {f[1][:200]}")
     for name, count in total.items():
         print(f"{name:<20} {named[name]:>3} named, {stopped[name]:>3} stopped of {count}")
+    if args.page is not None:
+        counts = {n: (named[n], stopped[n], total[n]) for n in total}
+        with tempfile.TemporaryDirectory(prefix="records_") as home:
+            page = rates_page(seed, args.sound, Path(home), counts)
+        args.page.write_text(page, encoding="utf-8")
     count = sum(total.values())
     print(
         f"seed {seed}: {sum(named.values())} of {count} named with the right remedy, "

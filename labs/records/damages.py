@@ -387,6 +387,22 @@ def other_unit(folder: Folder, rng: Rng) -> Folder | None:
     )
 
 
+def unit_everywhere(folder: Folder, rng: Rng) -> Folder | None:
+    """A column in another unit in all runs, which only the model can tell."""
+    column = str(rng.choice([*_columns(folder), *_commands(folder)]))
+    times = float(rng.choice(FACTORS[:3])) ** float(rng.choice([-1.0, 1.0]))
+    return folder.changed(_all(folder, lambda t: {**t, column: times * t[column]}))
+
+
+def exchanged(folder: Folder, rng: Rng) -> Folder | None:
+    """Two columns whose names are exchanged in all runs."""
+    pairs = [names for names in (_columns(folder), _commands(folder)) if len(names) > 1]
+    if not pairs:
+        return None
+    a, b = rng.choice(pairs[int(rng.integers(len(pairs)))], 2, replace=False)
+    return folder.changed(_all(folder, lambda t: {**t, a: t[b], b: t[a]}))
+
+
 DAMAGES = (
     Damage("wrapped_counts", r"wrap: |signed: ", wrapped_counts),
     Damage("wrapped_angle", r"wrap: ", wrapped_angle),
@@ -412,5 +428,7 @@ DAMAGES = (
     Damage("shifted_cells", r"until_s: ", shifted_cells),
     Damage("drifting_clocks", r"drift: ", drifting_clocks),
     Damage("marker_moved", r"formula: |until_s: ", marker_moved),
-    Damage("other_unit", r"unit: |scale: ", other_unit),
+    Damage("other_unit", r"unit: |scale: |`unit:`", other_unit),
+    Damage("unit_everywhere", r"unit: |scale: |`unit:`", unit_everywhere),
+    Damage("exchanged", r"`column:` of \w+ \w+ names the column of", exchanged),
 )

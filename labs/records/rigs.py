@@ -424,6 +424,7 @@ def goals(rng: Rng) -> Folder:
         tables[run] = table
     model = {
         "parameters": {"lag": {"value": 0.1, "percent": 30}},
+        "inputs": [{"name": f"goal_{axis}", "held": True} for axis in "ab"],
         "states": {"a": "first_servo_a", "b": "first_servo_b"},
         "rates": {"a": "(goal_a - a)/lag", "b": "(goal_b - b)/lag"},
         "readings": {"servo_a": "a", "servo_b": "b"},

@@ -23,9 +23,11 @@ from labs.command import ended
 from labs.rates.case import solve as solve_rate
 from labs.rates.plan import head
 from labs.rates.score import HELD, OPEN, RIGHT
-from labs.search_compare.rigs import RIGS
+from labs.search_compare.drives import DRIVES
+from labs.search_compare.rigs import RIGS as TOGETHER
 
 PLACE = re.compile(r"(_\d+|_(of|at)_.*)$")
+RIGS = {**TOGETHER, **DRIVES}
 NULLS = 4  # every fourth seed of a rig hides nothing
 COLUMNS = ("right", "open", "wrong", "false names", "unseen error", "simulations", "CPU s")
 

@@ -119,7 +119,7 @@ def test_a_play_and_a_late_camera_on_one_of_two_alike_channels_are_named():
     # all that two alike channels could do apart, and what they would do together
     shared = ("lag", "delay", "backlash", "dead_band")
     causes = [e for e in setup.effects if "_of_" in e.name or e.name in shared]
-    assert len(causes) == 14
+    assert len(causes) == 15
     report = diagnose(study, setup.model, causes, seed=0, unknowns=setup.unknowns)
     assert report.verdict == "named", report.sentences
     assert set(report.named) == {"sensor_delay_of_carriage", "sensor_backlash_of_carriage"}

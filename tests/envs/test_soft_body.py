@@ -111,6 +111,16 @@ def test_gradients_of_a_swimmers_rewards(term: str) -> None:
         assert (ends[0] - ends[1]) / 2e-7 == pytest.approx(known, rel=1e-3, abs=1e-5)
 
 
+def test_a_start_that_is_stirred_neither_travels_nor_moves_what_is_held() -> None:
+    free, held = made(block_on_floor(), start_speed=0.05), made(finger(), start_speed=0.05)
+    v = free.start(4, np.random.default_rng(0))["v"]
+    still = torch.zeros(4, 3, dtype=torch.float64)
+    torch.testing.assert_close(free.robot.center(v), still, rtol=0.0, atol=1e-12)
+    assert 0.005 < float(v.norm(dim=-1).max()) < 0.25
+    fixed = held.start(4, np.random.default_rng(0))["v"][:, held.robot.body.fixed]
+    assert not bool(fixed.any())
+
+
 @pytest.mark.parametrize("keys", [finger(), block_on_floor()], ids=["finger", "floor"])
 def test_a_batch_is_its_members(keys: dict[str, Any]) -> None:
     task = made(keys, start_speed=0.05)

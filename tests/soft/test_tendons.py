@@ -9,6 +9,7 @@ import torch
 
 from diffsim import mesh, soft
 from diffsim.soft.routing import route
+from tests.covering import covering
 from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body
 
 BENT = [[0.1, 0.15, 0.2], [0.9, 0.7, 0.35], [1.85, 0.3, 0.8]]  # inside the 2 x 1 x 1 box
@@ -126,18 +127,21 @@ def test_energy_of_a_homogeneous_deformation(kind):
 
 
 @pytest.mark.reference
-@pytest.mark.parametrize("kind", ["hex", "tet"])
-def test_tension_is_what_the_energy_says(kind):
-    """-dE/da = sum L_e T_e, at a deformed state: E is quadratic in a, differences are exact."""
+@covering(kind=["hex", "tet"], slack=[True, False], a=[0.8, 1.6])
+def test_tension_is_what_the_energy_says(kind, slack, a):
+    """-dE/da = sum L_e T_e, taut and loose: E is quadratic in a, differences are exact."""
     m = irregular_mesh(kind, cells=(3, 2, 2), amount=0.03)
-    tendon = soft.Tendon(m, BENT, axial_stiffness=7.0)
+    tendon = soft.Tendon(m, BENT, axial_stiffness=7.0, slack=slack)
     body = soft_body(m, muscles=[tendon.muscle])
     x = deformed(m, amount=0.1)
-    energy = [body.elastic_energy(x, activation=f64([a])) for a in (0.7, 0.9)]
-    tension = tendon.tension(x, 0.8)
+    energy = [body.elastic_energy(x, activation=f64([b])) for b in (a - 0.1, a + 0.1)]
+    tension = tendon.tension(x, a)
     torch.testing.assert_close((energy[0] - energy[1]) / 0.2, (tension * tendon.piece_length).sum())
-    assert tension.std() > 0.1  # bonded: pieces differ
-    doubled = tendon.tension(x, 0.8, axial_stiffness=f64(14.0))
+    if slack and a > 1.0:
+        assert not bool(tension.any())  # a loose cable does not push
+    else:
+        assert tension.std() > 0.1  # bonded: pieces differ
+    doubled = tendon.tension(x, a, axial_stiffness=f64(14.0))
     torch.testing.assert_close(doubled, 2 * tension)
 
 

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from diffsim.causes.catalogue import rows_in_order
 from diffsim.causes.channel_groups import channel_groups
+from diffsim.causes.listing import PAIR, channel_pairs, command_pairs
 from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
 from diffsim.causes.row import Row
 from diffsim.core.units import factor
@@ -318,10 +319,19 @@ def why_not(row: Row, plant: Plant) -> str | None:
     facts = {name for name, holds in plant.facts.items() if holds}
     if plant.kind in row.not_for:
         return "not for this kind"
+    if row.each == PAIR:
+        found = (command_pairs if row.at == "command" else channel_pairs)(plant)
+        return None if found and not facts & {*row.unless} else "nothing to exchange"
     on_its_way = row.at == "command" or row.each == "command"
     if on_its_way and row.each in (None, "command"):
         of_parts = [
-            {*facts, *g.facts, *(("one_sided",) if g.is_one_sided else ())} for g in plant.ways
+            {
+                *facts,
+                *g.facts,
+                *(("one_sided",) if g.is_one_sided else ()),
+                *(("rests",) if plant.scales.rests(g.names) else ()),
+            }
+            for g in plant.ways
         ]
     elif row.each == "place" or (row.at == "force" and row.name not in plant.functions):
         of_parts = [facts | {*place.facts} for place in plant.places.values()]

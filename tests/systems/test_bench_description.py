@@ -210,3 +210,18 @@ def test_a_size_for_all_and_one_for_each_are_certain_together():
     (cause,) = [c for c in report.causes if c.name == "exponent_of_thrust"]
     assert all(size.low <= 0.0 <= size.high for size in cause.size.values()), cause.size
     assert cause.status == "certain"
+
+
+def test_a_reading_that_no_parameter_enters_has_a_scale():
+    """Two encoders side by side: nothing is fitted before causes are asked."""
+    rng, t, runs = np.random.default_rng(0), 0.05 * np.arange(60.0), []
+    for k, use in enumerate(("fit", "fit", "select", "test")):
+        angle = 0.5 * np.sin((1.0 + k) * t) + 0.1 * np.sin(0.3 * t)
+        seen = 1.2 * angle + rng.normal(0.0, 1e-3, len(t))
+        runs.append(Run(f"r{k}", t, seen[:, None], {"motor": 50.0 * angle}, f"r{k}", k, use))
+    channels = (Channel("joint", "rad", "angle", sd=1e-3),)
+    model = {"system": "bench", "readings": {"joint": "motor/50"}}
+    report = found(Study("encoders", "bench", channels, tuple(runs), model=model))
+    assert report.named == ("sensor_scale",)
+    (size,) = next(c for c in report.causes if c.name == "sensor_scale").size.values()
+    assert size.value == pytest.approx(0.2, abs=2e-3)

@@ -28,7 +28,10 @@ SILENT = {
     "rod_poses": {"twist_stiffness": "its poses lie in a plane"},
     "rod_in_time": {
         "twist_stiffness": "its poses lie in a plane",
-        "rate_limit": "its limit is ten times the reach in a second",
+        **dict.fromkeys(
+            ("rate_limit", "rate_limit_of_left", "rate_limit_of_right"),
+            "its limit is ten times the reach in a second",
+        ),
     },
     "toss": {
         **dict.fromkeys(

@@ -38,7 +38,7 @@ RULES: tuple[RecordRule, ...] = (
     RecordRule("unit_changes", "a unit that changes in a run", "columns", find_unit_changes),
     RecordRule("units", "a run or a channel in another unit", "columns, unit", find_units),
     RecordRule("far", "values far outside of all others", "decode: {valid}", find_far),
-    RecordRule("lost_rows", "rows lost while a command moves", "gaps: line", find_gaps),
+    RecordRule("gaps", "rows lost in a sweep, clocks that were set", "gaps, stamps", find_gaps),
     RecordRule("unstamped", "rows lost where rows are counted", "stamps", find_unstamped),
     RecordRule("drift", "clocks of two files that run apart", "stamps: {drift}", find_drift),
     RecordRule("copies", "columns that are copies of others", "column", find_copies),

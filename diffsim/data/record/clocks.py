@@ -41,7 +41,7 @@ def find_gaps(record: Record) -> Iterator[Finding]:
         if was_set:
             times = [float(run.time_s[k]) for k in was_set]
             yield Finding(
-                "set_clocks",
+                "gaps",
                 f"run {run.name}",
                 f"its clock jumps by {steps[was_set[0]]:.6g} s, {rows_shown(times)}: it was set "
                 "there, as all goes on",
@@ -55,7 +55,7 @@ def find_gaps(record: Record) -> Iterator[Finding]:
             lost = round(float(steps[k] / usual)) - 1
             times = [float(run.time_s[j]) for j, _ in moved]
             yield Finding(
-                "lost_rows",
+                "gaps",
                 f"run {run.name}",
                 f"rows are lost while command {command} moves, {lost} of them at "
                 f"{run.time_s[k]:.6g} s ({len(moved)} gap{'s' if len(moved) > 1 else ''}, "
@@ -125,7 +125,7 @@ def find_unstamped(record: Record) -> Iterator[Finding]:
             continue
         k, count, names = found
         yield Finding(
-            "lost_rows",
+            "unstamped",
             f"run {run.name}",
             f"{', '.join(names)} jump together after row {k + 1} ({run.time_s[k]:.6g} s), and "
             f"nowhere else: about {count} rows are lost there",

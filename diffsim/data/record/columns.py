@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.unit_slips import UNIT_SLIPS
 from diffsim.data.record.finding import Finding
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 
@@ -21,18 +22,6 @@ PROBES = 64  # rows that are compared first
 LAWFUL = 0.05  # of a channel's own scatter: what a law leaves of it where there is one
 EFFORTS = ("N", "N m", "A", "V", "W", "-", None)  # SI units of what a controller gives out
 SHIFTS = (0, 1, 2)  # rows by which a copy of a command may be late
-FACTORS = {
-    1000.0: "a thousand (milli or kilo)",
-    100.0: "a hundred (centi or percent)",
-    180.0 / np.pi: "180/pi (degrees)",
-    60.0 / (2.0 * np.pi): "60/(2 pi) (rpm)",
-    (60.0 / (2.0 * np.pi)) ** 2: "the square of 60/(2 pi) (rpm)",
-    9.80665: "g",
-    2.0 * np.pi: "2 pi (turns)",
-    360.0: "360 (turns)",
-    25.4: "25.4 (inches)",
-    1e6: "a million (micro or mega)",
-}
 GAIN_NEAR = 0.12  # of the logarithm of a factor: how well a gain must meet it
 NOISE_NEAR = 0.35  # the same of the scatter from sample to sample
 MOST_SPREAD = 0.3  # of the logarithm of gains: others are not alike
@@ -212,7 +201,7 @@ def _gain(record: Record, samples: Samples) -> float:
 
 def _factor_near(off: float, within: float) -> tuple[float, str] | None:
     """The factor between units whose logarithm is next to this one, and its words."""
-    ways = [(sign * np.log(f), f**sign, w) for f, w in FACTORS.items() for sign in (1, -1)]
+    ways = [(s * np.log(u.ratio), u.ratio**s, u.words) for u in UNIT_SLIPS for s in (1, -1)]
     log, times, words = min(ways, key=lambda way: abs(way[0] - off))
     return (float(times), words) if abs(log - off) < within else None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,7 +239,7 @@ def find_flat(record: Record) -> Iterator[Finding]:
                 continue
             count, stretches, is_noisy = found
             told = record.command_of(signal)
-            if told is not None and all(_rests(told, *stretch) for stretch in stretches):
+            if told is not None and _are_rests(told, stretches):
                 continue
             times = [float(samples.times[first]) for samples, first, _ in stretches]
             scale = signal.scale or 1.0
@@ -332,12 +332,23 @@ def find_frozen(record: Record) -> Iterator[Finding]:
             )
 
 
+def _are_rests(command: Signal, stretches: Sequence[tuple[Samples, int, int]]) -> bool:
+    """Whether all stops are rests at goals, but for one: at a goal that was missed."""
+    others = [stretch for stretch in stretches if not _rests(command, *stretch)]
+    return len(others) <= 1 and all(_is_held(command, samples.run) for samples, _, _ in others)
+
+
+def _is_held(command: Signal, run: str) -> bool:
+    told = command.of_run(run)
+    return told is not None and len(told) > 0 and told.shares_equal >= HELD
+
+
 def _rests(command: Signal | None, samples: Samples, first: int, last: int) -> bool:
     """Whether a stop is no more than rest at a goal: the command of the channel keeps its value,
     or changes as the stop ends, from a goal that was taken or missed."""
     if command is None or (told := command.of_run(samples.run)) is None:
         return False
-    if not len(told) or told.shares_equal < HELD:
+    if not _is_held(command, samples.run):
         return False
     step = float(np.median(np.diff(samples.times)))
     start, end = samples.times[first], samples.times[last]

@@ -127,31 +127,26 @@ def _row(
     groups = [own[label] for label in labels]
     rest = [label for label in own if label not in labels]
     others = [own[label] for label in rest]
+    many = ", ".join(rest) if len(labels) > 1 else ""
     here = list(dict.fromkeys(n for names in groups for n in names))
     size = Interval(*range_of(lambda values: _sums_of(values, groups).mean(0), here, numbers))
-    over = Interval(*range_of(partial(_over_others, groups=groups, others=others), needed, numbers))
+    # one odd group does not move a median; of two batches the means are the surer ones
+    middle = partial(torch.mean, dim=0) if many else partial(torch.quantile, q=0.5, dim=0)
+    over = Interval(
+        *range_of(
+            lambda values: _sums_of(values, groups).mean(0) - middle(_sums_of(values, others)),
+            needed,
+            numbers,
+        )
+    )
     nearer = over.value - over.low if over.value > 0.0 else over.high - over.value
     differs = abs(over.value) > limit * nearer / HALF_LEVEL
-    many = ", ".join(rest) if len(labels) > 1 else ""
     unit = units.get(needed[-1], "-")
     return ApartRow(name, fact, ", ".join(labels), unit, size, over, differs, many)
 
 
 def _sums_of(values: Mapping[str, Tensor], groups: Sequence[Sequence[str]]) -> Tensor:
     return torch.stack([torch.stack([values[n] for n in names]).sum(0) for names in groups])
-
-
-def _over_others(
-    values: Mapping[str, Tensor],
-    *,
-    groups: Sequence[Sequence[str]],
-    others: Sequence[Sequence[str]],
-) -> Tensor:
-    """The mean of groups less that of the others; of one group less the median of the others, which
-    one odd group does not move."""
-    rest = _sums_of(values, others)
-    middle = rest.quantile(0.5, dim=0) if len(groups) == 1 else rest.mean(0)
-    return _sums_of(values, groups).mean(0) - middle
 
 
 def apart_words(rows: Sequence[ApartRow], shared: Sequence[str]) -> tuple[str, ...]:

@@ -73,11 +73,6 @@ class Gain:
         return "confirmed" if is_sure else "not confirmed"
 
     @property
-    def is_bought(self) -> bool:
-        """Whether nothing but a value of these runs, where nobody would state it, is in doubt."""
-        return self.farthest > FAR_OFF and self.is_above_zero
-
-    @property
     def _can_be_judged(self) -> bool:
         """Whether a share below zero says that the extended model is the worse one."""
         is_change = -self.value * self.excess > NEAR_ZERO

@@ -24,6 +24,7 @@ from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off, words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import NAMES, Judgment
+from diffsim.diagnose.judge.own_values import FAR_OFF
 from diffsim.diagnose.judge.records import SURE, BaseRow, ErrorRow
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
@@ -213,17 +214,21 @@ def _gain_is_not_confirmed(g: Grounds, i: int) -> str:
     gain, total = g.judgment.gains.get(i), g.judgment.gain
     if gain is None or total is None:
         return "it could not be tested on what was not fitted"
-    if why := _is_unconfirmed(total):
+    if why := why_unconfirmed(total):
         return f"{why} on {_unseen(g)}"
     return "" if gain.has_fallen else f"no gain by it is confirmed on {_unseen(g)}"
 
 
-def _is_unconfirmed(total: Gain) -> str:
+def why_unconfirmed(total: Gain) -> str:
     """Why the gain of a whole set is not confirmed; where the plain model's error is noise alone,
     it must still fall for sure: what is told by one recording alone may be its noise."""
     if total.status == "nothing to gain":
         return "" if total.has_fallen else "the plain model's error is noise alone"
-    return "" if total.status == "confirmed" else "no gain is confirmed"
+    if total.status == "confirmed":
+        return ""
+    is_bought = total.farthest > FAR_OFF and total.is_above_zero
+    with_it = f"with a value {total.farthest:.2g} sd from what is stated " if is_bought else ""
+    return f"{with_it}no gain is confirmed"
 
 
 def _evidence_does_without(g: Grounds, i: int) -> str:
@@ -351,9 +356,8 @@ def doubts_of_unseen(gain: Gain | None, errors: Sequence[ErrorRow]) -> Iterator[
         gain: Gain on test runs; None without such runs, or where one could not be simulated.
         errors: Errors on runs that were not fitted.
     """
-    if gain is not None and (why := _is_unconfirmed(gain)):
-        bought = f"a value fitted to test runs is {gain.farthest:.2g} sd from what is stated"
-        yield bought if gain.is_bought else f"{why} on test runs"
+    if gain is not None and (why := why_unconfirmed(gain)):
+        yield f"{why} on test runs"
     left = max((r / n for r, n in _pool_errors(errors).values()), default=0.0)
     if left > MUCH_UNSEEN:
         yield f"the error on unseen runs is {left:.2g} times the noise"

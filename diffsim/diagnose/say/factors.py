@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
+from diffsim.core.unit_slips import UNIT_SLIPS, UnitSlip
 from diffsim.diagnose.judge.records import CauseRow, Interval
 
 WIDEST = 0.06  # of a factor: a wider interval holds it by chance
 SAME = 0.03  # of a factor: closer ones are one
 GAINS = ("command_gain", "sensor_scale")  # causes whose size is a factor less one
-#: Factors, and the slip that each is a sign of
-SLIPS: tuple[tuple[float, str], ...] = (
+_COUNTED: tuple[tuple[float, str], ...] = (
     (4.0, "is a gear counted twice"),
     (0.25, "is a gear counted twice"),
     (2.0, "is one of two counted, or a diameter for a radius"),
     (0.5, "is one of two counted, or a radius for a diameter"),
     (-1.0, "is the sign turned"),
-    (math.pi / 180.0, "are degrees read as radians"),
-    (180.0 / math.pi, "are radians read as degrees"),
-    (math.pi / 30.0, "are rpm read as rad/s"),
-    (30.0 / math.pi, "are rad/s read as rpm"),
-    (2.0 * math.pi, "are turns read as radians"),
-    (0.5 / math.pi, "are radians read as turns"),
-    (9.80665, "are kilograms-force read as newtons"),
-    (1.0 / 9.80665, "are newtons read as kilograms-force"),
-    (1000.0, "is a unit a thousand times too small"),
-    (0.001, "is a unit a thousand times too large"),
 )
+
+
+def _of_unit(slip: UnitSlip) -> Iterator[tuple[float, str]]:
+    if slip.coarse:
+        yield slip.ratio, f"are {slip.coarse} read as {slip.fine}"
+        yield 1.0 / slip.ratio, f"are {slip.fine} read as {slip.coarse}"
+    else:
+        times = slip.words.partition(" (")[0]
+        yield slip.ratio, f"is a unit {times} times too small"
+        yield 1.0 / slip.ratio, f"is a unit {times} times too large"
+
+
+#: Factors, and the slip that each is a sign of
+SLIPS = (*_COUNTED, *(way for slip in UNIT_SLIPS for way in _of_unit(slip)))
 _INERTIAS = ("kg", "g", "kg m^2", "g m^2")
 
 

@@ -10,11 +10,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.core.units import after_number
+from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.checks.gates import LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, why_unconfirmed
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -172,9 +172,7 @@ def _of_gain(gained: Gain | None) -> list[str]:
         return []
     if gained.status == "cannot be judged":
         return ["unseen runs cannot judge it"]
-    if gained.is_bought:
-        return [f"a value fitted to unseen runs is {gained.farthest:.2g} sd from what is stated"]
-    return ["no gain is confirmed on unseen runs"]
+    return [f"{why_unconfirmed(gained)} on unseen runs"]
 
 
 def _noise(errors: Sequence[ErrorRow], gained: Gain | None) -> list[str]:
@@ -253,7 +251,7 @@ def _open(answer: Answer) -> list[str]:
     sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
     parts = [[_brief(plain_name(answer, n)) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
-    shown = " or ".join(names[:2]) + (" or another cause" if len(names) > 2 else "")
+    shown = f"{names[0]}, {names[1]} or another cause" if len(names) > 2 else " or ".join(names)
     if names and len(shown.split()) > MAX_OPEN:
         shown = f"{names[0]} or another cause"
     if not names or len(shown.split()) > MAX_OPEN:
@@ -477,8 +475,11 @@ def _numbers(row: ErrorRow) -> tuple[str, str, str, str]:
     if row.unit == "-" and row.noise > 0.0:
         before, after = (f"{v / row.noise:.3g}" for v in (row.before, row.after))
         return before, after, " times the noise", ""
-    unit = after_number(row.unit)
-    return f"{row.before:.3g}", f"{row.after:.3g}", unit, f"{row.noise:.3g}{unit}"
+    shown = small_unit(row.unit, (row.after, row.noise))
+    times = 1.0 if shown == row.unit else factor(row.unit, shown)
+    before, after, noise = (f"{times * v:.3g}" for v in (row.before, row.after, row.noise))
+    unit = after_number(shown)
+    return before, after, unit, f"{noise}{unit}"
 
 
 def _telling_kind(errors: Sequence[ErrorRow], changed: bool, *, worst: bool) -> ErrorRow:

@@ -14,6 +14,7 @@ from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.say.wording import MOST_LISTED
 from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify import Fit
@@ -72,7 +73,7 @@ class Narrowing:
         least = [n for n in sorted(shares, key=lambda n: shares[n]) if shares[n] < NARROWER]
         if not least:
             return "none of these runs narrows an interval by more than 5 %"
-        said = ", of ".join(f"{n} to {shares[n]:.2g}" for n in least[:MOST_LISTED])
+        said = ", of ".join(f"{words_of(n)} to {shares[n]:.2g}" for n in least[:MOST_LISTED])
         return f"for more, record {self.best}: it narrows the interval of {said} of its width"
 
     def width(self, run: str) -> float:

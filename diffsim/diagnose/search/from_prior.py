@@ -66,7 +66,9 @@ def center_at_prior(
     apart = replace(simulations, scans=simulations.prior_scans, place=" at the data sheet")
     settings = replace(settings, scan_steps=simulations.scan_steps + budget)
     try:
-        at = simulations.at_prior or apart.remembered("slopes", lambda: _slopes(wide, x))
+        at = simulations.at_prior or apart.remembered(
+            f"slopes{apart.place}", lambda: _slopes(wide, x)
+        )
         center, made = apart.scanned(apart.center(NONE, at, num_families), settings, num_families)
     except DiffsimError:
         return None, simulations

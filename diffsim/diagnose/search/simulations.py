@@ -234,7 +234,7 @@ class Simulations:
         here, label = self.fitted[members], f"screened {self._label(members)}"
         screened = self.screened.get(members)
         if screened is None:
-            screened = self._recall(label, partial(self._screen_at, here, last))
+            screened = self.remembered(label, partial(self._screen_at, here, last))
         here = here.joined(screened)
         return here, replace(self, screened={**self.screened, members: screened})
 
@@ -355,11 +355,8 @@ class Simulations:
     def _label(self, members: Members) -> str:
         return " + ".join(self.wide.effects[i].name for i in sorted(members)) + self.place
 
-    def remembered(self, what: str, make: Callable[[], Linearization]) -> Linearization:
+    def remembered(self, label: str, make: Callable[[], Linearization]) -> Linearization:
         """A linearization by its name, from an earlier process or made now."""
-        return self._recall(f"{what}{self.place}", make)
-
-    def _recall(self, label: str, make: Callable[[], Linearization]) -> Linearization:
         if self.store is None:
             return make()
         return unpacked(self.store.remembered(label, lambda: packed(make())))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -11,7 +12,9 @@ from pydantic import Field
 from torch import Tensor
 
 from diffsim.causes.catalogue import rows
+from diffsim.causes.listing import list_causes
 from diffsim.causes.plant import Plant
+from diffsim.causes.readings import SENSOR
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.core.schema import fill_in
@@ -19,6 +22,7 @@ from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
+from diffsim.identify.law import LAWS
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS, labels_of_blocks
@@ -84,7 +88,11 @@ class BenchDescription(FormulaKeys):
             commands=dict.fromkeys(read.held, "straight"),
             numbers=tuple(read.base.quantities),
         )
-        found = (*law_effects(library), *zeros, *read.own)
+        own = {cause.name for cause in self.effects.own}
+        own -= {law["name"] for law in study.frame.get(LAWS) or ()}
+        # where a law is stated, its gain, zero and curvature are those of the reading
+        sensors = () if self.laws or own else list_causes(replace(plant, kind=SENSOR))
+        found = (*law_effects(library), *sensors, *zeros, *read.own)
         return DiagnosisSetup(
             model,
             chosen_effects(found, self.effects, study, plant),

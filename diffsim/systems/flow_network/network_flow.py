@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.errors import ConvergenceError
+from diffsim.core.errors import ConvergenceError, DiffsimError
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.systems.flow_network.corrections import FlowDerivatives
 from diffsim.systems.flow_network.grid_fits import MovingFit, average_corners, integrate_face
@@ -79,6 +79,9 @@ class NetworkFlow:
 
         One factorization: the pump with open outlets, then a pressure at all outlets but one. The
         components of the strain are scaled so that their sum of squares is the squared shear rate.
+
+        Raises:
+            DiffsimError: nothing flows through an outlet of this shape.
         """
         self.num_solved += 1
         device, m = self.device, len(self._masks)
@@ -104,7 +107,13 @@ class NetworkFlow:
         field = self._solve_with_slip(phi, slip, {"inlet": {"in": inlet}, "traction": traction})
         flows = self._compute_outflow(field)
         taps = self._taps[1].at(field.pressure.flatten(1)[:, self._taps[0]])
-        inverse = torch.linalg.inv(flows)  # rows: which cases make a unit flow through an outlet
+        # rows: which cases make a unit flow through an outlet
+        inverse, is_singular = torch.linalg.inv_ex(flows)
+        if is_singular:
+            raise DiffsimError(
+                f"walls moved by {offset:g} m and branches narrowed by {list(narrowing)} of their "
+                f"width leave an outlet without flow; give narrower bounds or typical sizes"
+            )
         resistance = inverse @ (taps[:, :1] - raised)
         strain = self._compute_strain(field.velocity)
         return (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +18,18 @@ from diffsim.systems.ode.input_effects import (
     between_samples,
     come_slowly,
     drift_in_order,
+    follow_profile,
     input_ways,
+)
+from diffsim.systems.ode.joint_effects import (
+    away_from_center,
+    closed_loops,
+    coupling_in_words,
+    current_of,
+    elastic_coupling,
+    late_inside,
+    loses_by_sign,
+    pose_of,
 )
 from diffsim.systems.ode.law_effects import law_effects
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
@@ -25,6 +37,7 @@ from diffsim.systems.ode.place_effects import add_inertia, magnitudes_at, push_a
 from diffsim.systems.ode.refresh_effects import refresh_effects
 from diffsim.systems.ode.store_effects import FLOWS_ON, flow_of
 
+COUPLING = "elastic_coupling"
 ODE = "ode"  # the kind of system, and its table
 
 
@@ -36,12 +49,23 @@ def ode_effects(library: Library, periods: Mapping[str, float]) -> tuple[Effect,
         periods: Period of each channel's own clock [s]; 0 where there is none.
     """
     return (
-        *list_causes(plant_of(library)),
+        *(_say_frequency(effect, library) for effect in list_causes(plant_of(library))),
         *refresh_effects(library, periods),
         *event_effects(library),
         *law_effects(library),
         *library.system.own,
     )
+
+
+def _say_frequency(effect: Effect, library: Library) -> Effect:
+    """An elastic coupling with words for its size; other causes as they are."""
+    if not effect.name.startswith(COUPLING) or effect.members:
+        return effect
+    place = next(
+        s for p, s in library.places if effect.name in (COUPLING, f"{COUPLING}_at_{p.name}")
+    )
+    said = partial(coupling_in_words, place.inertia, effect.name)
+    return replace(effect, says=said)
 
 
 def plant_of(library: Library) -> Plant:
@@ -63,13 +87,24 @@ def plant_of(library: Library) -> Plant:
     def inertia(place: str, name: str) -> Apply:
         return add_inertia(library, places[place][0], name)
 
+    def coupling(place: str, name: str) -> Apply:
+        return elastic_coupling(library, places[place][0], name)
+
+    current, pose = current_of(library.study.channels), pose_of(library.study.channels)
     functions: dict[str, Any] = {
         "extra_inertia": inertia,
+        COUPLING: coupling,
+        "delay_inside": partial(late_inside, library),
+        "inverter_dead_time": partial(loses_by_sign, library=library, channel=current),
         "slow_share": come_slowly,
         "held_between_samples": partial(between_samples, held=True),
         "straight_between_samples": partial(between_samples, held=False),
         "gain_drift": drift_in_order,
+        # a command on its way, but one that is not held afterwards
+        "acceleration_limit": partial(follow_profile, held=system.held),
     }
+    if pose is not None:
+        functions["marker_offset"] = away_from_center(system.network, pose, "marker_offset")
     return Plant(
         kind=ODE,
         scales=library.scales,
@@ -83,6 +118,7 @@ def plant_of(library: Library) -> Plant:
             IN_TIME: True,
             LATE_RECORD: library.scales.facts["begins_moving"] or not system.held,
         },
+        parts={"definition": {name: name for name in closed_loops(system.network)}},
         functions=functions,
         magnitudes={"runs": float(max(len({r.order for r in library.study.fit_runs}), 1))},
         clocks=frozenset(system.clocks.values()),
@@ -99,7 +135,7 @@ def _list_places(library: Library) -> dict[str, Place]:
         found[place.name] = Place(
             magnitudes_at(scale),
             # where a force is stated, other rates hold the inertia, too
-            ("distance", "speed", *(("inertia",) if place.force is None else ())),
+            ("distance", "speed", "inertia" if place.force is None else "load"),
             place.unit,
             place.position_unit,
             "" if is_plain else f"_at_{place.name}",

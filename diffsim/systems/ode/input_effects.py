@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import torch
@@ -10,11 +10,12 @@ from torch import Tensor
 
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.readings import usual_sample
-from diffsim.causes.signals import Grid
+from diffsim.causes.signals import Grid, accelerated
 from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
 from diffsim.systems.ode.applying import by_formulas, symbol
+from diffsim.systems.ode.joint_effects import current_of
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import Change, filled, named
 from diffsim.systems.ode.scene import OdeScene
@@ -30,6 +31,7 @@ def input_ways(library: Library) -> tuple[CommandGroup, ...]:
     """
     system, several = library.system, len(library.system.held) > 1
     units = {c.name: (c.unit, c.shown_unit) for c in library.study.commands}
+    is_electric = current_of(library.study.channels) is not None
     return tuple(
         CommandGroup(
             (name,),
@@ -38,7 +40,15 @@ def input_ways(library: Library) -> tuple[CommandGroup, ...]:
             library.scales.is_one_sided((name,)),
             f"_of_{name}" if several else "",
             *units.get(name, (None, None)),
-            facts=("unsure",) * (name in system.unsure) + ("assumed",) * (name in system.assumed),
+            facts=tuple(
+                fact
+                for fact, holds in (
+                    ("unsure", name in system.unsure),
+                    ("assumed", name in system.assumed),
+                    ("drives_current", is_electric and units.get(name, ("",))[0] == "V"),
+                )
+                if holds
+            ),
             sample_s=usual_sample(library.study.runs),
         )
         for name, held in system.held.items()
@@ -120,6 +130,44 @@ def come_slowly(name: str, own: str) -> Apply:
         starts={state: named(name)},
     )
     return by_formulas(change, symbol(own))
+
+
+def follow_profile(name: str, own: str, *, held: Mapping[str, bool]) -> Apply:
+    """An input that is a set point behind a profile: it is no longer held between samples.
+
+    Args:
+        name: Name of the input.
+        own: Name of the effect.
+        held: Whether inputs are held, by name.
+    """
+    other = f"{name} for {own}"
+    parts = {"u": named(name), "other": named(other), "size": named(symbol(own))}
+    change = Change(
+        names={name: filled(parse_expression("where(size, other, u)"), parts)}, inputs=(other,)
+    )
+    return partial(
+        _accelerate_input,
+        name=name,
+        other=other,
+        change=change,
+        symbol=symbol(own),
+        is_held=held[name],
+    )
+
+
+def _accelerate_input(
+    scene: OdeScene,
+    size: Tensor,
+    run: Run,
+    *,
+    name: str,
+    other: str,
+    change: Change,
+    symbol: str,
+    is_held: bool,
+) -> OdeScene:
+    values = accelerated(scene.inputs[name], scene.grid, size[..., 0], size[..., 1], held=is_held)
+    return scene.with_further_input(other, values, change, {symbol: size[..., 0]})
 
 
 def drift_in_order(name: str, own: str) -> Apply:

@@ -92,6 +92,8 @@ def _list_letters(
         "hard": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
         "loss": filled(parse_expression("exp(stop_loss)"), own),
     }
+    if place.force is not None:
+        out["load"] = named(place.force)
     width = "width" if place.stick_velocity else f"width*{sticking(place)}"
     stop = f"min(hard, {STOP_LIMIT / library.system.step**2!r}*inertia)"
     return out | {

@@ -30,7 +30,7 @@
     const place = (y) => across.indexOf(start((layout[y].anchor ?? "x").replace("x", "xaxis")));
     const panels = [...ys].sort((a, b) => start(b) - start(a) || place(a) - place(b));
     const out = { ...layout, margin, height: layout.height * across.length };
-    const inside = (height) => height - margin.t - margin.b, gap = 60 / inside(out.height);
+    const inside = (height) => height - margin.t - margin.b, gap = 84 / inside(out.height);
     const tall = (1 - gap * (panels.length - 1)) / panels.length, titles = out.annotations ?? [];
     const moved = [];
     panels.forEach((y, k) => {

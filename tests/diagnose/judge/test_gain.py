@@ -164,5 +164,7 @@ def test_a_gain_that_own_values_pay_for_is_not_confirmed():
     assert (sure.status, bought.status) == ("confirmed", "not confirmed")
     assert bought.words.endswith("a value fitted to these runs is 5 sd from what is stated.")
     row = ErrorRow("a", "position", "mm", 2.0, 1.1, 1.0, 100, 1)
-    assert "is 5 sd from" in judged_headline([row], bought, extended=True)
+    assert "with a value 5 sd from what is stated no gain" in judged_headline(
+        [row], bought, extended=True
+    )
     assert "Not certain" not in judged_headline([row], sure, extended=True)

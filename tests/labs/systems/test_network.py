@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.checks.gradients import GRADIENT_RTOL
@@ -122,6 +123,12 @@ def test_dissipation_of_the_unit_flows_is_their_resistance():
         energy = 5e-3 * unit.energy[on_grid.groups.after_pump].sum(0)
         errors.append(float((energy / unit.resistance - 1.0).abs().max()))
     assert errors[1] < 0.5 * errors[0] and errors[1] < 0.03
+
+
+def test_a_closed_branch_cannot_be_simulated():
+    coarse = UnitFlowTable(table().device, 2.0, corrected=False)
+    with pytest.raises(DiffsimError, match="leave an outlet without flow"):
+        coarse.simulated(0.0, 0.0, (0.0, 1.5, 0.0))
 
 
 @pytest.mark.parametrize("parts", [

@@ -159,6 +159,9 @@ def test_joints_of_several_axes_are_damped_in_all_and_start_by_their_entries():
     want = Mjcf(damped, channels).predict(start, run)
     found = Mjcf(text, channels).predict(start | {"joint.elbow.damping": 0.3}, run)
     np.testing.assert_allclose(found, want, atol=1e-9)
+    turned = {f"joint.elbow.start[{k}]": x for k, x in enumerate((0.1, -0.7, 0.5, 0.5))}
+    read = Mjcf(text, {"angle_rad": "b[1]", "rate_rad_s": "b[3]"}).predict(turned, run)
+    np.testing.assert_allclose(read[0], [-0.7, 0.5], atol=1e-12)
     with pytest.raises(ValueError, match=r"has 4 numbers; name one, start\[0\] to \[3\]"):
         Mjcf(text, channels).predict({"joint.elbow.start": 0.1}, run)
 

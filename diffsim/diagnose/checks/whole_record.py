@@ -1,0 +1,168 @@
+"""Columns in another unit, or exchanged: only a model can tell, and is asked where it is far off.
+
+The model simulates the beginning of some runs at its priors, as they are and with a column changed.
+A column is at fault where that alone brings the model from far off to near, and where its numbers,
+moved as far as they may, do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, islice, product
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from diffsim.core.unit_slips import UNIT_SLIPS
+from diffsim.data.study import Run, Study
+from diffsim.data.study_check import Problem
+from diffsim.identify.model import SimModel
+from diffsim.identify.setup import DiagnosisSetup
+
+RULE = "columns"
+FAR = 0.5  # of the squares of a channel, that the model leaves where it is far off
+NEAR = 0.02  # of them, that it leaves with the right unit: a gain of that size is rare
+NEAR_EXCHANGED = 0.15  # likewise with the right columns: two channels come near at once
+RUNS, ROWS = 2, 600  # that are simulated, of the beginning
+MOST_WAYS = 300  # changes that are tried
+MOST_NUMBERS = 40  # of the model, that are moved
+FAR_SDS = 3.0  # of numbers: how far they may move
+NUDGE = 0.01  # sd, for slopes
+STEPS = 3  # of their fit
+TWIN = 3.0  # times what the best leaves: others explain as much
+FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A record with some columns changed: scaled, or one in place of the other."""
+
+    where: str
+    says: str
+    remedy: str
+    scale: float
+    names: tuple[str, ...]
+
+    def of(self, run: Run, channels: Sequence[str]) -> Run:
+        """The run with its columns as they should be."""
+        signals = {**run.command, **dict(zip(channels, run.measured.T, strict=True))}
+        changed = dict(zip(self.names, reversed([signals[n] for n in self.names]), strict=True))
+        signals |= {name: self.scale * values for name, values in changed.items()}
+        measured = np.stack([signals[name] for name in channels], axis=1)
+        return replace(
+            run, command={name: signals[name] for name in run.command}, measured=measured
+        )
+
+
+def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
+    """Columns in another unit, or exchanged, as whole-record rows.
+
+    Args:
+        study: Study with the description; only systems of formulas are asked.
+        setup: What the description made.
+    """
+    if (study.model or {}).get("system") not in FORMULAS:
+        return
+    runs = [run.part(slice(ROWS)) for run in study.fit_runs if len(run.time_s) > 2][:RUNS]
+    model, q = setup.model, setup.model.at_prior()
+    asked = _Asked(model, study, runs)
+    if not runs or not (asked.left(q, runs) > FAR).any():
+        return
+    names = [channel.name for channel in study.channels]
+    found = []
+    for way in islice(_ways(study, runs), MOST_WAYS):
+        left = asked.left(q, [way.of(run, names) for run in runs]).max()
+        if left <= (NEAR if len(way.names) == 1 else NEAR_EXCHANGED):
+            found.append((float(left), way))
+    if not found or asked.numbers_explain(q):
+        return
+    found.sort(key=lambda pair: pair[0])
+    best, first = found[0]
+    twins = [way for left, way in found[1:] if left <= TWIN * max(best, 1e-3)]
+    beside = f" (as well: {'; '.join(way.says for way in twins[:2])})" if twins else ""
+    yield Problem("error", first.where, f"{first.says}{beside}: {first.remedy}", RULE)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The plain model, asked how much of the squares of each channel it leaves."""
+
+    model: SimModel
+    study: Study
+    runs: Sequence[Run]
+
+    def left(self, q: torch.Tensor, runs: Sequence[Run]) -> NDArray[np.float64]:
+        """Share that is left of each channel, (num_channels,); inf where there is no number.
+
+        Args:
+            q: Standardized base parameters.
+            runs: Parts of runs, as recorded or changed.
+        """
+        with torch.no_grad():
+            predicted = [self.model.predict(run, q).numpy() for run in runs]
+        out = []
+        for i in range(len(self.study.channels)):
+            y = np.concatenate([run.measured[:, i] for run in runs])
+            off = y - np.concatenate([p[:, i] for p in predicted])
+            seen = np.isfinite(y)
+            total = float(np.var(y[seen])) if seen.any() else 0.0
+            share = float(np.mean(off[seen] ** 2)) / total if total > 0.0 else 0.0
+            out.append(share if np.isfinite(share) else np.inf)
+        return np.array(out)
+
+    def numbers_explain(self, q: torch.Tensor) -> bool:
+        """Whether the numbers of the model, moved as far as they may, bring it to half the way:
+        a few steps of Gauss and Newton, each held within ``FAR_SDS``."""
+        at, which = q.clone(), range(min(len(q), MOST_NUMBERS))
+        measured = np.concatenate([run.measured for run in self.runs])
+        weight = 1.0 / np.maximum(np.nanstd(measured, axis=0), 1e-300)
+        seen = np.isfinite(measured)
+        for _ in range(STEPS if len(which) else 0):
+            plain, ways = self._predict(at), []
+            for k in which:
+                moved = at.clone()
+                moved[k] += NUDGE
+                ways.append(((self._predict(moved) - plain) * weight)[seen] / NUDGE)
+            off = ((measured - plain) * weight)[seen]
+            if not (np.isfinite(off).all() and np.isfinite(ways).all()):
+                return False
+            step = np.linalg.lstsq(np.stack(ways, axis=1), off, rcond=None)[0]
+            at[: len(which)] += torch.from_numpy(step)
+            at = torch.minimum(torch.maximum(at, q - FAR_SDS), q + FAR_SDS)
+            if not (self.left(at, self.runs) > FAR).any():
+                return True
+        return False
+
+    def _predict(self, q: torch.Tensor) -> NDArray[np.float64]:
+        with torch.no_grad():
+            return np.concatenate([self.model.predict(run, q).numpy() for run in self.runs])
+
+
+def _ways(study: Study, runs: Sequence[Run]) -> Iterator[_Way]:
+    """Changes of columns: exchanges first, then units, commands before channels."""
+    commands = [n for n, values in runs[0].command.items() if len(values) == len(runs[0].time_s)]
+    channels = [channel.name for channel in study.channels]
+    for role, names in (("command", commands), ("channel", channels)):
+        for a, b in combinations(names, 2):
+            yield _Way(
+                f"{role} {a}",
+                f"its column and that of {role} {b} are exchanged, as the model sees it",
+                f"`column:` of {role} {a} names the column of {b}, and the other way round",
+                1.0,
+                (a, b),
+            )
+    for slip, (role, names) in product(UNIT_SLIPS, (("command", commands), ("channel", channels))):
+        for name, scale in product(names, (1.0 / slip.ratio, slip.ratio)):
+            yield _Way(
+                f"{role} {name}",
+                f"it is in another unit, by {slip.words}: {role} {name} times {scale:.6g} is what "
+                "the model expects",
+                f"`unit:` of {role} {name} states that of the file, or `scale: {scale:.6g}`",
+                scale,
+                (name,),
+            )
+
+
+__all__ = ["column_problems"]

@@ -1,0 +1,264 @@
+"""Causes inside a described mechanism: a drive that is not stiff, torque that comes late, more."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+from torch import Tensor
+
+from diffsim.causes.signals import delayed, held_delayed
+from diffsim.core.expression import Expression, parse_expression
+from diffsim.data.study import Channel, Run
+from diffsim.identify.effect import Apply
+from diffsim.systems.ode.applying import by_formulas, symbol
+from diffsim.systems.ode.keys import Place
+from diffsim.systems.ode.library import Library
+from diffsim.systems.ode.network import READING, Change, Network, filled, named
+from diffsim.systems.ode.scene import OdeScene, at_start
+
+SHARE, LOSS = "share", "loss"  # shapes of a coupling, by the names of its row
+_SHARE = "1/(1 + exp(-min(max(share, -20), 20)))"  # of the inertia that is behind the coupling
+_USUAL_LOSS = 0.02  # damping ratio of a coupling, times e^loss
+# squares of a coupling's frequency by a step: what an explicit step follows
+_QUICKEST = 4.0
+_DELAY = 1.5  # steps: what delays less is said by its slope alone
+_SIGN = 0.02  # of a current's range: within it its sign fades
+
+_COUPLING = {
+    "part": _SHARE,
+    "behind": "part*inertia",
+    "before": "(1 - part)*inertia",
+    # a coupling that a step cannot follow is stiff: then both inertias move as one
+    "stiff": f"step**2/({_QUICKEST}*part*(1 - part)*inertia)",
+    "soft": "sqrt(size**2 + stiff**2)",
+    "blend": "size**2/(size**2 + stiff**2)",
+    "damping": f"2*{_USUAL_LOSS}*exp(loss)*sqrt(behind/soft)",
+    "pull": "(x - y)/soft + damping*(v - u)",
+    "lighter": "1 - blend + blend/(1 - part)",
+}
+
+
+def elastic_coupling(library: Library, place: Place, name: str) -> Apply:
+    """A coupling of some compliance between the drive and what is read.
+
+    What was described is before the coupling, and has the drive's share of the inertia; the rest is
+    behind it, and is read.
+
+    Args:
+        library: Names and magnitudes of the system.
+        place: Where it moves.
+        name: Name of the effect.
+    """
+    y, u = f"place behind {name}", f"speed behind {name}"
+    known = {
+        "x": named(place.position),
+        "v": named(place.velocity),
+        "y": named(y),
+        "u": named(u),
+        "size": named(symbol(name)),
+        "step": parse_expression(repr(library.system.step)),
+        SHARE: named(f"{SHARE} of {name}"),
+        LOSS: named(f"{LOSS} of {name}"),
+        "inertia": parse_expression(place.inertia, library.system.known),
+    }
+    for letter, text in _COUPLING.items():
+        known[letter] = filled(parse_expression(text), known)
+    behind = {place.position: known["y"], place.velocity: known["u"]}
+    change = Change(
+        rates={place.velocity: filled(parse_expression("-blend*pull/(before*lighter)"), known)},
+        factors={place.velocity: known["lighter"]},
+        states={y: named(u), u: filled(parse_expression("pull/behind"), known)},
+        starts={y: named(at_start(place.position)), u: named(at_start(place.velocity))},
+        readings=_read_behind(library.system.network, behind, known["blend"]),
+    )
+    return by_formulas(change, symbol(name), f"{SHARE} of {name}", f"{LOSS} of {name}")
+
+
+def _read_behind(
+    network: Network, behind: Mapping[str, Expression], blend: Expression
+) -> dict[str, Expression]:
+    """Readings of what other states stand for, as far as they are blended in."""
+    out = {}
+    for channel, formula in network.readings.items():
+        plain = written_out(formula, network)
+        if set(plain.names) & set(behind):
+            parts = {"old": plain, "new": filled(plain, behind), "blend": blend}
+            more = {"more": filled(parse_expression("blend*(new - old)"), parts)}
+            out[channel] = filled(parse_expression(f"{READING} + more"), more)
+    return out
+
+
+def written_out(formula: Expression, network: Network) -> Expression:
+    """A formula with all definitions in it written out."""
+    while names := set(formula.names) & network.definitions.keys():
+        formula = filled(formula, {name: network.definitions[name] for name in names})
+    return formula
+
+
+def coupling_in_words(inertia: float, name: str, size: float, values: Mapping[str, float]) -> str:
+    """A coupling by the frequency at which what is behind it swings.
+
+    Args:
+        inertia: Inertia of both sides.
+        name: Name of the effect.
+        size: Its compliance.
+        values: Base parameters by name.
+    """
+    part = 1.0 / (1.0 + math.exp(-values.get(f"{SHARE}_of_{name}", 0.0)))
+    square = part * (1.0 - part) * inertia * size
+    if square <= 0.0:
+        return "a stiff coupling"
+    return f"an elastic coupling that swings at {0.5 / math.pi / math.sqrt(square):.3g} Hz"
+
+
+def late_inside(library: Library, definition: str, name: str) -> Apply:
+    """A definition that acts later, such as the torque of a controller.
+
+    Commands in it are late exactly. States, which do not jump, pass a rational function of second
+    order (Pade), true to the third power of frequency; where the integrator's steps could not
+    follow it, its poles are slower, and it is true to the second power.
+
+    Args:
+        library: Names and magnitudes of the system.
+        definition: Name of the definition.
+        name: Name of the effect.
+    """
+    network = library.system.network
+    plain = written_out(network.definitions[definition], network)
+    size = named(symbol(name))
+    tau = filled(
+        parse_expression(f"sqrt(size**2 + {_DELAY * library.system.step!r}**2)"), {"size": size}
+    )
+    late, states = dict[str, Expression](), dict[str, Expression]()
+    starts = dict[str, Expression]()
+    inputs = [n for n in plain.names if n in network.inputs]
+    for state in (n for n in plain.names if n in network.rates):
+        a, b = (f"{place} of {state} for {name}" for place in ("first", "second"))
+        known = {"u": named(state), "a": named(a), "b": named(b), "size": size, "tau": tau}
+        for letter, text in (("r", "size/tau"), ("c", "6*(u - a) - 4*b")):
+            known[letter] = filled(parse_expression(text), known)
+        late[state] = filled(parse_expression("a + (2/3 - r)*b + (1/6 - r*2/3 + r**2/2)*c"), known)
+        states |= {
+            a: filled(parse_expression("b/tau"), known),
+            b: filled(parse_expression("c/tau"), known),
+        }
+        starts[a] = named(at_start(state))
+    known = {
+        # what other causes add to it, such as friction, comes in time
+        "now": named(definition),
+        "plain": plain,
+        "late": filled(plain, late | {n: named(f"{n} for {name}") for n in inputs}),
+        "size": size,
+    }
+    change = Change(
+        names={definition: filled(parse_expression("now + where(size, late - plain, 0)"), known)},
+        states=states,
+        starts=starts,
+        inputs=tuple(f"{n} for {name}" for n in inputs if not network.inputs[n]),
+        held_inputs=tuple(f"{n} for {name}" for n in inputs if network.inputs[n]),
+    )
+    return partial(_come_late, inputs=inputs, name=name, change=change, held=network.inputs)
+
+
+def _come_late(
+    scene: OdeScene,
+    size: Tensor,
+    run: Run,
+    *,
+    inputs: Sequence[str],
+    name: str,
+    change: Change,
+    held: Mapping[str, bool],
+) -> OdeScene:
+    late = {
+        f"{n} for {name}": (held_delayed if held[n] else delayed)(
+            scene.inputs[n], scene.grid, size[..., 0]
+        )
+        for n in inputs
+    }
+    further = scene.changed(further={**scene.further, **late})
+    return further.with_change(change, {symbol(name): size[..., 0]})
+
+
+def closed_loops(network: Network) -> tuple[str, ...]:
+    """Definitions that name an input and hang on a state: controllers."""
+    return tuple(
+        name
+        for name, formula in network.definitions.items()
+        if set(formula.names) & set(network.inputs)
+        and set(written_out(formula, network).names) & set(network.rates)
+    )
+
+
+def loses_by_sign(command: str, name: str, *, library: Library, channel: Channel) -> Apply:
+    """A voltage that is less in the direction of the current, as an inverter's dead time makes it.
+
+    Args:
+        command: Name of the voltage.
+        name: Name of the effect.
+        library: Names and magnitudes of the system.
+        channel: Channel that shows the current.
+    """
+    network = library.system.network
+    width = library.scales.of_channels((channel.name,))["width"]
+    parts = {
+        "u": named(command),
+        "size": named(symbol(name)),
+        "i": written_out(network.readings[channel.name], network),
+    }
+    formula = parse_expression(f"u - size*tanh(i/{_SIGN * width!r})")
+    return by_formulas(Change(names={command: filled(formula, parts)}), symbol(name))
+
+
+def current_of(channels: tuple[Channel, ...]) -> Channel | None:
+    """The one channel that shows a current; None: there is none, or several."""
+    found = [c for c in channels if c.unit == "A"]
+    return found[0] if len(found) == 1 else None
+
+
+def pose_of(channels: tuple[Channel, ...]) -> tuple[Channel, Channel, Channel] | None:
+    """Channels that show x, y and heading of a body in the plane; None: not just these."""
+    places = {c.name[0].lower(): c for c in channels if c.unit == "m" and c.name[0] in "xyXY"}
+    turns = [c for c in channels if c.unit == "rad"]
+    is_plane = set(places) == {"x", "y"} and sum(c.unit == "m" for c in channels) == 2
+    return (places["x"], places["y"], turns[0]) if is_plane and len(turns) == 1 else None
+
+
+def away_from_center(network: Network, pose: tuple[Channel, Channel, Channel], name: str) -> Apply:
+    """A marker that is ahead of the reference point, and to its left.
+
+    Args:
+        network: Formulas of the system.
+        pose: Channels of x, y and heading.
+        name: Name of the effect.
+    """
+    x, y, turn = (channel.name for channel in pose)
+    ahead, aside = f"{symbol(name)} ahead", f"{symbol(name)} aside"
+    parts = {
+        "h": written_out(network.readings[turn], network),
+        "ahead": named(ahead),
+        "aside": named(aside),
+        READING: named(READING),
+    }
+    change = Change(
+        readings={
+            x: filled(parse_expression(f"{READING} + ahead*cos(h) - aside*sin(h)"), parts),
+            y: filled(parse_expression(f"{READING} + ahead*sin(h) + aside*cos(h)"), parts),
+        }
+    )
+    return by_formulas(change, ahead, aside)
+
+
+__all__ = [
+    "away_from_center",
+    "closed_loops",
+    "coupling_in_words",
+    "current_of",
+    "elastic_coupling",
+    "late_inside",
+    "loses_by_sign",
+    "pose_of",
+    "written_out",
+]

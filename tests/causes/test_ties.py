@@ -1,0 +1,135 @@
+"""What several members have alike: ties, exchanges, a bus; rows of drives against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.causes.signals import Grid, accelerated, held_accelerated, late_from_rest
+from diffsim.causes.ties import tie
+from diffsim.data.study import Channel, Command, Run, Study
+from diffsim.identify import fit
+from diffsim.systems.registry import setup_of
+from labs.search_compare.drives import DRIVES
+
+T = 0.01 * np.arange(120)
+MODEL = {
+    "system": "ode",
+    "inputs": [{"name": f"u{k}", "held": False} for k in range(3)],
+    "states": {f"q{k}": 0 for k in range(3)},
+    "rates": {f"q{k}": f"20*(u{k} - q{k})" for k in range(3)},
+    "readings": {f"y{k}": f"q{k}" for k in range(3)},
+    "parameters": {"unused": {"value": 1.0, "percent": 5}},
+}
+
+
+def study(units=("rad", "rad", "rad")):
+    """Three joints that follow their commands, of which the third has another unit or not."""
+    rng = np.random.default_rng(0)
+    runs = []
+    for n in range(3):
+        u = {f"u{k}": np.sin((k + 1.0 + n) * T) * (T > 0.1) for k in range(3)}
+        runs.append(Run(f"r{n}", T, rng.normal(size=(120, 3)), u, f"r{n}", n, "fit"))
+    channels = tuple(Channel(f"y{k}", "rad", "angle", 1e-3) for k in range(3))
+    commands = tuple(Command(f"u{k}", unit) for k, unit in enumerate(units))
+    return Study("joints", "ode", channels, tuple(runs), commands=commands, model=MODEL)
+
+
+def shown(setup, run, *sizes):
+    """Channels with causes at sizes."""
+    given = {e: torch.tensor([size], dtype=torch.float64) for e, size in sizes}
+    return setup.model.predict(run, setup.model.at_prior(), given)
+
+
+@pytest.fixture(scope="module")
+def joints():
+    made = study()
+    setup = setup_of(made)
+    return made.runs[0], setup, {e.name: e for e in setup.effects}
+
+
+@pytest.mark.parametrize("row", ["delay", "command_gain", "dead_band"])
+def test_a_tie_is_its_members_with_one_size(joints, row):
+    run, setup, known = joints
+    whole = known[f"{row}_of_all_commands"]
+    assert whole.members == tuple(f"{row}_of_u{k}" for k in range(3))
+    each = [(known[name], whole.typical) for name in whole.members]
+    both = shown(setup, run, (whole, whole.typical))
+    torch.testing.assert_close(both, shown(setup, run, *each), rtol=1e-12, atol=1e-12)
+    some = tie([known[name] for name in whole.members[:2]], "some")
+    torch.testing.assert_close(
+        shown(setup, run, (some, whole.typical)), shown(setup, run, *each[:2]), rtol=1e-12, atol=0
+    )
+
+
+def test_sizes_are_tied_by_their_unit_and_times_whatever_they_delay():
+    names = {e.name for e in setup_of(study(("rad", "rad", "N m"))).effects}
+    assert {"delay_of_all_commands", "command_gain_of_all_commands_in_rad"} <= names
+    assert "command_gain_of_all_commands" not in names
+    assert {n for n in names if n.startswith("exchanged")} == {"exchanged_of_u0_and_u1"}
+    with pytest.raises(ValueError, match="two causes or more"):
+        tie([], "none")
+
+
+def test_exchanged_commands_and_channels_are_each_others(joints):
+    run, setup, known = joints
+    plain = shown(setup, run)
+    for name in ("exchanged_of_u0_and_u2", "sensor_exchanged_of_y0_and_y2"):
+        found = shown(setup, run, (known[name], 1.0))
+        torch.testing.assert_close(found, plain[:, [2, 1, 0]], rtol=1e-12, atol=1e-12)
+
+
+def test_the_age_of_readings_grows_along_the_bus(joints):
+    run, setup, known = joints
+    plain, found = shown(setup, run), shown(setup, run, (known["bus_age"], 0.02))
+    for k in range(3):  # of two samples more from one to the next
+        torch.testing.assert_close(found[2 * k :, k], plain[: 120 - 2 * k, k], rtol=0, atol=1e-12)
+
+
+def test_a_profile_is_that_of_constant_acceleration():
+    grid, a, v = Grid.even(400, 0.01), 2.0, 1.0
+    step = torch.ones(400, dtype=torch.float64)
+    step[0] = 0.0
+    t = grid.times - 0.01
+    place = accelerated(step, grid, torch.tensor(1 / a), torch.tensor(v**2 / a), held=True)
+    ways = [0.5 * a * t**2, 0.25 + v * (t - 0.5), 1.0 - 0.5 * a * (1.5 - t) ** 2]
+    expected = torch.where(t < 0.5, ways[0], torch.where(t < 1.0, ways[1], ways[2]))
+    expected = torch.where(t < 0, 0.0, torch.where(t > 1.5, 1.0, expected))
+    torch.testing.assert_close(place, expected.double(), rtol=0, atol=1e-3)
+    u = torch.from_numpy(np.random.default_rng(1).normal(size=12).cumsum()).requires_grad_()
+    size = torch.tensor([0.02, 0.3], dtype=torch.float64)
+    for held in (True, False):  # compiled as torch has it
+        way = torch.tensor(0.5, dtype=torch.float64)
+        with_slopes = accelerated(u, Grid.even(12, 0.1), size, way, held=held)
+        without = accelerated(u.detach(), Grid.even(12, 0.1), size, way, held=held)
+        torch.testing.assert_close(with_slopes.detach(), without, rtol=1e-9, atol=1e-12)
+    none = torch.zeros(2, dtype=torch.float64)
+    assert torch.equal(held_accelerated(u.detach(), Grid.even(12, 0.1), none), u.expand(2, 12))
+
+
+def test_a_wait_from_rest_delays_what_leaves_zero_and_nothing_else():
+    u = torch.tensor([0, 0, 0, 1, 1, 1, 2, 2, 0, 0, 0, 3, 3.0, 3.0], dtype=torch.float64)
+    late = late_from_rest(u, Grid.even(14, 0.1), torch.tensor(0.15, dtype=torch.float64))
+    wanted = [0, 0, 0, 0, 0.5, 1, 2, 2, 0, 0, 0, 0, 1.5, 3.0]
+    torch.testing.assert_close(late, torch.tensor(wanted, dtype=torch.float64), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rig", "cause", "limit"),
+    [("elastic", "elastic_coupling_at_joint", 1.1), ("late_torque", "delay_inside_motor", 1.4)],
+)
+def test_rows_of_joints_leave_the_noise_of_rigs_that_others_integrated(rig, cause, limit):
+    made = DRIVES[rig].record(0, False)
+    setup = setup_of(made)
+    effect = next(e for e in setup.effects if e.name == cause)
+
+    found = fit(
+        setup.model, made.fit_runs[:3], made.channels, effects=[effect],
+        start=np.r_[np.zeros(len(setup.model.base)), 0.7], max_evaluations=15,
+    )  # fmt: skip
+    left = [
+        run.measured - found.problem.predict(run, torch.from_numpy(found.x)).detach().numpy()
+        for run in made.fit_runs[:3]
+    ]
+    assert np.sqrt(np.mean(np.concatenate(left) ** 2)) < limit * made.channels[0].sd
