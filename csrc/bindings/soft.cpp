@@ -32,6 +32,7 @@ void bind_arrays(nb::module_& m) {
       .def_rw("rtol", &StepOptions::rtol)
       .def_rw("atol", &StepOptions::atol)
       .def_rw("max_iters", &StepOptions::max_iters)
+      .def_rw("keep", &StepOptions::keep)
       .def_rw("method", &StepOptions::method);
   nb::enum_<StepMethod>(m, "StepMethod")
       .value("auto", StepMethod::kAuto)

@@ -32,11 +32,13 @@ LINEAR_HINT = "halve dt, or take method='auto', which follows a body through buc
 ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"
 
 
-def step_options(method: str, *, rtol: float, max_iters: int, atol: float = 0.0) -> object:
-    """Solver and tolerances as kernels take them."""
+def step_options(
+    method: str, *, rtol: float, max_iters: int, atol: float = 0.0, keep: bool = False
+) -> object:
+    """Solver and tolerances as kernels take them; whether a step is kept for its adjoint."""
     options = core.StepOptions()
     options.method = getattr(core.StepMethod, method)
-    options.rtol, options.atol, options.max_iters = rtol, atol, max_iters
+    options.rtol, options.atol, options.max_iters, options.keep = rtol, atol, max_iters, keep
     return options
 
 
@@ -70,6 +72,8 @@ class BoundStep:
         handle: Of the body's prepared solvers.
         method, preconditioner, rtol, atol, max_iters, num_threads, on_failure, adjoint_rtol,
             adjoint_max_iters: As in ``SolverOptions``; those of the adjoint serve tangents.
+        keep: Whether adjoints are likely to follow: linearly implicit steps of small bodies
+                keep their factors for them.
     """
 
     def __init__(
@@ -86,6 +90,7 @@ class BoundStep:
         on_failure: str,
         adjoint_rtol: float,
         adjoint_max_iters: int,
+        keep: bool = False,
     ):
         self._context = context(handle, arrays.tables)
         self._batch = arrays.y.shape[0]
@@ -94,7 +99,7 @@ class BoundStep:
         arrays.require_shapes({n: s for n, s in shapes.items() if n not in self._moving})
         self._shared = {n: getattr(arrays, n) for n in shapes if n not in self._moving}
         self._system = self._context.system(arrays, num_threads, method, preconditioner)
-        self._options = step_options(method, rtol=rtol, atol=atol, max_iters=max_iters)
+        self._options = step_options(method, rtol=rtol, atol=atol, max_iters=max_iters, keep=keep)
         self._max_iters, self._num_threads, self._on_failure = max_iters, num_threads, on_failure
         self._method, self._adjoint_rtol = method, adjoint_rtol
         self._adjoint_max_iters = adjoint_max_iters
@@ -167,7 +172,7 @@ class BoundStep:
 
 def _step(call: Call) -> None:
     arrays = StepArrays.of(call)
-    call["x"], call["stats"] = BoundStep(arrays, **call.options)(arrays)
+    call["x"], call["stats"] = BoundStep(arrays, **call.options, keep=True)(arrays)
 
 
 def system_of(call: Call, **choice: bool) -> dict[str, Any]:

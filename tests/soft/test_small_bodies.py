@@ -46,6 +46,18 @@ def test_answers_and_gradients_are_those_of_the_general_factor(kind):
         torch.testing.assert_close(a, b, rtol=1e-8, atol=1e-9)
 
 
+def test_an_adjoint_goes_on_by_the_factor_of_its_step():
+    """The first who asks finds it and takes it, the second makes it again: the same bits."""
+    body, state, leaves = bars("hex", "linearly_implicit")
+    with soft.record_stats() as solves:
+        end = body(body(state)).x
+        loss = (noise(*end.shape, seed=3) * end).sum()
+        grads = [torch.autograd.grad(loss, leaves, retain_graph=True) for _ in range(2)]
+    made = [s.num_factorizations.unique().tolist() for s in solves]
+    assert made == [[1.0], [1.0], [0.0], [0.0], [1.0], [1.0]]
+    assert all(torch.equal(a, b) for a, b in zip(*grads, strict=True))
+
+
 def test_a_member_that_buckles_leaves_the_others_as_they_are():
     body, state, _ = bars("hex", "auto")
     x = state.x.detach().clone()

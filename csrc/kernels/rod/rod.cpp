@@ -25,8 +25,8 @@ std::array<std::int64_t, kNumFields + 1> field_places(const Body& body) {
 namespace {
 
 constexpr double kMostTurn = 0.5;  // of all elements together in one step of Newton's method [rad]
-constexpr double kGain = 0.1;    // steps that shrink less than by this need slopes of their place
-constexpr double kLoose = 1e-3;  // tolerance on the way from no tension [rad]
+constexpr double kGain = 0.1;      // steps that shrink less than by this need slopes of their place
+constexpr double kLoose = 1e-3;    // tolerance on the way from no tension [rad]
 constexpr std::int64_t kTask = 16;  // members: a thread's share, half a millisecond
 constexpr double kFirstShare = 0.25, kLeastShare = 0.01;  // of the tension, in one step of that way
 

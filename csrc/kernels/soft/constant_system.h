@@ -95,6 +95,7 @@ class ConstantSystem {
   /// gets below it.
   double rounding_floor(const Vector& x) const;
   InverseColumns& inverse_columns() const { return inverse_columns_; }
+  KeptSteps& kept_steps() const { return kept_steps_; }
 
  private:
   struct AxisFactor {
@@ -109,6 +110,7 @@ class ConstantSystem {
   std::vector<AxisFactor> factors_;
   SolverPlan plan_;
   mutable InverseColumns inverse_columns_;
+  mutable KeptSteps kept_steps_;
 };
 
 }  // namespace diffsim

@@ -30,6 +30,7 @@ struct StepOptions {
   double rtol = 1e-6;  // of |inertia (y - mean y)| + |force|, see StepStats::scale
   double atol = 0.0;   // [N]
   int max_iters = 500;
+  bool keep = false;  // whether an adjoint is likely to follow
 };
 
 struct StepInputs {

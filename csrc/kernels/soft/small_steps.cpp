@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "kernels/soft/element_stage.h"
 #include "kernels/soft/linear_step.h"
 #include "kernels/soft/small_solver.h"
 #include "kernels/soft/step_search.h"
@@ -14,6 +15,49 @@ namespace {
 constexpr double kWorthFactor = 6.0;
 // Factors of one step, after which it is left to the solver of larger bodies.
 constexpr int kMostFactors = 4;
+// Memory of what steps leave to their adjoints: what is behind it is made again.
+constexpr std::size_t kMostKept = std::size_t{1} << 28;  // bytes
+
+/// All that the tangent of a step at x depends on but the system.
+Vector tangent_inputs(const ConstantSystem& system, const StepInputs& in, const double* x) {
+  const SoftModel& model = system.model();
+  const std::int64_t positions = 3 * model.num_nodes, fibers = model.fiber.num_elements;
+  Vector all;
+  const auto add = [&](const double* values, std::int64_t size) {
+    if (values) all.insert(all.end(), values, values + size);
+  };
+  add(x, positions);
+  add(in.parameters.weights, model.weights_size());
+  add(in.parameters.fiber_stiffness, fibers), add(in.parameters.activation, fibers);
+  add(in.parameters.damp_mu, model.solid.num_elements);
+  add(in.parameters.damp_lambda, model.solid.num_elements);
+  add(in.inertia, model.num_nodes);
+  if (in.parameters.damp_mu) add(in.x_frame, positions), add(in.x_velocity, positions);
+  return all;
+}
+
+/// Steps that may be kept of a system.
+std::size_t most_kept(const ConstantSystem& system) {
+  const SoftModel& model = system.model();
+  const SmallPattern& pattern = system.pattern().small()->pattern;
+  const auto blocks = at(pattern.num_blocks() + pattern.num_factor_blocks());
+  const std::size_t samples = elements::with_types(model, [&](auto, auto material) {
+    using M = decltype(material);
+    return at(model.solid.num_groups) * kParts * sizeof(typename M::template Sample<Native>);
+  });
+  return kMostKept / (blocks * SmallCholesky::kBlock * sizeof(double) + samples);
+}
+
+/// Leaves what a linearly implicit step computed at x to its adjoint.
+void keep(const ConstantSystem& system, const StepInputs& in, const double* x, StepProblem& problem,
+          std::unique_ptr<SmallCholesky> factor) {
+  KeptStep step;
+  step.of = tangent_inputs(system, in, x);
+  step.factor = std::move(factor);
+  step.samples.swap(problem.scratch().samples);
+  step.kept_at.swap(problem.scratch().kept_at);
+  system.kept_steps().keep(std::move(step), most_kept(system));
+}
 
 /// A step on its way.
 struct Search {
@@ -132,6 +176,7 @@ StepStats small_linear_step(const ConstantSystem& system, const StepInputs& in,
   if (s.result.converged) {
     linear.finish(s.z, x);
     note(s, stats);
+    if (options.keep) keep(system, in, in.guess, problem, solver.release());
     return stats;
   }
   stats = linear_step(system, in, options, x, pool);
@@ -147,7 +192,14 @@ StepStats small_adjoint(const ConstantSystem& system, const StepInputs& in,
   SmallSolver solver(system);
   const double* where = by_linear ? in.guess : x;
   const Vector answer(x, x + problem.size());
-  solver.assemble(problem, Vector(where, where + problem.size()));
+  KeptStep kept = system.kept_steps().take(tangent_inputs(system, in, where));
+  const bool is_factored = kept.factor != nullptr;
+  kept.samples.swap(problem.scratch().samples);
+  kept.kept_at.swap(problem.scratch().kept_at);
+  if (is_factored)
+    solver.adopt(std::move(kept.factor));
+  else
+    solver.assemble(problem, Vector(where, where + problem.size()));
   SmallSystem s;
   s.b.assign(grad_x, grad_x + problem.size());
   problem.zero_fixed(s.b);
@@ -162,6 +214,7 @@ StepStats small_adjoint(const ConstantSystem& system, const StepInputs& in,
     return stats;
   }
   note(s, stats);
+  stats.num_factorizations = is_factored ? 0.0 : 1.0;
   Vector rest(grad_x, grad_x + problem.size());
   problem.ops().add(-1.0, s.product, rest);
   if (by_linear)

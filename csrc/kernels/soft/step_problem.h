@@ -28,6 +28,7 @@ class StepProblem {
 
   std::size_t size() const { return size_; }
   VectorOps& ops() { return ops_; }
+  ElasticityScratch& scratch() { return memory_->elastic; }
   /// |inertia (y - mean y)| + |force| over free unknowns [N]: translation-invariant, and the norm
   /// that published implementations call the right-hand side.
   double scale() const { return scale_; }
