@@ -81,10 +81,7 @@ def cases_of(
     cases = []
     patterns = entry.file or (f"{entry.name}.csv",)
     for words in rows:
-        first, *further = [
-            _FIELD.sub(lambda m, words=words: words.get(m.group(1), m.group(0)), p)
-            for p in patterns
-        ]
+        first, *further = [_fill_in_known_words(p, words) for p in patterns]
         for path, found in _files(root, first, where, given):
             all_words = {**words, **found, "file": split_part(path)[0].stem}
             others = [
@@ -93,6 +90,10 @@ def cases_of(
             ]
             cases.append(RunFiles(where, entry, (path, *others), all_words))
     return cases, left_out
+
+
+def _fill_in_known_words(pattern: str, words: Mapping[str, str]) -> str:
+    return _FIELD.sub(lambda m: words.get(m.group(1), m.group(0)), pattern)
 
 
 def _resolve_file(root: Path, stated: str, where: str, given: Given) -> Path:
