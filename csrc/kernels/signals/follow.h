@@ -22,8 +22,8 @@ void follow(Follow how, std::int64_t num_rows, std::int64_t num_times, const dou
 /// A point that goes to its target with its acceleration limited, braking in time to stop there.
 ///
 /// `targets` and `out` are (num_rows, num_times), `steps` (num_times - 1), `most` and `fastest`
-/// (num_rows) the largest acceleration and speed. It begins at rest at the first target. Targets are
-/// `held` until the next time, or straight between times. Each step is divided into `kParts`.
+/// (num_rows) the largest acceleration and speed. It begins at rest at the first target. Targets
+/// are `held` until the next time, or straight between times. Each step is divided into `kParts`.
 void approach(std::int64_t num_rows, std::int64_t num_times, const double* targets,
               const double* steps, const double* most, const double* fastest, bool held,
               double* out);
