@@ -63,7 +63,7 @@ def beside_no_skill(found: Unseen, study: Study) -> tuple[ErrorRow, ...]:
             row = replace(
                 row, constant=_rms(run, own, lambda run, c: float(np.nanmean(run.measured[:, c])))
             )
-        if all(_commands_of(channel, study.commands) for _, channel in own):
+        if own and all(_commands_of(channel, study.commands) for _, channel in own):
             row = replace(row, command=_rms(run, own, _late_command(study)))
         out.append(row)
     return tuple(out)
