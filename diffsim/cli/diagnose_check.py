@@ -235,7 +235,9 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
         setup = setup_of(study)
     except (ValueError, KeyError, TypeError, OSError, DiffsimError) as error:
         return [Problem("error", "model", f"{type(error).__name__}: {error}")], ""
-    base, causes = setup.model.base, [e.name for e in setup.effects]
+    # a number of a cause's formula is only fitted beside the cause
+    base = [p for p in setup.model.base if not p.of_effect]
+    causes = [e.name for e in setup.effects]
     if study.faults is not None:
         try:
             take_apart(study, setup)

@@ -158,20 +158,20 @@ class Source(Part):
         return self
 
 
-class Limited(Source):
+class BoundedSource(Source):
     """A quantity with limits."""
 
     lower: Number | None = None
     upper: Number | None = None
 
     @model_validator(mode="after")
-    def _check_bounds(self) -> Limited:
+    def _check_bounds(self) -> BoundedSource:
         if self.lower is not None and self.upper is not None and not self.lower < self.upper:
             raise ValueError(f"lower must be below upper, got {self.lower:g} and {self.upper:g}")
         return self
 
 
-class ChannelEntry(Limited):
+class ChannelEntry(BoundedSource):
     """A measured quantity."""
 
     name: str = Field(description="Name that the model, reports and formulas use")
@@ -222,7 +222,7 @@ class ChannelEntry(Limited):
         return in_own_unit(given, {**ends, "sd": "difference", "offset": "difference"})
 
 
-class CommandEntry(Limited):
+class CommandEntry(BoundedSource):
     """A commanded quantity."""
 
     name: str = Field(description="Name that the model, reports and formulas use")

@@ -22,8 +22,8 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
 
 RULE = "columns"
-FAR = 0.5  # of the squares of a channel, that the model leaves where it is far off
-NEAR = 0.02  # of them, that it leaves with the right unit: a gain of that size is rare
+FAR_SHARE = 0.5  # of the squares of a channel, that the model leaves where it is far off
+NEAR_SHARE = 0.02  # of them, that it leaves with the right unit: a gain of that size is rare
 NEAR_EXCHANGED = 0.15  # likewise with the right columns: two channels come near at once
 RUNS, ROWS = 2, 600  # that are simulated, of the beginning
 MOST_WAYS = 300  # changes that are tried
@@ -68,16 +68,16 @@ def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
         return
     runs = [run.part(slice(ROWS)) for run in study.fit_runs if len(run.time_s) > 2][:RUNS]
     model, q = setup.model, setup.model.at_prior()
-    asked = _Asked(model, study, runs)
-    if not runs or not (asked.left(q, runs) > FAR).any():
+    plain = _PlainModel(model, study, runs)
+    if not runs or not (plain.left(q, runs) > FAR_SHARE).any():
         return
     names = [channel.name for channel in study.channels]
     found = []
     for way in islice(_ways(study, runs), MOST_WAYS):
-        left = asked.left(q, [way.of(run, names) for run in runs]).max()
-        if left <= (NEAR if len(way.names) == 1 else NEAR_EXCHANGED):
+        left = plain.left(q, [way.of(run, names) for run in runs]).max()
+        if left <= (NEAR_SHARE if len(way.names) == 1 else NEAR_EXCHANGED):
             found.append((float(left), way))
-    if not found or asked.numbers_explain(q):
+    if not found or plain.numbers_explain(q):
         return
     found.sort(key=lambda pair: pair[0])
     best, first = found[0]
@@ -87,7 +87,7 @@ def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _PlainModel:
     """The plain model, asked how much of the squares of each channel it leaves."""
 
     model: SimModel
@@ -134,7 +134,7 @@ class _Asked:
             step[: len(which)] = torch.from_numpy(found)
             tried = [(at + share * step).clamp(q - FAR_SDS, q + FAR_SDS) for share in SHARES]
             at = min(tried, key=lambda x: float(self.left(x, self.runs).max()))
-            if not (self.left(at, self.runs) > FAR).any():
+            if not (self.left(at, self.runs) > FAR_SHARE).any():
                 return True
         return False
 

@@ -118,7 +118,7 @@ class RodStatics:
         Raises:
             ConvergenceError: no equilibrium is found on the way from no tension.
         """
-        given = self._given(start, seen, offset)
+        given = self._op_arguments(start, seen, offset)
         strains, places, turns = _ops.rod_solve(
             **given, tolerance=float(tolerance), straight=straight
         )
@@ -134,11 +134,11 @@ class RodStatics:
 
     def survey(self, strains: Tensor) -> Survey:
         """What else is known of rods of given strains, (K, S, N, 3) [1/m]."""
-        given = self._given(strains.detach())
+        given = self._op_arguments(strains.detach())
         given["strains"] = given.pop("start")
         return Survey(*_ops.rod_survey(**given))
 
-    def _given(
+    def _op_arguments(
         self, start: Tensor, seen: RodPoints | None = None, offset: Tensor | None = None
     ) -> dict[str, Any]:
         """Arguments of an op, by name."""
