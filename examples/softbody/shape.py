@@ -183,13 +183,13 @@ def draw(moves: Tensor, path: str) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--evaluations", type=int, default=25)
-    parser.add_argument("--no-evolution", action="store_true")
-    parser.add_argument("--plot", metavar="FILE")
-    args = parser.parse_args()
     with interruptible():
+        parser = argparse.ArgumentParser(description=__doc__)
+        parser.add_argument("--seeds", type=int, default=3)
+        parser.add_argument("--evaluations", type=int, default=25)
+        parser.add_argument("--no-evolution", action="store_true")
+        parser.add_argument("--plot", metavar="FILE")
+        args = parser.parse_args()
         result = main(args.seeds, args.evaluations, HAS_CMA and not args.no_evolution)
         if args.plot:
             draw(result["moves"], args.plot)
