@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from scipy.interpolate import BSpline
 from torch import Tensor
 
 from diffsim.core.check import (
@@ -173,6 +172,8 @@ def _knots(count: int, degree: int) -> tuple[np.ndarray, int]:
 
 def _basis(unit: np.ndarray, knots: np.ndarray, degree: int) -> Tensor:
     """Values of all B-splines at places in [0, 1], (num_nodes, count)."""
+    from scipy.interpolate import BSpline  # dear to load
+
     return torch.from_numpy(BSpline.design_matrix(unit, knots, degree).toarray())
 
 

@@ -74,6 +74,7 @@ def held_step(body, data, state, active, physics):
         x_frame=empty,
         x_velocity=empty,
         pressure=none,
+        tables=empty,
     )
     guess = torch.where(active[nodes][:, None], 1.0, 0.0) * normal
     contacts = ContactArrays(
