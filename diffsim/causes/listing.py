@@ -135,11 +135,7 @@ def _list_single_commands(plant: Plant) -> Iterator[CommandGroup]:
 def _list_on_the_way(
     found: Sequence[Row], group: CommandGroup, plant: Plant
 ) -> Iterator[tuple[Row, Effect]]:
-    facts = {
-        "one_sided": group.is_one_sided,
-        "rests": plant.scales.rests(group.names),
-        **dict.fromkeys(group.facts, True),
-    }
+    facts = {"one_sided": group.is_one_sided, **dict.fromkeys(group.facts, True)}
     for row in found:
         if not is_offered(row, plant, facts):
             continue

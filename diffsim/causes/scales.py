@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.causes.signals import AT_ZERO
 from diffsim.data.study import Run, Study
 
 Array = NDArray[np.float64]
@@ -30,13 +29,11 @@ class CommandScale:
     Attributes:
         low, high: Least and greatest value.
         rate: What its rate of change mostly stays below [1/s].
-        rests: Whether it leaves zero within a run, after resting there.
     """
 
     low: float
     high: float
     rate: float
-    rests: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,14 +171,6 @@ class Scales:
         """
         return all(self.commands[name].low >= 0.0 for name in names if name in self.commands)
 
-    def rests(self, names: Sequence[str]) -> bool:
-        """Whether any of some commands leaves zero within a run, after resting there.
-
-        Args:
-            names: Names of the commands.
-        """
-        return any(self.commands[name].rests for name in names if name in self.commands)
-
     def of_channels(self, names: Sequence[str]) -> dict[str, float]:
         """Magnitudes of channels of one instrument, as tables of causes call them.
 
@@ -203,33 +192,20 @@ class Scales:
 
 
 def _command_scale(runs: Sequence[Run], name: str) -> CommandScale:
-    rates, seen, rests = [0.0], [np.zeros(0)], False
+    rates, seen = [0.0], [np.zeros(0)]
     for run in runs:
         if name not in run.command:
             continue
         values = np.asarray(run.command[name], dtype=np.float64)
         known = np.isfinite(values)
         seen.append(values[known])
-        rests = rests or leaves_zero(values[known])
         if known.sum() > 2:
             rate = np.abs(np.diff(values[known])) / np.diff(np.asarray(run.time_s)[known])
             rates.append(float(np.percentile(rate, _MOSTLY)))
     every = np.concatenate(seen)
     if not len(every):
         return CommandScale(0.0, 0.0, 0.0)
-    return CommandScale(float(every.min()), float(every.max()), max(rates), rests)
+    return CommandScale(float(every.min()), float(every.max()), max(rates))
 
 
-def leaves_zero(values: Array) -> bool:
-    """Whether a command leaves zero after resting there: at first, or for two samples.
-
-    Args:
-        values: The command at the samples of a run.
-    """
-    is_zero = np.abs(values) <= AT_ZERO * np.abs(values).max(initial=0.0)
-    rests = is_zero.copy()
-    rests[1:] &= is_zero[:-1]
-    return bool((rests[:-1] & ~is_zero[1:]).any())
-
-
-__all__ = ["SCALES", "CommandScale", "Scales", "leaves_zero"]
+__all__ = ["SCALES", "CommandScale", "Scales"]

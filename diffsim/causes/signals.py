@@ -26,7 +26,6 @@ _SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the m
 _NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
 _SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
 _PARTS = 16  # of a step, in which what accelerates goes on; kParts of csrc/kernels/signals
-AT_ZERO = 1e-3  # of the greatest value: a command below it rests
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,26 +391,6 @@ def _accelerate(u: Tensor, steps: Tensor, most: Tensor, fastest: Tensor, *, held
     return torch.stack(out, -1)
 
 
-def late_from_rest(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
-    """Nothing for ``delay``, () or (K,) [s], whenever a signal leaves zero; then the signal.
-
-    It rests where two samples in a row are zero, or the first one is. A run that begins with
-    another value moves already.
-    """
-    if _is_alone(grid):
-        return _alone(u, delay)
-    t, value = grid.times, u.detach()
-    is_zero = value.abs() <= AT_ZERO * value.abs().amax(-1, keepdim=True)
-    rests = is_zero.clone()
-    rests[..., 1:] &= is_zero[..., :-1]
-    # up to each time the last one at which it rests; -1: it has not rested yet
-    last = torch.where(rests, torch.arange(len(t)), -1).cummax(-1).values
-    begun = torch.where(last < 0, t[0] - _measure_beyond(t), t[(last + 1).clamp(max=len(t) - 1)])
-    steps = torch.cat([t.diff(), t.diff()[-1:]])
-    share = ((t + steps - begun - delay[..., None]) / steps).clamp(0.0, 1.0)
-    return torch.where(rests, u, u * share)
-
-
 def exchanged(u: Tensor, grid: Grid, share: Tensor) -> Tensor:
     """Two signals (..., 2, num_times), a ``share`` () or (K,) of each come in the other's place."""
     return u + share[..., None] * (u.flip(-2) - u)
@@ -568,7 +547,6 @@ MAPS: Mapping[str, Mapping[Between, SizedMap]] = MappingProxyType(
         "smoothly_delayed": dict.fromkeys(("held", "straight", "smooth"), smoothly_delayed),
         "lagged": {"held": held_lagged, "straight": lagged, "smooth": lagged},
         "in_steps": {"held": held_in_steps, "straight": in_steps, "smooth": in_steps},
-        "late_from_rest": dict.fromkeys(("held", "straight", "smooth"), late_from_rest),
         "accelerated": {
             "held": held_accelerated,
             "straight": accelerated,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes.signals import Grid, accelerated, held_accelerated, late_from_rest
+from diffsim.causes.signals import Grid, accelerated, held_accelerated
 from diffsim.causes.ties import tie
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.identify import fit
@@ -106,13 +106,6 @@ def test_a_profile_is_that_of_constant_acceleration():
         torch.testing.assert_close(with_slopes.detach(), without, rtol=1e-9, atol=1e-12)
     none = torch.zeros(2, dtype=torch.float64)
     assert torch.equal(held_accelerated(u.detach(), Grid.even(12, 0.1), none), u.expand(2, 12))
-
-
-def test_a_wait_from_rest_delays_what_leaves_zero_and_nothing_else():
-    u = torch.tensor([0, 0, 0, 1, 1, 1, 2, 2, 0, 0, 0, 3, 3.0, 3.0], dtype=torch.float64)
-    late = late_from_rest(u, Grid.even(14, 0.1), torch.tensor(0.15, dtype=torch.float64))
-    wanted = [0, 0, 0, 0, 0.5, 1, 2, 2, 0, 0, 0, 0, 1.5, 3.0]
-    torch.testing.assert_close(late, torch.tensor(wanted, dtype=torch.float64), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

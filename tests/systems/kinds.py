@@ -329,7 +329,6 @@ def why_not(row: Row, plant: Plant) -> str | None:
                 *facts,
                 *g.facts,
                 *(("one_sided",) if g.is_one_sided else ()),
-                *(("rests",) if plant.scales.rests(g.names) else ()),
             }
             for g in plant.ways
         ]

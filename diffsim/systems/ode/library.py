@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from diffsim.causes.scales import CommandScale, Scales, leaves_zero
+from diffsim.causes.scales import CommandScale, Scales
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.model import SimModel
@@ -174,11 +174,10 @@ def _widen_scale(known: CommandScale | None, scene: OdeScene, name: str) -> Comm
     steps = scene.grid.times.diff()
     rates = (u.diff(dim=-1).abs() / steps).numpy()
     rate = float(np.quantile(rates, 0.9)) if len(steps) else 0.0
-    rests = leaves_zero(u.numpy())
     if known is None:
-        return CommandScale(low, high, rate, rests)
+        return CommandScale(low, high, rate)
     ends = min(low, known.low), max(high, known.high)
-    return CommandScale(*ends, max(rate, known.rate), rests or known.rests)
+    return CommandScale(*ends, max(rate, known.rate))
 
 
 def _moves_at_first(scene: OdeScene, ranges: Mapping[str, tuple[float, float]]) -> bool:

@@ -267,7 +267,7 @@ def test_each_member_of_a_batch_is_itself_whatever_it_starts_from():
 @pytest.mark.cpu(12)  # ops of 21 inputs are checked and compiled by PyTorch
 def test_derivatives_of_an_equilibrium_are_those_of_differences():
     made = general(2, 2)
-    given = made._given(torch.zeros(2, 6, 3, dtype=F64), made.points, made.points.offset)
+    given = made._op_arguments(torch.zeros(2, 6, 3, dtype=F64), made.points, made.points.offset)
     given |= {"tolerance": 1e-12, "straight": False, "num_threads": 1}
     args = [given[name] for name in _ops.rod_solve.arguments]
     factors = [torch.ones_like(given[name]).requires_grad_() for name in _ops.FIELDS]
