@@ -199,18 +199,30 @@ def test_only_one_file_draws_bars():
 
 def test_a_diagnosis_never_goes_back_is_full_at_the_end_alone_and_ticks(monkeypatch):
     seen: list[int] = []
+    bars: list[ProgressLines] = []
+
+    def refresh(bar: ProgressLines) -> None:
+        seen.append(bar.n)
+        bars.append(bar)
+
+    def ticks() -> bool:
+        """Whether it is drawn again though nothing is said meanwhile."""
+        drawn = len(seen)
+        for _ in range(3000):
+            if len(seen) > drawn:
+                return True
+            time.sleep(0.01)
+        return False
+
     monkeypatch.setattr("diffsim.cli.diagnose_progress.PERIOD_S", 0.01)
-    monkeypatch.setattr(ProgressLines, "refresh", lambda bar: seen.append(bar.n))
+    monkeypatch.setattr(ProgressLines, "refresh", refresh)
     with diagnosis_bar("diagnose") as progress:
+        assert ticks()
+        shown = []
         for share in (0.2, 0.7, 0.1, 1.0):
             progress("search", share, "sets")
-        assert seen[-4:] == [14, 49, 53, 85]
-        said = len(seen)
-        for _ in range(3000):
-            if len(seen) > said:
-                break
-            time.sleep(0.01)
-        assert len(seen) > said  # though nothing is said meanwhile
+            shown.append(bars[-1].n)
+        assert shown == [14, 49, 53, 85] and ticks()
     assert seen == sorted(seen) and seen[-1] == 100
 
 
