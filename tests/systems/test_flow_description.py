@@ -191,7 +191,12 @@ def test_a_leak_at_a_joint_is_a_resistor_to_the_ground():
     pumped = np.array([1e-9, 3e-9])
     s = study(JOINTED, ["q1", "q2", "q3", "p"], pump=pumped)
     names = [e.name for e in setup_of(s).effects]
-    assert [n for n in names if "leak" in n] == ["leak", "leak_at_a", "leak_at_b"]
+    assert [n for n in names if "leak" in n] == [
+        "leak",
+        "leak_at_a",
+        "leak_at_b",
+        "leak_at_every_joint",
+    ]
     np.testing.assert_allclose(predict(s, leak_at_b=1e-12), of_resistors(pumped, 1e-12), rtol=1e-9)
 
 
