@@ -47,7 +47,7 @@ def test_friction_at_a_hinge_is_named_with_its_size():
     setup = setup_of(study)
     rivals = ("lag", "delay", "dead_band", "backlash", "slack")  # beside all that act at the hinge
     causes = [e for e in setup.effects if e.name.endswith("_at_hinge") or e.name in rivals]
-    assert len(causes) == 11
+    assert len(causes) == 12
     report = diagnose(study, setup.model, causes, unknowns=setup.unknowns, seed=0)
     assert report.verdict == "named", report.sentences
     assert report.named == ("dry_friction_at_hinge",)
@@ -390,7 +390,7 @@ def test_a_registered_environment_by_its_name():
     }
     study = Study("swing", "outside", channels, tuple(runs), model=model)
     setup = setup_of(study)
-    own = [p.name for p in setup.model.base if "play" not in p.name]
+    own = [p.name for p in setup.model.base if "play" not in p.name and not p.of_effect]
     assert own == ["m", "state[0]@a", "state[0]@b"]
     seen = setup.model.predict(runs[0], setup.model.at_prior()).numpy()
     assert seen[0] == pytest.approx([np.cos(3.0), 0.0])
