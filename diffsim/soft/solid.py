@@ -44,6 +44,7 @@ from diffsim.soft.physics import (
     Physics,
     make_physics,
     require_distinct,
+    require_physics,
 )
 from diffsim.soft.plausible import warn_of_locking, warn_of_units
 from diffsim.soft.rest_shape import RestShape, moved_shape
@@ -221,7 +222,11 @@ class Solid(Float64Module):
     def rest_state(self, batch: int | None = None, *, physics: Physics | None = None) -> State:
         """The rest shape without motion, that of ``physics`` where it has one; ``batch`` adds a
         leading axis. Gradient: ``x_rest`` of physics."""
-        moved = None if physics is None else physics.x_rest
+        moved = None
+        if physics is not None:
+            mesh = self.mesh
+            require_physics(physics, mesh.num_nodes, mesh.num_elements, self.material.law)
+            moved = physics.x_rest
         x = (self.x_rest if moved is None else moved).clone()
         if batch is not None:
             x = x.expand(batch, -1, -1).contiguous()

@@ -270,7 +270,7 @@ def test_setup_says_what_it_needs():
     with pytest.raises(ValueError, match="channel must be one of"):
         setup_of(renamed)
     s = setup_of(study)
-    assert len(s.bank) >= 6 and len({e.name for e in s.effects}) == len(s.effects) == 19
+    assert len(s.bank) >= 6 and len({e.name for e in s.effects}) == len(s.effects) == 22
     for run in s.bank:
         with torch.no_grad():
             out = s.model.predict(run, s.model.at_prior())
