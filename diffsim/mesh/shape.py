@@ -148,4 +148,6 @@ def _inv3(m: Tensor) -> Tensor:
     a, b, c = m.unbind(-2)
     cross = torch.linalg.cross
     cofactors = torch.stack([cross(b, c), cross(c, a), cross(a, b)], dim=-1)
-    return cofactors / det3(m)[..., None, None]
+    rough = cofactors / det3(m)[..., None, None]
+    # Newton's step: a body at rest has forces as large as what rounding leaves here
+    return rough + rough @ (torch.eye(3, dtype=m.dtype) - m @ rough)

@@ -180,7 +180,8 @@ def rows_of_a_user(ready: Ready) -> Iterator[tuple[str, dict[str, Any]]]:
                         own | {"map": row.said("map", kind), "of": group.names},
                     )
         elif row.at in ("reading", "clock"):
-            for sensor, names in sensors.items():
+            # what grows from one channel to the next no user's row can say
+            for sensor, names in () if row.name == "bus_age" else sensors.items():
                 way = {"map": row.said("map", kind)} if row.at == "reading" else {}
                 yield f"{row.name}_of_{sensor}", own | way | {"of": names}
         elif row.at == "number" and row.per is None and row.map is None:
