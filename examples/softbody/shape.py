@@ -75,16 +75,19 @@ class Finger:
         middle = torch.tensor([0.0, 0.5 * SIZE[1], 0.5 * SIZE[2]], dtype=torch.float64)
         return middle + (x - middle) * torch.stack([torch.ones_like(share), share, share])
 
-    def lift(self, moves: Tensor) -> Tensor:
-        """Rise of the loaded tip above where it is in the rest shape, muscle contracted [mm]."""
-        x = self.shape(moves)
-        state = soft.static_equilibrium(
+    def lifted(self, x: Tensor) -> Tensor:
+        """Positions of the nodes (n_nodes, 3) of a rest shape, muscle contracted and loaded [m]."""
+        return soft.static_equilibrium(
             self.body,
             activation=torch.tensor([CONTRACTED], dtype=torch.float64),
             external_force=self.load,
             physics=self.body.physics(x_rest=x),
-        )
-        return 1e3 * (state.x - x)[self.tip, 2].mean()
+        ).x
+
+    def lift(self, moves: Tensor) -> Tensor:
+        """Rise of the loaded tip above where it is in the rest shape, muscle contracted [mm]."""
+        x = self.shape(moves)
+        return 1e3 * (self.lifted(x) - x)[self.tip, 2].mean()
 
 
 def by_gradient(finger: Finger, start: np.ndarray, evaluations: int) -> np.ndarray:
@@ -162,12 +165,7 @@ def draw(moves: Tensor, path: str) -> None:
     with torch.no_grad():
         for column, (title, given) in enumerate(shapes.items()):
             x = finger.shape(given)
-            lifted = soft.static_equilibrium(
-                finger.body,
-                activation=torch.tensor([CONTRACTED], dtype=torch.float64),
-                external_force=finger.load,
-                physics=finger.body.physics(x_rest=x),
-            ).x
+            lifted = finger.lifted(x)
             for row, (across, label) in enumerate(((2, "z [mm]"), (1, "y [mm]"))):
                 ax = axes[row, column]
                 for places, color in ((x, "0.8"), (lifted, "tab:red")):
