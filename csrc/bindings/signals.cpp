@@ -14,8 +14,7 @@ void bind_signals(nb::module_& m) {
   m.def("approach", [](std::int64_t num_rows, std::int64_t num_times, Address targets,
                        Address steps, Address most, Address fastest, bool held, Address places) {
     nb::gil_scoped_release release;
-    approach(num_rows, num_times, in(targets), in(steps), in(most), in(fastest), held,
-             out(places));
+    approach(num_rows, num_times, in(targets), in(steps), in(most), in(fastest), held, out(places));
   });
   m.def("find_intervals", [](std::int64_t num_times, Address times, std::int64_t num_places,
                              Address places, bool of_equal_after, Address found) {
