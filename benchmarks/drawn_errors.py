@@ -24,7 +24,9 @@ from benchmarks.nearest_tests import nearest_tests
 ROOT = Path(__file__).resolve().parents[1]
 HARMLESS = Path(__file__).with_name("harmless_errors.yaml")
 DEFAULTS = "tests/test_api.py"  # holds those of all public calls against docs/api.md
-FOLDERS = {"diffsim": "*.py", "csrc/kernels": "*.[ch]*"}
+KERNELS = "csrc/kernels"
+FOLDERS = {"diffsim": "*.py", KERNELS: "*.[ch]*"}
+KERNEL_EVERY = 3  # one of so many is of a kernel; by lines it would be one of six, often none
 SIGNS = {ast.Add: "-", ast.Sub: "+"}
 FACTORS = {ast.Mult: "/", ast.Div: "*"}
 COMPARISONS = {
@@ -69,11 +71,15 @@ def draw(seed: int, num: int, nearest: int | None = None) -> list[Drawn]:
             above it.
     """
     chance = random.Random(seed)
-    files = [p for folder, like in FOLDERS.items() for p in sorted((ROOT / folder).rglob(like))]
-    sizes = [len(path.read_text(encoding="utf-8").splitlines()) for path in files]
+    files = {folder: sorted((ROOT / folder).rglob(like)) for folder, like in FOLDERS.items()}
+    sizes = {
+        folder: [len(path.read_text(encoding="utf-8").splitlines()) for path in paths]
+        for folder, paths in files.items()
+    }
     drawn: dict[str, Drawn] = {}
     while len(drawn) < num:
-        (path,) = chance.choices(files, sizes)
+        folder = KERNELS if len(drawn) % KERNEL_EVERY == KERNEL_EVERY - 1 else "diffsim"
+        (path,) = chance.choices(files[folder], sizes[folder])
         text, name = path.read_text(encoding="utf-8"), str(path.relative_to(ROOT))
         sites = sorted(set(sites_of(path, text)))
         if not sites or name in drawn:

@@ -39,7 +39,7 @@ def nearest_tests(file: str, line: int) -> list[str]:
     parts = Path(file).with_suffix("").parts
     room, stem = (parts[2] if parts[0] == "csrc" else parts[1]), parts[-1].strip("_")
 
-    folders = parts[parts.index(room) + 1 : -1]
+    folders = parts[parts.index(room) + (parts[0] != "csrc") : -1]
     said = {test: _words_of_file(test) & steps.keys() for test in found}
     sayers = Counter(word for words in said.values() for word in words)
 
@@ -47,7 +47,8 @@ def nearest_tests(file: str, line: int) -> list[str]:
         own = Path(test).stem == f"test_{stem}"
         shared = len(set(Path(test).parts) & set(parts)) + (f"tests/{room}/" in test)
         near = sum(0.1 ** steps[word] / sayers[word] for word in said[test])
-        of_folder = any(Path(test).stem.startswith(f"test_{part}") for part in folders)
+        beside = Path(test).with_suffix("").parts
+        of_folder = any(f in beside or beside[-1].startswith(f"test_{f}") for f in folders)
         return not own, -near * (1 + shared) - FOLDER * of_folder, test
 
     return sorted(found, key=far)

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -213,6 +215,120 @@ def rows_are_the_librarys(ready: Ready) -> None:
         torch.testing.assert_close(
             found, wanted, rtol=1e-12, atol=1e-9, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
         )
+
+
+#: what formulas of rows call, one number at a time
+CALLED = {
+    **{"sign": np.sign, "abs": abs, "max": max, "min": min},
+    "clip": lambda u, low, high: min(max(u, low), high),
+}
+
+
+def by_hand(text: str, u: np.ndarray, times: np.ndarray, names: Mapping[str, float]) -> np.ndarray:
+    """What a row writes of signals, (num_times, ...), evaluated by Python number by number."""
+    code = compile(text, "row", "eval")
+    out = np.empty_like(u)
+    for at in np.ndindex(u.shape):
+        own = {**CALLED, **names, "u": float(u[at]), "t": float(times[at[0]] - times[0])}
+        out[at] = eval(code, own)
+    return out
+
+
+def read_by_hand(ready: Ready, text: str, found: Tensor, size: float) -> Tensor:
+    """Channels with a formula in those that a cause has changed [noise sd]."""
+    known = ready.study.fit_runs
+    places = [c.name for c in ready.study.channels]
+    differs = found.nan_to_num() != ready.plain[0].nan_to_num()
+    changed = np.flatnonzero(differs.any(0).numpy())
+    names = [ready.channels[c].name for c in changed]
+    seen = np.hstack([run.measured[:, places.index(n)] for run in known for n in names])
+    low, high = float(np.nanmin(seen)), float(np.nanmax(seen))
+    usual = {
+        **{"width": high - low, "middle": 0.5 * (low + high), "size": size},
+        "longest": max(float(run.time_s[-1] - run.time_s[0]) for run in known),
+    }
+    shown = (ready.plain[0] * ready.noise).numpy()
+    shown[:, changed] = by_hand(text, shown[:, changed], ready.run.time_s, usual)
+    return torch.from_numpy(shown) / ready.noise
+
+
+def sent_by_hand(ready: Ready, text: str, names: Sequence[str], size: float) -> Tensor:
+    """Channels under commands that a formula has changed before they are sent [noise sd]."""
+    run = ready.run
+    reach = max(float(np.abs(r.command[n]).max()) for r in ready.study.fit_runs for n in names)
+    usual = {"reach": reach, "size": size}
+    sent = {n: by_hand(text, np.asarray(run.command[n]), run.time_s, usual) for n in names}
+    return ready.shown(replace(run, command={**run.command, **sent}))
+
+
+def written_formulas(ready: Ready) -> Iterator[tuple[Row, str, Effect]]:
+    """Rows of commands and readings that are written as formulas, with what each is a cause of."""
+    for _, row in rows_in_order(ready.plant.kind):
+        text = row.said("map", ready.plant.kind) or ""
+        is_formula = row.at in ("command", "reading") and not text.isidentifier()
+        if is_formula and row.name not in ready.plant.functions:
+            named = re.compile(f"{row.name}(_of_(?!all_)\\w+)?")
+            own = (e for name, e in ready.effects.items() if named.fullmatch(name))
+            yield from ((row, text, effect) for effect in own)
+
+
+def formulas_are_as_written(ready: Ready) -> None:
+    """A row that is written as a formula does to readings and commands what Python makes of it."""
+    if ready.plant is None or ready.plant.kind in LISTED_BY_CODE:
+        return
+    ways = {f"_of_{name}": (name,) for name in ready.plant.commands}
+    ways |= {way.ending: way.names for way in ready.plant.ways}
+    for row, text, effect in written_formulas(ready):
+        size = SHARE * effect.typical
+        found = ready.shown(ready.run, {effect: uniform(effect, SHARE)})
+        if row.at == "reading":
+            wanted = read_by_hand(ready, text, found, size)
+        else:
+            wanted = sent_by_hand(ready, text, ways[effect.name.removeprefix(row.name)], size)
+        torch.testing.assert_close(
+            found, wanted, rtol=1e-9, atol=1e-6, equal_nan=True,
+            msg=lambda m, n=effect.name: f"{n}: {m}",
+        )  # fmt: skip
+
+
+def stated_numbers(keys: Any) -> Iterator[dict[str, Any]]:
+    """Numbers of a description that have a prior."""
+    if isinstance(keys, dict):
+        if "value" in keys and {"sd", "percent"} & keys.keys():
+            yield keys
+        keys = list(keys.values())
+    for inner in keys if isinstance(keys, (list, tuple)) else ():
+        yield from stated_numbers(inner)
+
+
+def priors_are_as_stated(ready: Ready) -> None:
+    """A number with a prior is a base parameter: as wide, and of the same effect if it is restated.
+
+    One that has percent is positive, and so wide is its logarithm.
+    """
+    model = ready.setup.model
+    for k in range(len(list(stated_numbers(ready.study.model)))):
+        keys = deepcopy(dict(ready.study.model))
+        stated = list(stated_numbers(keys))[k]
+        value, _, unit = str(stated["value"]).partition(" ")
+        wide = float(stated["percent"]) / 100.0 if "percent" in stated else float(stated["sd"])
+        restated = float(value) * math.exp(wide) if "percent" in stated else float(value) + wide
+        stated["value"] = f"{restated!r} {unit}" if unit else restated
+        other = Ready(replace(ready.study, model=keys))
+        q = torch.tensor(
+            [
+                was.coordinate_of(now.value)
+                for was, now in zip(model.base, other.setup.model.base, strict=True)
+            ],
+            dtype=torch.float64,
+        )
+        assert q.any() and torch.allclose(q[q != 0.0], torch.ones(1, dtype=q.dtype)), stated
+        with torch.no_grad():
+            moved = model.predict(ready.run, q) / ready.noise
+        torch.testing.assert_close(
+            moved, other.plain[0], rtol=1e-9, atol=2e-3, equal_nan=True,
+            msg=lambda m, n=stated: f"{n}: {m}",
+        )  # fmt: skip
 
 
 def known_before(ready: Ready) -> tuple[Any, ...]:
@@ -496,6 +612,8 @@ def check_kind(study: Study, silent: tuple[str, ...] = ()) -> None:
 STATEMENTS = (
     ports_act,
     rows_are_the_librarys,
+    formulas_are_as_written,
+    priors_are_as_stated,
     test_runs_change_nothing,
     saved_means_the_same,
     rows_are_judged_or_refused,
