@@ -55,10 +55,6 @@ NOT_KEPT = {
     },
     ("outside", "slopes_are_those_of_differences"): "a simulator of one's own has no slopes",
     ("multicopter", "slopes_are_those_of_differences"): "its windows begin where its record says",
-    (
-        "multicopter",
-        "many_points_are_as_one_by_one",
-    ): "its starts follow by tangents",
 }
 
 
