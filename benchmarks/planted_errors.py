@@ -285,7 +285,7 @@ def build(tree: Path) -> tuple[str, float]:
     if ended.status == 0:
         return "", ended.cpu_s
     lines = ended.output.strip().splitlines() or ["no output"]
-    return next((line for line in lines if "error" in line), lines[-1]), ended.cpu_s
+    return next((line for line in lines if ": error: " in line), lines[-1]), ended.cpu_s
 
 
 def lacking() -> list[str]:
