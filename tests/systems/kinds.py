@@ -235,30 +235,46 @@ def by_hand(text: str, u: np.ndarray, times: np.ndarray, names: Mapping[str, flo
     return out
 
 
-def read_by_hand(ready: Ready, text: str, found: Tensor, size: float) -> Tensor:
-    """Channels with a formula in those that a cause has changed [noise sd]."""
+def usual_readings(ready: Ready, names: Sequence[str]) -> dict[str, float]:
+    """Usual magnitudes of channels, from what was recorded."""
     known = ready.study.fit_runs
-    places = [c.name for c in ready.study.channels]
-    differs = found.nan_to_num() != ready.plain[0].nan_to_num()
-    changed = np.flatnonzero(differs.any(0).numpy())
-    names = [ready.channels[c].name for c in changed]
-    seen = np.hstack([run.measured[:, places.index(n)] for run in known for n in names])
-    low, high = float(np.nanmin(seen)), float(np.nanmax(seen))
-    usual = {
-        **{"width": high - low, "middle": 0.5 * (low + high), "size": size},
+    places = [[c.name for c in ready.study.channels].index(name) for name in names]
+    seen = np.vstack([run.measured[:, places] for run in known])
+    low, high = np.nanmin(seen, 0), np.nanmax(seen, 0)
+    return {
+        "middle": float(0.5 * (low.min() + high.max())),
+        "width": float(high.max() - low.min()),
+        "spread": float((high - low).max()),
         "longest": max(float(run.time_s[-1] - run.time_s[0]) for run in known),
     }
+
+
+def usual_commands(ready: Ready, names: Sequence[str]) -> dict[str, float]:
+    """Usual magnitudes of commands, from what was sent."""
+    sent = np.hstack([run.command[name] for run in ready.study.fit_runs for name in names])
+    return {"reach": float(np.abs(sent).max()), "width": float(sent.max() - sent.min())}
+
+
+def read_by_hand(ready: Ready, text: str, found: Tensor, names: Mapping[str, float]) -> Tensor:
+    """Channels with a formula in those that a cause has changed [noise sd]."""
+    own = changed_channels(ready, found)
     shown = (ready.plain[0] * ready.noise).numpy()
-    shown[:, changed] = by_hand(text, shown[:, changed], ready.run.time_s, usual)
+    shown[:, own] = by_hand(text, shown[:, own], ready.run.time_s, names)
     return torch.from_numpy(shown) / ready.noise
 
 
-def sent_by_hand(ready: Ready, text: str, names: Sequence[str], size: float) -> Tensor:
+def changed_channels(ready: Ready, found: Tensor) -> np.ndarray:
+    """Indices of the channels that a cause has changed."""
+    differs = found.nan_to_num() != ready.plain[0].nan_to_num()
+    return np.flatnonzero(differs.any(0).numpy())
+
+
+def sent_by_hand(
+    ready: Ready, text: str, commands: Sequence[str], names: Mapping[str, float]
+) -> Tensor:
     """Channels under commands that a formula has changed before they are sent [noise sd]."""
     run = ready.run
-    reach = max(float(np.abs(r.command[n]).max()) for r in ready.study.fit_runs for n in names)
-    usual = {"reach": reach, "size": size}
-    sent = {n: by_hand(text, np.asarray(run.command[n]), run.time_s, usual) for n in names}
+    sent = {n: by_hand(text, np.asarray(run.command[n]), run.time_s, names) for n in commands}
     return ready.shown(replace(run, command={**run.command, **sent}))
 
 
@@ -274,22 +290,29 @@ def written_formulas(ready: Ready) -> Iterator[tuple[Row, str, Effect]]:
 
 
 def formulas_are_as_written(ready: Ready) -> None:
-    """A row that is written as a formula does to readings and commands what Python makes of it."""
+    """A row that is written as a formula does to readings and commands what Python makes of it,
+    and its usual size is what its row says of the recordings."""
     if ready.plant is None or ready.plant.kind in LISTED_BY_CODE:
         return
     ways = {f"_of_{name}": (name,) for name in ready.plant.commands}
     ways |= {way.ending: way.names for way in ready.plant.ways}
     for row, text, effect in written_formulas(ready):
-        size = SHARE * effect.typical
         found = ready.shown(ready.run, {effect: uniform(effect, SHARE)})
+        size = {"size": SHARE * effect.typical}
         if row.at == "reading":
-            wanted = read_by_hand(ready, text, found, size)
+            own = [ready.channels[c].name for c in changed_channels(ready, found)]
+            usual = usual_readings(ready, own)
+            wanted = read_by_hand(ready, text, found, usual | size)
         else:
-            wanted = sent_by_hand(ready, text, ways[effect.name.removeprefix(row.name)], size)
+            sent = ways[effect.name.removeprefix(row.name)]
+            usual = usual_commands(ready, sent)
+            wanted = sent_by_hand(ready, text, sent, usual | size)
         torch.testing.assert_close(
             found, wanted, rtol=1e-9, atol=1e-6, equal_nan=True,
             msg=lambda m, n=effect.name: f"{n}: {m}",
         )  # fmt: skip
+        typical = eval(str(row.said("typical", ready.plant.kind)), dict(usual))
+        assert math.isclose(effect.typical, typical, rel_tol=1e-9), effect.name
 
 
 def stated_numbers(keys: Any) -> Iterator[dict[str, Any]]:
