@@ -46,6 +46,8 @@ def nearest_tests(file: str, line: int) -> list[str]:
     if parts[0] == "csrc":  # its tests have no folder of theirs
         folders.add(room)
     called = {t: {*Path(t).parts[1:-1], *Path(t).stem.split("_")} for t in found}
+    if room == "cli":  # a command is said by its name
+        called = {test: own | _words_of_file(test) for test, own in called.items()}
     of_word = Counter(word for own in called.values() for word in own & words)
     said = {test: _words_of_file(test) & steps.keys() for test in found}
     sayers = Counter(word for words in said.values() for word in words)
