@@ -98,7 +98,7 @@ def _holders(file: str, line: int) -> list[str]:
         return [name for name in around if not _is_called_unsaid(name)]
     changed = _changed_tests()
     stems = [Path(file).stem, *re.findall(r'^#include "(?:\S*/)?(\w+)\.h"', text, re.M)[:1]]
-    including = changed.reach(stems, changed.include_edges(changed.tracked_files()))
+    including = changed.reach(stems, _includers())
     bindings = [p for p in (ROOT / "csrc/bindings").glob("*.cpp") if p.stem in including]
     known = r'(?:m\.def\(|class_<[^"]*\(m,)\s*"(\w+)"'
     return [name for path in bindings for name in re.findall(known, path.read_text())]
@@ -111,10 +111,15 @@ def sources_above(stem: str) -> list[str]:
         stem: Name of the file without its ending.
     """
     changed = _changed_tests()
-    files = changed.tracked_files()
-    including = changed.reach([stem], changed.include_edges(files))
-    own = (path for path in files if path.startswith("csrc/") and path.endswith(".cpp"))
-    return [path for path in own if Path(path).stem in including]
+    including = changed.reach([stem], _includers())
+    sources = (path for path in changed.tracked_files() if path.endswith(".cpp"))
+    return [path for path in sources if Path(path).stem in including]
+
+
+@cache
+def _includers() -> dict[str, set[str]]:
+    changed = _changed_tests()
+    return dict(changed.include_edges(changed.tracked_files()))
 
 
 def _is_called_unsaid(name: str) -> bool:
