@@ -16,6 +16,14 @@ void bind_signals(nb::module_& m) {
     nb::gil_scoped_release release;
     approach(num_rows, num_times, in(targets), in(steps), in(most), in(fastest), held, out(places));
   });
+  m.def("approach_adjoint",
+        [](std::int64_t num_rows, std::int64_t num_times, Address targets, Address steps,
+           Address most, Address fastest, bool held, Address slope, Address of_targets,
+           Address of_most, Address of_fastest) {
+          nb::gil_scoped_release release;
+          approach_adjoint(num_rows, num_times, in(targets), in(steps), in(most), in(fastest), held,
+                           in(slope), out(of_targets), out(of_most), out(of_fastest));
+        });
   m.def("find_intervals", [](std::int64_t num_times, Address times, std::int64_t num_places,
                              Address places, bool of_equal_after, Address found) {
     nb::gil_scoped_release release;

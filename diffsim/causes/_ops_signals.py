@@ -1,16 +1,20 @@
 """Values of signals on their way by compiled loops; see ``csrc/kernels/signals/follow.h``.
 
-They know no derivatives: ``diffsim.causes.signals`` asks for them where nobody differentiates.
+Only ``approach`` knows derivatives: ``diffsim.causes.signals`` asks for the others where nobody
+differentiates.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
 
 from diffsim.core.compiled import core
 
@@ -42,7 +46,8 @@ def follow(how: Literal["play", "slowed"], targets: Tensor, room: Tensor, start:
 def approach(
     targets: Tensor, steps: Tensor, most: Tensor, fastest: Tensor, *, held: bool
 ) -> Tensor:
-    """What goes to a signal with its acceleration limited, from rest, (..., num_times).
+    """What goes to a signal with its acceleration limited, from rest, (..., num_times); with first
+    derivatives.
 
     Args:
         targets: Signal that is followed, (..., num_times).
@@ -52,13 +57,41 @@ def approach(
         held: Whether each target lasts until the next time.
     """
     lead = np.broadcast_shapes(targets.shape[:-1], most.shape, fastest.shape)
-    rows = _numbers(targets.expand(*lead, targets.shape[-1]))
-    limits, speeds = (_numbers(number.expand(lead)) for number in (most, fastest))
-    h, out, num_times = _numbers(steps), np.empty_like(rows), rows.shape[-1]
-    if out.size:
-        given = (numbers.ctypes.data for numbers in (rows, h, limits, speeds))
-        core.approach(rows.size // num_times, num_times, *given, held, out.ctypes.data)
-    return torch.from_numpy(out)
+    rows = targets.expand(*lead, targets.shape[-1])
+    place: Tensor = _Approach.apply(rows, most.expand(lead), fastest.expand(lead), steps, held)
+    return place
+
+
+class _Approach(Function):
+    @staticmethod
+    def forward(
+        ctx: Any, targets: Tensor, most: Tensor, fastest: Tensor, steps: Tensor, held: bool
+    ) -> Tensor:
+        given = [_numbers(signal) for signal in (targets, steps, most, fastest)]
+        ctx.given, ctx.held = given, held
+        out = np.empty_like(given[0])
+        if out.size:
+            core.approach(*_Approach.sizes(out), *_addresses(given), held, out.ctypes.data)
+        return torch.from_numpy(out)
+
+    @staticmethod
+    @once_differentiable
+    def backward(
+        ctx: Any, slope: Tensor
+    ) -> tuple[Tensor | None, Tensor | None, Tensor | None, None, None]:
+        rows, _, most, fastest = ctx.given
+        found = [np.zeros_like(signal) for signal in (rows, most, fastest)]
+        if rows.size:
+            seen = _numbers(slope)
+            given = *_addresses(ctx.given), ctx.held, *_addresses([seen, *found])
+            core.approach_adjoint(*_Approach.sizes(rows), *given)
+        of_rows, of_most, of_fastest = (torch.from_numpy(values) for values in found)
+        return of_rows, of_most, of_fastest, None, None
+
+    @staticmethod
+    def sizes(rows: NDArray[np.float64]) -> tuple[int, int]:
+        """Number of rows, and of times."""
+        return rows.size // rows.shape[-1], rows.shape[-1]
 
 
 def find_intervals(times: Tensor, places: Tensor, *, of_equal: Literal["left", "right"]) -> Tensor:
@@ -77,4 +110,8 @@ def find_intervals(times: Tensor, places: Tensor, *, of_equal: Literal["left", "
 
 
 def _numbers(values: Tensor) -> NDArray[np.float64]:
-    return np.ascontiguousarray(values.numpy(), dtype=np.float64)
+    return np.ascontiguousarray(values.detach().numpy(), dtype=np.float64)
+
+
+def _addresses(arrays: Sequence[NDArray[np.float64]]) -> list[int]:
+    return [array.ctypes.data for array in arrays]

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 namespace diffsim {
 
@@ -44,6 +45,51 @@ struct Point {
   }
 };
 
+/// Targets of the parts of a step.
+struct Course {
+  double start, way;
+
+  Course(const double* u, bool held) : start(u[0]), way(held ? 0.0 : u[1] - u[0]) {}
+  static double share(int part) { return static_cast<double>(part) / kParts; }
+  double target(int part) const { return start + share(part) * way; }
+};
+
+/// Slopes of a sum to a point, and to the limits that it keeps.
+struct Slopes {
+  double place = 0.0, speed = 0.0, most = 0.0, fastest = 0.0;
+
+  /// Back through `Point::go` from `before`; returns the slope to the target.
+  double go_back(const Point& before, double target, double limit, double top, double h) {
+    const double away = target - before.place, size = std::abs(away), change = limit * h;
+    const double root = std::sqrt(2.0 * limit * size + 0.25 * change * change);
+    const double brakes = root - 0.5 * change, arrives = size / h;
+    const double least = std::min(std::min(brakes, arrives), top);
+    const double wanted = std::copysign(least, away);
+    const double of_speed = speed + place * h;
+    double of_change = 0.0, of_size = 0.0;
+    speed = 0.0;
+    if (std::abs(wanted - before.speed) > change) {
+      speed = of_speed;
+      of_change = wanted > before.speed ? of_speed : -of_speed;
+    } else if (away != 0.0) {
+      const double of_least = std::copysign(1.0, away) * of_speed;
+      if (top < std::min(brakes, arrives)) {
+        fastest += of_least;
+      } else if (arrives < brakes) {
+        of_size = of_least / h;
+      } else {
+        of_size = of_least * limit / root;
+        most += of_least * size / root;
+        of_change = of_least * (0.25 * change / root - 0.5);
+      }
+    }
+    most += of_change * h;
+    const double of_target = away < 0.0 ? -of_size : of_size;
+    place -= of_target;
+    return of_target;
+  }
+};
+
 }  // namespace
 
 void approach(std::int64_t num_rows, std::int64_t num_times, const double* targets,
@@ -56,12 +102,46 @@ void approach(std::int64_t num_rows, std::int64_t num_times, const double* targe
     y[0] = u[0];
     for (std::int64_t k = 0; k < num_times - 1; ++k) {
       const double h = steps[k] / kParts;
-      for (int i = 1; i <= kParts; ++i) {
-        const double share = held ? 0.0 : static_cast<double>(i) / kParts;
-        now.go(u[k] + share * (u[k + 1] - u[k]), most[row], fastest[row], h);
-      }
+      const Course course(u + k, held);
+      for (int i = 1; i <= kParts; ++i) now.go(course.target(i), most[row], fastest[row], h);
       y[k + 1] = now.place;
     }
+  }
+}
+
+void approach_adjoint(std::int64_t num_rows, std::int64_t num_times, const double* targets,
+                      const double* steps, const double* most, const double* fastest, bool held,
+                      const double* slope, double* of_targets, double* of_most,
+                      double* of_fastest) {
+  std::vector<Point> way(static_cast<std::size_t>((num_times - 1) * kParts + 1));
+  for (std::int64_t row = 0; row < num_rows; ++row) {
+    const double* const u = targets + row * num_times;
+    double* const of_u = of_targets + row * num_times;
+    way[0] = {u[0], 0.0};
+    Point* now = way.data();
+    for (std::int64_t k = 0; k < num_times - 1; ++k) {
+      const Course course(u + k, held);
+      for (int i = 1; i <= kParts; ++i, ++now) {
+        now[1] = now[0];
+        now[1].go(course.target(i), most[row], fastest[row], steps[k] / kParts);
+      }
+    }
+    Slopes slopes;
+    std::fill(of_u, of_u + num_times, 0.0);
+    for (std::int64_t k = num_times - 2; k >= 0; --k) {
+      const Course course(u + k, held);
+      slopes.place += slope[row * num_times + k + 1];
+      for (int i = kParts; i >= 1; --i) {
+        const double of_target =
+            slopes.go_back(*--now, course.target(i), most[row], fastest[row], steps[k] / kParts);
+        const double share = held ? 0.0 : Course::share(i);
+        of_u[k] += (1.0 - share) * of_target;
+        of_u[k + 1] += share * of_target;
+      }
+    }
+    of_u[0] += slopes.place + slope[row * num_times];
+    of_most[row] = slopes.most;
+    of_fastest[row] = slopes.fastest;
   }
 }
 

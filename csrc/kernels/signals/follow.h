@@ -28,6 +28,12 @@ void approach(std::int64_t num_rows, std::int64_t num_times, const double* targe
               const double* steps, const double* most, const double* fastest, bool held,
               double* out);
 
+/// Adjoint of `approach`: what `slope` (num_rows, num_times) of `out` is to targets, `most` and
+/// `fastest`, written to arrays of their shapes. Where two limits meet one of them is taken.
+void approach_adjoint(std::int64_t num_rows, std::int64_t num_times, const double* targets,
+                      const double* steps, const double* most, const double* fastest, bool held,
+                      const double* slope, double* of_targets, double* of_most, double* of_fastest);
+
 /// Index of the interval of increasing `times` that holds each place, 0 to num_times - 2.
 ///
 /// A place that is a time belongs to the interval after it, or to the one before it if not
