@@ -21,7 +21,7 @@ from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_like import read_whole
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
-from diffsim.diagnose.checks.whole_record import column_problems
+from diffsim.diagnose.checks.whole_record import model_problems
 from diffsim.diagnose.faults.given import take_apart
 from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.registry import description_of, setup_of
@@ -249,7 +249,7 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     starts = f"; {PLAY_START}, {more} more, one per run: only beside a play" if more else ""
     cut = setup.study or study
     told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
-    problems = [*trial_problems(study, setup), *column_problems(study, setup)]
+    problems = [*trial_problems(study, setup), *model_problems(study, setup)]
     return problems, "".join(told) + (
         f"model: {len(shown)} base parameters ({_list_first(shown)}{starts}), "
         f"{len(causes)} candidate causes ({_list_first(causes)})"
