@@ -13,6 +13,7 @@ import numpy as np
 from diffsim.causes.readings import PLAY_START
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
+from diffsim.data.columns_beside import outputs_of
 from diffsim.data.header_units import header_units
 from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.shown import shown, shown_change
@@ -280,9 +281,12 @@ def _summary(study: Study) -> Iterator[str]:
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
     if repeats:
         yield f"repeats: {_list_first([f'{n} runs of {g}' for g, n in repeats.items()])}"
-    if study.columns:
-        shown = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in study.columns]
+    outputs = outputs_of(study)
+    if beside := [c for c in study.columns if c.name not in outputs]:
+        shown = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in beside]
         yield f"recorded beside: {_list_first(shown)}; what is left may depend on them"
+    if outputs:
+        yield f"outputs, told by channels: {_list_first(sorted(outputs))}; no cause acts by them"
     yield from (f"done to the record: {sentence}" for sentence in study.mended)
     yield from not_used(study.left_out)
 
