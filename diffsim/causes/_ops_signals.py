@@ -1,11 +1,12 @@
-"""Values of signals on their way by compiled loops; see ``csrc/kernels/signals/follow.h``.
+"""Values of signals on their way by compiled loops; see ``csrc/kernels/signals``.
 
-They know no derivatives: ``diffsim.causes.signals`` asks for them where nobody differentiates.
+``follow`` and ``find_intervals`` know no derivatives: ``diffsim.causes.signals`` asks for them
+where nobody differentiates.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.ops import Call, Given, Op, array
+
+_PARTS = 16  # of a step, in which what accelerates goes on; kParts of the kernel
 
 
 def follow(how: Literal["play", "slowed"], targets: Tensor, room: Tensor, start: Tensor) -> Tensor:
@@ -39,6 +43,47 @@ def follow(how: Literal["play", "slowed"], targets: Tensor, room: Tensor, start:
     return torch.from_numpy(states)
 
 
+def _sizes(call: Call) -> dict[str, Any]:
+    num_rows, num_times = call["targets"].shape
+    return {"num_rows": num_rows, "num_times": num_times, "held": call.options["held"]}
+
+
+def _accelerate(given: Given) -> Tensor:
+    """``approach`` in PyTorch's own operations, for derivatives of derivatives."""
+    most, fastest, targets = given["most"], given["fastest"], given["targets"].unbind(-1)
+    place, speed = targets[0], torch.zeros_like(targets[0])
+    out = [place]
+    for k, step in enumerate(given["steps"]):
+        h, change = step / _PARTS, most * (step / _PARTS)
+        for i in range(1, _PARTS + 1):
+            way = 0.0 if given["held"] else (targets[k + 1] - targets[k]) * (i / _PARTS)
+            away = targets[k] + way - place
+            root = (2.0 * most * away.abs() + 0.25 * change * change).sqrt()
+            least = torch.minimum(torch.minimum(root - 0.5 * change, away.abs() / h), fastest)
+            wanted = away.sign() * least
+            speed = torch.minimum(torch.maximum(wanted, speed - change), speed + change)
+            place = place + speed * h
+        out.append(place)
+    return torch.stack(out, -1)
+
+
+_approach = Op(  # csrc/kernels/signals/approach.h
+    "approach",
+    inputs={
+        "targets": array("num_rows", "num_times"),
+        "steps": array("num_steps", smooth=False),
+        "most": array("num_rows"),
+        "fastest": array("num_rows"),
+    },
+    outputs={"places": array("num_rows", "num_times")},
+    options="bool held",
+    kernel=lambda call: core.approach(**_sizes(call), **call.addresses()),
+    adjoint=lambda call: core.approach_vjp(**_sizes(call), **call.addresses()),
+    tangent=lambda call: core.approach_tangent(**_sizes(call), **call.addresses()),
+    in_torch=lambda given: (_accelerate(given),),
+)
+
+
 def approach(
     targets: Tensor, steps: Tensor, most: Tensor, fastest: Tensor, *, held: bool
 ) -> Tensor:
@@ -52,13 +97,9 @@ def approach(
         held: Whether each target lasts until the next time.
     """
     lead = np.broadcast_shapes(targets.shape[:-1], most.shape, fastest.shape)
-    rows = _numbers(targets.expand(*lead, targets.shape[-1]))
-    limits, speeds = (_numbers(number.expand(lead)) for number in (most, fastest))
-    h, out, num_times = _numbers(steps), np.empty_like(rows), rows.shape[-1]
-    if out.size:
-        given = (numbers.ctypes.data for numbers in (rows, h, limits, speeds))
-        core.approach(rows.size // num_times, num_times, *given, held, out.ctypes.data)
-    return torch.from_numpy(out)
+    rows = targets.expand(*lead, targets.shape[-1]).reshape(-1, targets.shape[-1])
+    limits, speeds = (n.double().expand(lead).reshape(-1) for n in (most, fastest))
+    return _approach(rows, steps, limits, speeds, held).reshape(*lead, targets.shape[-1])
 
 
 def find_intervals(times: Tensor, places: Tensor, *, of_equal: Literal["left", "right"]) -> Tensor:

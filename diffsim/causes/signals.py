@@ -25,7 +25,6 @@ _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
 _SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
 _NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
 _SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
-_PARTS = 16  # of a step, in which what accelerates goes on; kParts of csrc/kernels/signals
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,8 +357,7 @@ def accelerated(
         return _alone(u, slowness)
     steps, most = grid.times.diff(), 1.0 / slowness.clamp(min=1.0 / _SPRINT)
     fastest = torch.full_like(most, _SPRINT) if cruise is None else (cruise * most).sqrt()
-    is_plain = not _differentiates(u, slowness, fastest)
-    found = (approach if is_plain else _accelerate)(u, steps, most, fastest, held=held)
+    found = approach(u, steps, most, fastest, held=held)
     return torch.where(slowness[..., None] > 0.0, found, u)
 
 
@@ -370,25 +368,6 @@ def held_accelerated(
     place = accelerated(u, grid, slowness, cruise, held=True)
     after = torch.cat([place[..., 1:], place[..., -1:]], -1)
     return torch.where(slowness[..., None] > 0.0, 0.5 * (place + after), u)
-
-
-def _accelerate(u: Tensor, steps: Tensor, most: Tensor, fastest: Tensor, *, held: bool) -> Tensor:
-    """``approach`` with derivatives."""
-    lead = np.broadcast_shapes(u.shape[:-1], most.shape, fastest.shape)
-    targets = u.expand(*lead, u.shape[-1]).unbind(-1)
-    place, speed = targets[0], torch.zeros(lead, dtype=u.dtype)
-    out = [place]
-    for k, step in enumerate(steps):
-        h, change = step / _PARTS, most * (step / _PARTS)
-        for i in range(1, _PARTS + 1):
-            way = 0.0 if held else (targets[k + 1] - targets[k]) * (i / _PARTS)
-            away = targets[k] + way - place
-            root = (2.0 * most * away.abs() + 0.25 * change * change).sqrt()
-            least = torch.minimum(torch.minimum(root - 0.5 * change, away.abs() / h), fastest)
-            speed = limited(away.sign() * least, speed - change, speed + change)
-            place = place + speed * h
-        out.append(place)
-    return torch.stack(out, -1)
 
 
 def exchanged(u: Tensor, grid: Grid, share: Tensor) -> Tensor:

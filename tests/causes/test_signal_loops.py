@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes._ops_signals import find_intervals
+from diffsim.causes._ops_signals import _accelerate, approach, find_intervals
 from diffsim.causes.signals import Grid, slowed, with_play
 
 RNG = np.random.default_rng(5)
@@ -27,6 +27,37 @@ def test_values_are_those_of_the_loop_that_knows_derivatives(change):
     walked = change(u, TIMES, SIZES)
     assert walked.shape == (3, 4, 80)
     assert torch.equal(change(U, TIMES, SIZES), walked.detach())
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("held", [False, True])
+def test_what_accelerates_is_what_torch_makes_of_it(held):
+    """Values, both modes and second derivatives, with limits of acceleration and of speed."""
+    steps, rows = tensor([0.1] * 6), U[:, 0, :7].clone()
+    numbers = [rows, tensor([5.0, 40.0, 30.0]), tensor([9.0, 1e6, 2.0])]
+    moving = tuple(number.requires_grad_() for number in numbers)
+    weights = tensor(RNG.normal(size=rows.shape))
+
+    def compiled(targets, most, fastest):
+        return approach(targets, steps, most, fastest, held=held)
+
+    def in_torch(targets, most, fastest):
+        named = {"targets": targets, "most": most, "fastest": fastest}
+        return _accelerate(named | {"steps": steps, "held": held})
+
+    def slopes(function):
+        loss = (function(*moving) * weights).sum()
+        first = torch.autograd.grad(loss, moving, create_graph=True)
+        return [*first, *torch.autograd.grad(sum(g.square().sum() for g in first), moving)]
+
+    torch.testing.assert_close(compiled(*moving), in_torch(*moving), rtol=1e-12, atol=1e-12)
+    found, expected = slopes(compiled), slopes(in_torch)
+    assert all(float(slope.detach().abs().max()) > 0.1 for slope in expected[:3])
+    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
+    ways = tuple(tensor(RNG.normal(size=number.shape)) for number in numbers)
+    along = torch.func.jvp(compiled, tuple(n.detach() for n in numbers), ways)[1]
+    total = sum((g * way).sum() for g, way in zip(expected, ways, strict=False))
+    torch.testing.assert_close((along * weights).sum(), total, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("change", [slowed, with_play])

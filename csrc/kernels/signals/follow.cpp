@@ -1,18 +1,12 @@
 #include "kernels/signals/follow.h"
 
 #include <algorithm>
-#include <cmath>
+
+#include "kernels/signals/clipped.h"
 
 namespace diffsim {
 
 namespace {
-
-/// numpy's minimum of a maximum: a bound that is not a number is the answer.
-inline double clipped(double value, double low, double high) {
-  const double sum = low + high;
-  if (std::isnan(sum)) return sum;
-  return std::min(std::max(value, low), high);
-}
 
 template <Follow how>
 void follow_row(std::int64_t num_times, const double* targets, const double* room,
@@ -27,43 +21,7 @@ void follow_row(std::int64_t num_times, const double* targets, const double* roo
   }
 }
 
-constexpr int kParts = 16;  // of a step
-
-/// Place and speed of a point that brakes in time.
-struct Point {
-  double place, speed;
-
-  void go(double target, double most, double fastest, double h) {
-    const double away = target - place, change = most * h;
-    // speed from which it stops there in whole parts
-    const double root = std::sqrt(2.0 * most * std::abs(away) + 0.25 * change * change);
-    const double least = std::min(root - 0.5 * change, std::abs(away) / h);
-    const double wanted = std::copysign(std::min(least, fastest), away);
-    speed = clipped(wanted, speed - change, speed + change);
-    place += speed * h;
-  }
-};
-
 }  // namespace
-
-void approach(std::int64_t num_rows, std::int64_t num_times, const double* targets,
-              const double* steps, const double* most, const double* fastest, bool held,
-              double* out) {
-  for (std::int64_t row = 0; row < num_rows; ++row) {
-    const double* const u = targets + row * num_times;
-    double* const y = out + row * num_times;
-    Point now{u[0], 0.0};
-    y[0] = u[0];
-    for (std::int64_t k = 0; k < num_times - 1; ++k) {
-      const double h = steps[k] / kParts;
-      for (int i = 1; i <= kParts; ++i) {
-        const double share = held ? 0.0 : static_cast<double>(i) / kParts;
-        now.go(u[k] + share * (u[k + 1] - u[k]), most[row], fastest[row], h);
-      }
-      y[k + 1] = now.place;
-    }
-  }
-}
 
 void follow(Follow how, std::int64_t num_rows, std::int64_t num_times, const double* targets,
             const double* room, std::int64_t room_stride, double* out) {

@@ -19,15 +19,6 @@ enum class Follow {
 void follow(Follow how, std::int64_t num_rows, std::int64_t num_times, const double* targets,
             const double* room, std::int64_t room_stride, double* out);
 
-/// A point that goes to its target with its acceleration limited, braking in time to stop there.
-///
-/// `targets` and `out` are (num_rows, num_times), `steps` (num_times - 1), `most` and `fastest`
-/// (num_rows) the largest acceleration and speed. It begins at rest at the first target. Targets
-/// are `held` until the next time, or straight between times. Each step is divided into `kParts`.
-void approach(std::int64_t num_rows, std::int64_t num_times, const double* targets,
-              const double* steps, const double* most, const double* fastest, bool held,
-              double* out);
-
 /// Index of the interval of increasing `times` that holds each place, 0 to num_times - 2.
 ///
 /// A place that is a time belongs to the interval after it, or to the one before it if not
