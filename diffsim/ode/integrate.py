@@ -23,7 +23,7 @@ from diffsim.core.errors import IntegrationError
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.core.numbers import values_of
 from diffsim.ode import _ops
-from diffsim.ode.tape import Tapes, make_tapes
+from diffsim.ode.tape import Tape, make_tape
 
 TIME = "t"
 INTERPOLATIONS = ("linear", "held")
@@ -64,7 +64,7 @@ class Ode:
             require_constant(f"limits of {name}", (low, high))
             if not low < high:
                 raise ValueError(f"limits of {name} must be (low, high), got ({low:g}, {high:g})")
-        _ = self.tapes  # formulas are read once, and mistakes in them show here
+        _ = self.tape  # formulas are read once, and mistakes in them show here
 
     @property
     def names(self) -> list[str]:
@@ -72,14 +72,14 @@ class Ode:
         return [TIME, *self.rates, *self.inputs, *self.parameters]
 
     @cached_property
-    def tapes(self) -> Tapes:
+    def tape(self) -> Tape:
         """Formulas as the kernel reads them."""
-        return make_tapes(
-            self.names,
-            [
-                self._parse_formulas("rate", self.rates),
-                self._parse_formulas("reading", self.readings),
-            ],
+        kinds = {"state": self.rates, "input": self.inputs, "parameter": self.parameters}
+        named = {name: kind for kind, names in kinds.items() for name in names}
+        return make_tape(
+            {TIME: "time"} | named,
+            self._parse_formulas("rate", self.rates),
+            self._parse_formulas("reading", self.readings),
         )
 
     def _parse_formulas(
@@ -184,11 +184,11 @@ class Ode:
         low = [self.limits.get(s, (-math.inf, math.inf))[0] for s in self.rates]
         high = [self.limits.get(s, (-math.inf, math.inf))[1] for s in self.rates]
         return {
-            "rate_code": self.tapes.code[0],
-            "reading_code": self.tapes.code[1],
-            "rate_out": self.tapes.outputs[0],
-            "reading_out": self.tapes.outputs[1],
-            "constants": self.tapes.constants,
+            "code": self.tape.code,
+            "ends": self.tape.ends,
+            "rate_out": self.tape.rates,
+            "reading_out": self.tape.readings,
+            "constants": self.tape.constants,
             "times": times,
             "lower": torch.tensor(low, dtype=torch.float64),
             "upper": torch.tensor(high, dtype=torch.float64),
