@@ -75,7 +75,10 @@ def make_tape(
         part = max(parts[k] for k in row[1:])
         parts.append(_READINGS if part and i >= num_needed else part)
     rows = _fuse(writer.rows, parts, num_given, found)
-    order = sorted(rows, key=lambda register: parts[register])
+    depth = [0] * len(parts)
+    for k in rows:
+        depth[k] = 1 + max((depth[o] for o in rows[k][1:] if parts[o] == parts[k]), default=0)
+    order = sorted(rows, key=lambda k: (parts[k], depth[k], rows[k][0]))
     new = dict(zip(order, range(num_given, num_given + len(order)), strict=True))
     code = [[rows[k][0], *(new.get(operand, operand) for operand in rows[k][1:])] for k in order]
     padded = [row + [0] * (4 - len(row)) for row in code]

@@ -67,7 +67,7 @@ def test_a_tape_computes_again_only_what_has_changed():
         readings={"y": "cos(b*t)*exp(x) + a", "z": "x/sin(a*a)"},
         parameters=["a", "b"],
     )
-    # a*a, sin(a*a), -sin(a*a); b*t, cos; two products; exp, product and sum as one, ratio
+    # a*a, sin, minus; b*t, cos; two products; exp, product and sum as one, ratio
     assert ode.tape.ends.tolist() == [3, 5, 7, 10]
 
 

@@ -92,81 +92,99 @@ inline Native pow_slope(const Native& a, const Native& b) {
 }  // namespace detail
 
 /// Fills the registers of a part of the code.
+///
+/// Equal operations stand side by side (tape.py), so that one is looked up for many rows.
 template <int Lanes>
 void run_tape(const Tape& tape, TapePart part, double* registers) {
-  for (std::int64_t i = tape.begin(part); i < tape.end(part); ++i) {
-    const TapeInstruction& t = tape.code[i];
-    const auto of = [registers](std::int64_t r) {
-      return [from = registers + r * Lanes](int l) { return load<Native>(from + l); };
+  const std::int64_t end = tape.end(part);
+  for (std::int64_t begin = tape.begin(part), next; begin < end; begin = next) {
+    const std::int64_t op = tape.code[begin].op;
+    for (next = begin + 1; next < end && tape.code[next].op == op;) ++next;
+    const auto each = [=, code = tape.code, to = registers + tape.num_given * Lanes](auto f) {
+      for (std::int64_t i = begin; i < next; ++i) {
+        const TapeInstruction& t = code[i];
+        const double* a = registers + t.a * Lanes;
+        const double* b = registers + t.b * Lanes;
+        const double* c = registers + t.c * Lanes;
+        for (int l = 0; l < Lanes; l += kNativeLanes)
+          store<Native>(to + i * Lanes + l,
+                        f(load<Native>(a + l), load<Native>(b + l), load<Native>(c + l)));
+      }
     };
-    const auto a = of(t.a), b = of(t.b), c = of(t.c);
-    const auto each = [y = registers + (tape.num_given + i) * Lanes](auto f) {
-      for (int l = 0; l < Lanes; l += kNativeLanes) store<Native>(y + l, f(l));
+    const auto unary = [&](auto f) {
+      each([=](const Native& a, const Native&, const Native&) { return Native(f(a)); });
     };
-    const auto alone = [&](auto f) { each([=](int l) { return each_lane(a(l), f); }); };
-    switch (static_cast<TapeOp>(t.op)) {
+    const auto binary = [&](auto f) {
+      each([=](const Native& a, const Native& b, const Native&) { return Native(f(a, b)); });
+    };
+    const auto ternary = [&](auto f) {
+      each([=](const Native& a, const Native& b, const Native& c) { return Native(f(a, b, c)); });
+    };
+    const auto alone = [&](auto f) { unary([=](const Native& a) { return each_lane(a, f); }); };
+    using V = const Native&;
+    switch (static_cast<TapeOp>(op)) {
       case TapeOp::kAdd:
-        each([=](int l) { return a(l) + b(l); });
+        binary([](V a, V b) { return a + b; });
         break;
       case TapeOp::kSub:
-        each([=](int l) { return a(l) - b(l); });
+        binary([](V a, V b) { return a - b; });
         break;
       case TapeOp::kMul:
-        each([=](int l) { return a(l) * b(l); });
+        binary([](V a, V b) { return a * b; });
         break;
       case TapeOp::kMulAdd:
-        each([=](int l) { return a(l) * b(l) + c(l); });
+        ternary([](V a, V b, V c) { return a * b + c; });
         break;
       case TapeOp::kMulSub:
-        each([=](int l) { return a(l) * b(l) - c(l); });
+        ternary([](V a, V b, V c) { return a * b - c; });
         break;
       case TapeOp::kSubMul:
-        each([=](int l) { return c(l) - a(l) * b(l); });
+        ternary([](V a, V b, V c) { return c - a * b; });
         break;
       case TapeOp::kDiv:
-        each([=](int l) { return a(l) / b(l); });
+        binary([](V a, V b) { return a / b; });
         break;
       case TapeOp::kPow:
-        each([=](int l) { return detail::pow(a(l), b(l)); });
+        binary([](V a, V b) { return detail::pow(a, b); });
         break;
       case TapeOp::kNeg:
-        each([=](int l) { return -a(l); });
+        unary([](V a) { return -a; });
         break;
       case TapeOp::kLess:
-        each([=](int l) { return detail::one_where(less<Native>(a(l), b(l))); });
+        binary([](V a, V b) { return detail::one_where(less<Native>(a, b)); });
         break;
       case TapeOp::kLessEqual:
-        each([=](int l) { return detail::one_where(a(l) <= b(l)); });
+        binary([](V a, V b) { return detail::one_where(a <= b); });
         break;
       case TapeOp::kMin:
-        each([=](int l) { return select<Native>(less<Native>(b(l), a(l)), b(l), a(l)); });
+        binary([](V a, V b) { return select<Native>(less<Native>(b, a), b, a); });
         break;
       case TapeOp::kMax:
-        each([=](int l) { return select<Native>(less<Native>(a(l), b(l)), b(l), a(l)); });
+        binary([](V a, V b) { return select<Native>(less<Native>(a, b), b, a); });
         break;
       case TapeOp::kWhere:
-        each([=](int l) { return select<Native>(detail::not_zero(a(l)), b(l), c(l)); });
+        ternary([](V a, V b, V c) { return select<Native>(detail::not_zero(a), b, c); });
         break;
       case TapeOp::kAbs:
-        each([=](int l) { return abs(a(l)); });
+        unary([](V a) { return abs(a); });
         break;
       case TapeOp::kSign:
-        each([=](int l) { return detail::sign(a(l)); });
+        unary([](V a) { return detail::sign(a); });
         break;
       case TapeOp::kSqrt:
-        each([=](int l) { return sqrt(a(l)); });
+        unary([](V a) { return sqrt(a); });
         break;
       case TapeOp::kExp:
-        each([=](int l) { return exp(a(l)); });
+        unary([](V a) { return exp(a); });
         break;
       case TapeOp::kLog:
         alone([](double x) { return std::log(x); });
         break;
       case TapeOp::kSin:
-        each([=](int l) { return sin(a(l)); });
+        unary([](V a) { return sin(a); });
         break;
       case TapeOp::kCos:
-        each([=](int l) { return cos(a(l)); });
+        unary([](V a) { return cos(a); });
         break;
       case TapeOp::kTan:
         alone([](double x) { return std::tan(x); });
@@ -187,19 +205,19 @@ void run_tape(const Tape& tape, TapePart part, double* registers) {
         alone([](double x) { return std::cosh(x); });
         break;
       case TapeOp::kTanh:
-        each([=](int l) { return tanh(a(l)); });
+        unary([](V a) { return tanh(a); });
         break;
       case TapeOp::kAsinh:
         alone([](double x) { return std::asinh(x); });
         break;
       case TapeOp::kAtan2:
-        each([=](int l) {
-          return each_lane(a(l), b(l), [](double y, double x) { return std::atan2(y, x); });
+        binary([](V a, V b) {
+          return each_lane(a, b, [](double y, double x) { return std::atan2(y, x); });
         });
         break;
       case TapeOp::kHypot:
-        each([=](int l) {
-          return each_lane(a(l), b(l), [](double x, double y) { return std::hypot(x, y); });
+        binary([](V a, V b) {
+          return each_lane(a, b, [](double x, double y) { return std::hypot(x, y); });
         });
         break;
       case TapeOp::kNumOps:
