@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-import scipy
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -328,11 +327,7 @@ def limited(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
 def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     """Followed no faster than 1 / ``slowness``, () or (K,) [s per unit]; 0: the signal itself."""
     most = grid.times.diff() / slowness[..., None].clamp(min=_NO_LIMIT)
-    if not _differentiates(u, slowness):
-        return follow("slowed", u, most, u[..., 0])
-    return _step_through_times(
-        u, most.movedim(-1, 0), lambda now, target, d: limited(target, now - d, now + d), u[..., 0]
-    )
+    return follow("slowed", u, most, u[..., 0])
 
 
 def accelerated(
@@ -385,12 +380,7 @@ def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = No
         start: Where in the play it begins, -1 to 1, () or (K,); None: in the middle.
     """
     first = u[..., 0] if start is None else u[..., 0] + start * half_gap
-    if not _differentiates(u, half_gap, first):
-        return follow("play", u, half_gap[..., None], first)
-    gaps = half_gap.expand(u.shape[-1] - 1, *half_gap.shape)
-    return _step_through_times(
-        u, gaps, lambda now, target, g: limited(now, target - g, target + g), first
-    )
+    return follow("play", u, half_gap[..., None], first)
 
 
 def affine_scan(factor: Tensor, term: Tensor) -> Tensor:
@@ -413,48 +403,14 @@ def decayed(factor: Tensor, term: Tensor) -> Tensor:
         factor: The same at all times, with the leading axes of ``term``, which broadcast.
         term: (..., num_times).
     """
-    if not _differentiates(factor, term):
-        return _filter_rows(factor, term)
     targets = torch.cat([torch.zeros_like(term[..., :1]), term], -1)
-    factors = factor.expand(term.shape[-1], *factor.shape)
-    none = torch.zeros_like(term[..., 0])
-    return _step_through_times(targets, factors, lambda now, more, f: now * f + more, none)[..., 1:]
-
-
-def _filter_rows(factor: Tensor, term: Tensor) -> Tensor:
-    """``decayed`` by compiled code: one call for all rows of a factor."""
-    lead = np.broadcast_shapes(factor.shape, term.shape[:-1])
-    rows = term.expand(*lead, term.shape[-1]).numpy()
-    factors, out = factor.expand(lead).numpy(), np.empty(rows.shape)
-    for one in np.unique(factors):
-        mine = factors == one
-        out[mine] = scipy.signal.lfilter([1.0], [1.0, -one], rows[mine])
-    return torch.from_numpy(out)
+    return follow("decays", targets, factor[..., None], torch.zeros_like(term[..., 0]))[..., 1:]
 
 
 def _decay(grid: Grid, time_constant: Tensor) -> tuple[Tensor, Tensor]:
     steps = grid.times.diff()
     shortest = _SHORTEST * float(steps.min())
     return steps, torch.exp(-steps / time_constant[..., None].clamp(min=shortest))
-
-
-def _differentiates(*signals: Tensor) -> bool:
-    return any(signal.requires_grad for signal in signals)
-
-
-def _step_through_times(
-    u: Tensor, numbers: Tensor, rule: Callable[..., Tensor], first: Tensor
-) -> Tensor:
-    """State after each time, with derivatives."""
-    lead = np.broadcast_shapes(u.shape[:-1], numbers.shape[1:], first.shape)
-    now = first.expand(lead)
-    out = [now]
-    for target, number in zip(
-        u.expand(*lead, u.shape[-1]).movedim(-1, 0)[1:], numbers, strict=True
-    ):
-        now = rule(now, target, number)
-        out.append(now)
-    return torch.stack(out, -1)
 
 
 def _left_of(times: Tensor, place: Tensor, of_equal: Literal["left", "right"] = "right") -> Tensor:

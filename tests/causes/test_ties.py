@@ -92,7 +92,8 @@ def test_a_profile_is_that_of_constant_acceleration():
     step = torch.ones(400, dtype=torch.float64)
     step[0] = 0.0
     t = grid.times - 0.01
-    place = accelerated(step, grid, torch.tensor(1 / a), torch.tensor(v**2 / a), held=True)
+    slowness, cruise = torch.tensor([1 / a, v**2 / a], dtype=torch.float64)
+    place = accelerated(step, grid, slowness, cruise, held=True)
     ways = [0.5 * a * t**2, 0.25 + v * (t - 0.5), 1.0 - 0.5 * a * (1.5 - t) ** 2]
     expected = torch.where(t < 0.5, ways[0], torch.where(t < 1.0, ways[1], ways[2]))
     expected = torch.where(t < 0, 0.0, torch.where(t > 1.5, 1.0, expected))
