@@ -25,8 +25,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim import mesh, optim, soft
-from diffsim.core import DiffsimError, MeshError
+from diffsim import mesh, soft
+from examples.softbody.shape_search import by_evolution, by_lbfgs
 
 SIZE = (0.1, 0.02, 0.02)  # [m]
 STATIONS, MOST = 5, 5e-3  # along the finger; farthest that a control point moves [m]
@@ -64,8 +64,8 @@ class Finger:
         )
 
     def shape(self, moves: Tensor) -> Tensor:
-        """Positions of the nodes of moves (3, STATIONS): half width, bottom, top [m]."""
-        width, bottom, top = moves
+        """Positions of the nodes [m] of moves over MOST (3 STATIONS,): half width, bottom, top."""
+        width, bottom, top = MOST * moves.reshape(3, STATIONS)
         sign = torch.tensor([-1.0, 1.0], dtype=torch.float64)
         across = (width[:, None] * sign)[:, :, None].expand(-1, 2, 2)
         up = torch.stack([bottom, top], dim=-1)[:, None].expand(-1, 2, 2)
@@ -90,39 +90,6 @@ class Finger:
         return 1e3 * (self.lifted(x) - x)[self.tip, 2].mean()
 
 
-def by_gradient(finger: Finger, start: np.ndarray, evaluations: int) -> np.ndarray:
-    """Moves found by L-BFGS within bounds."""
-
-    def loss(x: np.ndarray) -> tuple[float, np.ndarray]:
-        leaf = torch.tensor(x.reshape(3, -1), requires_grad=True)
-        rise = finger.lift(MOST * leaf)
-        (slope,) = torch.autograd.grad(-rise, leaf)
-        return -rise.item(), slope.numpy().ravel()
-
-    bounds = (-np.ones(start.size), np.ones(start.size))
-    options = optim.Options(
-        budget=optim.Budget(evaluations=evaluations),
-        wall=optim.Wall(failures=(MeshError, DiffsimError)),  # such steps are shortened
-    )
-    found = optim.minimize(loss, start, bounds, options)
-    return MOST * found.x.reshape(3, -1)
-
-
-def by_evolution(finger: Finger, start: np.ndarray, evaluations: int, seed: int) -> np.ndarray:
-    """Moves found by CMA-ES within the same bounds."""
-    import cma
-
-    def loss(x: np.ndarray) -> float:
-        with torch.no_grad():
-            try:
-                return -finger.lift(torch.from_numpy(MOST * x.reshape(3, -1))).item()
-            except (MeshError, DiffsimError):  # no mesh, or no equilibrium
-                return np.inf
-
-    options = {"bounds": [-1, 1], "seed": seed + 1, "maxfevals": evaluations, "verbose": -9}
-    return MOST * cma.fmin2(loss, start, 0.3, options)[0].reshape(3, -1)
-
-
 def main(seeds: int = 3, evaluations: int = 25, evolution: bool = HAS_CMA) -> dict[str, Any]:
     """Rise of the first finger and of the shaped ones on a finer mesh [mm], mean and spread.
 
@@ -133,13 +100,13 @@ def main(seeds: int = 3, evaluations: int = 25, evolution: bool = HAS_CMA) -> di
         evolution: Whether CMA-ES is run; left out where it is not installed.
     """
     finger, fine = Finger((10, 2, 2)), Finger((20, 4, 4))
-    plain = torch.zeros(3, STATIONS, dtype=torch.float64)
+    plain = torch.zeros(3 * STATIONS, dtype=torch.float64)
     found: dict[str, list[np.ndarray]] = {"gradient": [], "CMA-ES": []}
     for seed in range(seeds):
         start = 0.2 * np.random.default_rng(seed).standard_normal(plain.numel()).clip(-2, 2)
-        found["gradient"].append(by_gradient(finger, start, evaluations))
+        found["gradient"].append(by_lbfgs(finger.lift, start, evaluations))
         if evolution:
-            found["CMA-ES"].append(by_evolution(finger, start, 2 * evaluations, seed))
+            found["CMA-ES"].append(by_evolution(finger.lift, start, 2 * evaluations, seed))
     out: dict[str, Any] = {}
     with torch.no_grad():
         for name, of in (("coarse", finger), ("fine", fine)):
