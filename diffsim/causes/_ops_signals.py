@@ -1,11 +1,9 @@
-"""Values of signals on their way by compiled loops; see ``csrc/kernels/signals/follow.h``.
-
-They know no derivatives: ``diffsim.causes.signals`` asks for them where nobody differentiates.
-"""
+"""Signals on their way as ops; see ``csrc/kernels/signals/follow.h``."""
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -13,30 +11,30 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.compiled import core
+from diffsim.core.ops import Call, Given, Op, array
+
+RULES = ("play", "slowed", "decays")
+"""How a state keeps to its target, in the order of the kernel."""
+PARTS = 16  # of a step, in which what accelerates goes on; kParts of csrc/kernels/signals
 
 
-def follow(how: Literal["play", "slowed"], targets: Tensor, room: Tensor, start: Tensor) -> Tensor:
+def follow(
+    how: Literal["play", "slowed", "decays"], targets: Tensor, room: Tensor, start: Tensor
+) -> Tensor:
     """State after each time of what follows a signal, (..., num_times).
 
     Args:
         how: "play" rests until the target is farther away than ``room``; "slowed" goes to it by at
-            most ``room`` from one time to the next.
+            most ``room`` from one time to the next; "decays" keeps the share ``room`` of what it
+            was and adds the target.
         targets: Signal that is followed, (..., num_times).
-        room: Half of the gap or the longest way, (..., num_times - 1) or (..., 1).
+        room: Half of the gap, the longest way or the share, (..., num_times - 1) or (..., 1).
         start: State at the first time, (...); leading axes broadcast.
     """
     lead = np.broadcast_shapes(targets.shape[:-1], room.shape[:-1], start.shape)
-    rows = _numbers(targets.expand(*lead, targets.shape[-1]))
-    rooms = _numbers(room.expand(*lead, room.shape[-1]))
-    states = np.empty_like(rows)
-    if states.size == 0:
-        return torch.from_numpy(states)
-    states[..., 0] = start.expand(lead).numpy()
-    num_times = rows.shape[-1]
-    sizes = rows.size // num_times, num_times
-    given = rows.ctypes.data, rooms.ctypes.data, rooms.shape[-1]
-    core.follow(how == "play", *sizes, *given, states.ctypes.data)
-    return torch.from_numpy(states)
+    u, rooms = _rows(targets, lead), _rows(room, lead)
+    states = _follow(u, rooms, start.expand(lead).reshape(-1), RULES.index(how))
+    return states.view(*lead, targets.shape[-1])
 
 
 def approach(
@@ -52,13 +50,8 @@ def approach(
         held: Whether each target lasts until the next time.
     """
     lead = np.broadcast_shapes(targets.shape[:-1], most.shape, fastest.shape)
-    rows = _numbers(targets.expand(*lead, targets.shape[-1]))
-    limits, speeds = (_numbers(number.expand(lead)) for number in (most, fastest))
-    h, out, num_times = _numbers(steps), np.empty_like(rows), rows.shape[-1]
-    if out.size:
-        given = (numbers.ctypes.data for numbers in (rows, h, limits, speeds))
-        core.approach(rows.size // num_times, num_times, *given, held, out.ctypes.data)
-    return torch.from_numpy(out)
+    numbers = (number.expand(lead).reshape(-1) for number in (most, fastest))
+    return _approach(_rows(targets, lead), steps, *numbers, held).view(*lead, targets.shape[-1])
 
 
 def find_intervals(times: Tensor, places: Tensor, *, of_equal: Literal["left", "right"]) -> Tensor:
@@ -78,3 +71,122 @@ def find_intervals(times: Tensor, places: Tensor, *, of_equal: Literal["left", "
 
 def _numbers(values: Tensor) -> NDArray[np.float64]:
     return np.ascontiguousarray(values.numpy(), dtype=np.float64)
+
+
+def _rows(values: Tensor, lead: tuple[int, ...]) -> Tensor:
+    return values.expand(*lead, values.shape[-1]).reshape(math.prod(lead), values.shape[-1])
+
+
+def _followers(call: Call) -> Any:
+    sizes = {name: call.sizes[name] for name in ("num_rows", "num_times", "num_rooms", "how")}
+    return core.Followers(**sizes, **call.addresses("targets", "room"))
+
+
+def _follow_rows(call: Call) -> None:
+    call["states"][:, 0] = call["start"]
+    core.follow(_followers(call), *call.addresses("states").values())
+
+
+def _pull_followed(call: Call) -> None:
+    grads = ("grad_states", "grad_targets", "grad_room", "grad_start")
+    core.follow_vjp(_followers(call), *call.addresses("states", *grads).values())
+
+
+def _push_followed(call: Call) -> None:
+    call["d_states"][:, 0] = call["d_start"]
+    moved = ("d_targets", "d_room", "d_states")
+    core.follow_tangent(_followers(call), *call.addresses("states", *moved).values())
+
+
+def _follow_in_torch(given: Given) -> tuple[Tensor, ...]:
+    """``follow`` by PyTorch's own operations."""
+    now, targets, rule = given["start"], given["targets"], RULES[given["how"]]
+    rooms = given["room"].expand(len(targets), targets.shape[-1] - 1)
+    out = [now]
+    for target, room in zip(targets.unbind(-1)[1:], rooms.unbind(-1), strict=True):
+        if rule == "decays":
+            now = room * now + target
+        elif rule == "play":
+            now = _clip(now, target - room, target + room)
+        else:
+            now = _clip(target, now - room, now + room)
+        out.append(now)
+    return (torch.stack(out, -1),)
+
+
+def _clip(value: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    return torch.minimum(torch.maximum(value, low), high)
+
+
+_follow = Op(
+    "follow",
+    inputs={
+        "targets": array("num_rows", "num_times"),
+        "room": array("num_rows", "num_rooms"),
+        "start": array("num_rows"),
+    },
+    outputs={"states": array("num_rows", "num_times")},
+    options="int how",
+    reads=("targets", "room", "start", "states"),
+    kernel=_follow_rows,
+    adjoint=_pull_followed,
+    tangent=_push_followed,
+    in_torch=_follow_in_torch,
+)
+
+
+def _describe_approach(call: Call) -> Any:
+    sizes = {name: call.sizes[name] for name in ("num_rows", "num_times", "held")}
+    return core.Approach(**sizes, **call.addresses("targets", "steps", "most", "fastest"))
+
+
+def _approach_rows(call: Call) -> None:
+    core.approach(_describe_approach(call), *call.addresses("places").values())
+
+
+def _pull_approached(call: Call) -> None:
+    grads = ("grad_places", "grad_targets", "grad_most", "grad_fastest")
+    core.approach_vjp(_describe_approach(call), *call.addresses(*grads).values())
+
+
+def _push_approached(call: Call) -> None:
+    moved = ("d_targets", "d_most", "d_fastest", "d_places")
+    core.approach_tangent(_describe_approach(call), *call.addresses(*moved).values())
+
+
+def _approach_in_torch(given: Given) -> tuple[Tensor, ...]:
+    """``approach`` by PyTorch's own operations."""
+    targets, most, fastest = given["targets"].unbind(-1), given["most"], given["fastest"]
+    place, speed = targets[0], torch.zeros_like(targets[0])
+    out = [place]
+    for k, step in enumerate(given["steps"]):
+        h, change = step / PARTS, most * (step / PARTS)
+        for i in range(1, PARTS + 1):
+            way = 0.0 if given["held"] else (targets[k + 1] - targets[k]) * (i / PARTS)
+            away = targets[k] + way - place
+            straight = away / h
+            # speed from which it stops there in whole parts
+            stopping = (2.0 * most * away.abs() + 0.25 * change * change).sqrt() - 0.5 * change
+            wish = torch.where(straight.abs() <= stopping, straight, away.sign() * stopping)
+            wanted = _clip(wish, -fastest, fastest)
+            speed = _clip(wanted, speed - change, speed + change)
+            place = place + speed * h
+        out.append(place)
+    return (torch.stack(out, -1),)
+
+
+_approach = Op(
+    "approach",
+    inputs={
+        "targets": array("num_rows", "num_times"),
+        "steps": array("num_steps", smooth=False),
+        "most": array("num_rows"),
+        "fastest": array("num_rows"),
+    },
+    outputs={"places": array("num_rows", "num_times")},
+    options="bool held",
+    kernel=_approach_rows,
+    adjoint=_pull_approached,
+    tangent=_push_approached,
+    in_torch=_approach_in_torch,
+)

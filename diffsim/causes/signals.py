@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-import scipy
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -25,7 +24,6 @@ _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
 _SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
 _NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
 _SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
-_PARTS = 16  # of a step, in which what accelerates goes on; kParts of csrc/kernels/signals
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,11 +327,7 @@ def limited(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
 def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     """Followed no faster than 1 / ``slowness``, () or (K,) [s per unit]; 0: the signal itself."""
     most = grid.times.diff() / slowness[..., None].clamp(min=_NO_LIMIT)
-    if not _differentiates(u, slowness):
-        return follow("slowed", u, most, u[..., 0])
-    return _step_through_times(
-        u, most.movedim(-1, 0), lambda now, target, d: limited(target, now - d, now + d), u[..., 0]
-    )
+    return follow("slowed", u, most, u[..., 0])
 
 
 def accelerated(
@@ -358,8 +352,7 @@ def accelerated(
         return _alone(u, slowness)
     steps, most = grid.times.diff(), 1.0 / slowness.clamp(min=1.0 / _SPRINT)
     fastest = torch.full_like(most, _SPRINT) if cruise is None else (cruise * most).sqrt()
-    is_plain = not _differentiates(u, slowness, fastest)
-    found = (approach if is_plain else _accelerate)(u, steps, most, fastest, held=held)
+    found = approach(u, steps, most, fastest, held=held)
     return torch.where(slowness[..., None] > 0.0, found, u)
 
 
@@ -370,25 +363,6 @@ def held_accelerated(
     place = accelerated(u, grid, slowness, cruise, held=True)
     after = torch.cat([place[..., 1:], place[..., -1:]], -1)
     return torch.where(slowness[..., None] > 0.0, 0.5 * (place + after), u)
-
-
-def _accelerate(u: Tensor, steps: Tensor, most: Tensor, fastest: Tensor, *, held: bool) -> Tensor:
-    """``approach`` with derivatives."""
-    lead = np.broadcast_shapes(u.shape[:-1], most.shape, fastest.shape)
-    targets = u.expand(*lead, u.shape[-1]).unbind(-1)
-    place, speed = targets[0], torch.zeros(lead, dtype=u.dtype)
-    out = [place]
-    for k, step in enumerate(steps):
-        h, change = step / _PARTS, most * (step / _PARTS)
-        for i in range(1, _PARTS + 1):
-            way = 0.0 if held else (targets[k + 1] - targets[k]) * (i / _PARTS)
-            away = targets[k] + way - place
-            root = (2.0 * most * away.abs() + 0.25 * change * change).sqrt()
-            least = torch.minimum(torch.minimum(root - 0.5 * change, away.abs() / h), fastest)
-            speed = limited(away.sign() * least, speed - change, speed + change)
-            place = place + speed * h
-        out.append(place)
-    return torch.stack(out, -1)
 
 
 def exchanged(u: Tensor, grid: Grid, share: Tensor) -> Tensor:
@@ -406,12 +380,7 @@ def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = No
         start: Where in the play it begins, -1 to 1, () or (K,); None: in the middle.
     """
     first = u[..., 0] if start is None else u[..., 0] + start * half_gap
-    if not _differentiates(u, half_gap, first):
-        return follow("play", u, half_gap[..., None], first)
-    gaps = half_gap.expand(u.shape[-1] - 1, *half_gap.shape)
-    return _step_through_times(
-        u, gaps, lambda now, target, g: limited(now, target - g, target + g), first
-    )
+    return follow("play", u, half_gap[..., None], first)
 
 
 def affine_scan(factor: Tensor, term: Tensor) -> Tensor:
@@ -434,48 +403,14 @@ def decayed(factor: Tensor, term: Tensor) -> Tensor:
         factor: The same at all times, with the leading axes of ``term``, which broadcast.
         term: (..., num_times).
     """
-    if not _differentiates(factor, term):
-        return _filter_rows(factor, term)
     targets = torch.cat([torch.zeros_like(term[..., :1]), term], -1)
-    factors = factor.expand(term.shape[-1], *factor.shape)
-    none = torch.zeros_like(term[..., 0])
-    return _step_through_times(targets, factors, lambda now, more, f: now * f + more, none)[..., 1:]
-
-
-def _filter_rows(factor: Tensor, term: Tensor) -> Tensor:
-    """``decayed`` by compiled code: one call for all rows of a factor."""
-    lead = np.broadcast_shapes(factor.shape, term.shape[:-1])
-    rows = term.expand(*lead, term.shape[-1]).numpy()
-    factors, out = factor.expand(lead).numpy(), np.empty(rows.shape)
-    for one in np.unique(factors):
-        mine = factors == one
-        out[mine] = scipy.signal.lfilter([1.0], [1.0, -one], rows[mine])
-    return torch.from_numpy(out)
+    return follow("decays", targets, factor[..., None], torch.zeros_like(term[..., 0]))[..., 1:]
 
 
 def _decay(grid: Grid, time_constant: Tensor) -> tuple[Tensor, Tensor]:
     steps = grid.times.diff()
     shortest = _SHORTEST * float(steps.min())
     return steps, torch.exp(-steps / time_constant[..., None].clamp(min=shortest))
-
-
-def _differentiates(*signals: Tensor) -> bool:
-    return any(signal.requires_grad for signal in signals)
-
-
-def _step_through_times(
-    u: Tensor, numbers: Tensor, rule: Callable[..., Tensor], first: Tensor
-) -> Tensor:
-    """State after each time, with derivatives."""
-    lead = np.broadcast_shapes(u.shape[:-1], numbers.shape[1:], first.shape)
-    now = first.expand(lead)
-    out = [now]
-    for target, number in zip(
-        u.expand(*lead, u.shape[-1]).movedim(-1, 0)[1:], numbers, strict=True
-    ):
-        now = rule(now, target, number)
-        out.append(now)
-    return torch.stack(out, -1)
 
 
 def _left_of(times: Tensor, place: Tensor, of_equal: Literal["left", "right"] = "right") -> Tensor:

@@ -19,12 +19,10 @@ from diffsim.data.study_file import load_study
 from diffsim.diagnose.checks.gates import require_separate
 from diffsim.diagnose.checks.whole_record import column_problems
 from diffsim.systems.registry import setup_of
-from labs.records.damages import DAMAGES, Damage
+from labs.records.damages import DAMAGES, damaged
 from labs.records.rates import rates_page
 from labs.records.rig import Folder
 from labs.records.rigs import ALIKE, SOUND
-
-TRIES = 30  # of a damage, until a rig is drawn that can have it
 
 
 def told(folder: Folder, room: Path) -> list[tuple[str, str, bool]]:
@@ -43,15 +41,6 @@ def told(folder: Folder, room: Path) -> list[tuple[str, str, bool]]:
         asked = column_problems(study, setup_of(study))
         found += [(p.rule, p.message, True) for p in asked]
     return [f for f in found if f[2] or f[0] != "check"]
-
-
-def damaged(rng: np.random.Generator, damage: Damage) -> Folder | None:
-    """A damaged copy of a drawn rig; None where no rig was drawn that can have it."""
-    for _ in range(TRIES):
-        made = damage.make(SOUND[int(rng.integers(len(SOUND)))](rng), rng)
-        if made is not None:
-            return made
-    return None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -78,8 +67,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             if args.only and args.only not in damage.name:
                 continue
             for _ in range(args.n):
-                if (folder := damaged(rng, damage)) is None:
+                if (pair := damaged(rng, damage)) is None:
                     continue
+                folder = pair[1]
                 found = told(folder, next(rooms))
                 total[damage.name] += 1
                 right = [f for f in found if re.search(damage.remedy, f[1])]

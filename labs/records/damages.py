@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from labs.records.rig import RUNS, Array, Folder, Tables
+from labs.records.rigs import SOUND
 
+TRIES = 30  # of a damage, until a rig is drawn that can have it
 Rng = np.random.Generator
 Channel = Mapping[str, Any]
 FACTORS = (1000.0, 180.0 / np.pi, 60.0 / (2.0 * np.pi), 9.80665, 100.0)
@@ -432,3 +434,12 @@ DAMAGES = (
     Damage("unit_everywhere", r"unit: |scale: |`unit:`", unit_everywhere),
     Damage("exchanged", r"`column:` of \w+ \w+ names the column of", exchanged),
 )
+
+
+def damaged(rng: Rng, damage: Damage) -> tuple[Folder, Folder] | None:
+    """A drawn sound rig and its damaged copy; None where no rig was drawn that can have it."""
+    for _ in range(TRIES):
+        sound = SOUND[int(rng.integers(len(SOUND)))](rng)
+        if (copy := damage.make(sound, rng)) is not None:
+            return sound, copy
+    return None

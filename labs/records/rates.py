@@ -26,7 +26,8 @@ DAMAGES_HEAD = """
 ## Damaged copies
 
 Each fault has a drawn size, in a drawn rig. It is named where the right keys are said, and stopped
-where no physics is asked.
+where no physics is asked. `python -m labs.records.blame --num 48` asks for first answers of such
+copies, and counts those that name a cause.
 
 | fault | named | stopped | of |
 |---|---|---|---|"""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes._ops_signals import find_intervals
+from diffsim.causes._ops_signals import _approach, _follow, find_intervals
 from diffsim.causes.signals import Grid, slowed, with_play
 
 RNG = np.random.default_rng(5)
@@ -19,14 +19,70 @@ TIMES = Grid(tensor(np.cumsum(RNG.uniform(0.01, 0.1, 80))), torch.arange(80), np
 SIZES = tensor([0.0, 0.3, 1.7, 40.0])
 
 
-@pytest.mark.parametrize(
-    "change", [slowed, with_play, lambda u, t, s: with_play(u, t, s, tensor([-1.0, 0, 0.2, 1]))]
-)
-def test_values_are_those_of_the_loop_that_knows_derivatives(change):
-    u = U.clone().requires_grad_()
-    walked = change(u, TIMES, SIZES)
-    assert walked.shape == (3, 4, 80)
-    assert torch.equal(change(U, TIMES, SIZES), walked.detach())
+def loops(seed):
+    """Ops that go from one time to the next, with drawn arguments that differentiate."""
+    rng = np.random.default_rng(seed)
+    u = tensor(np.cumsum(rng.normal(size=(4, 20)), -1))
+    room, share = tensor(rng.uniform(0.2, 1.5, (4, 19))), tensor(rng.uniform(0.0, 1.0, (4, 1)))
+    start, most = tensor(rng.normal(size=4)), tensor(rng.uniform(5.0, 300.0, 4))
+    steps, fastest = tensor(rng.uniform(0.05, 0.2, 19)), tensor(rng.uniform(1.0, 20.0, 4))
+    places = {
+        f"reached, held {held}": (_approach, (u, steps, most, fastest, held))
+        for held in (False, True)
+    }
+    return places | {
+        "play": (_follow, (u, room, start, 0)),
+        "slowed": (_follow, (u, room, start, 1)),
+        "decays": (_follow, (u, share, start, 2)),
+    }
+
+
+@pytest.mark.parametrize("name", loops(0))
+def test_values_and_slopes_are_those_of_torchs_own_operations(name):
+    """Both modes, away from the kinks of numbers that were drawn; then slopes of slopes."""
+    op, args = loops(1)[name]
+    given = dict(zip(op.arguments, args, strict=True))
+    moving = [n for n in op.arguments if isinstance(given[n], torch.Tensor) and n != "steps"]
+    at = tuple(given[n].requires_grad_() for n in moving)
+
+    def compiled(*values):
+        return op(**given | dict(zip(moving, values, strict=True)))
+
+    def in_torch(*values):
+        return op.in_torch(given | dict(zip(moving, values, strict=True)))[0]
+
+    torch.testing.assert_close(compiled(*at), in_torch(*at), rtol=1e-13, atol=1e-13)
+    weight = tensor(RNG.normal(size=given["targets"].shape))
+    slopes = [torch.autograd.grad((f(*at) * weight).sum(), at) for f in (compiled, in_torch)]
+    torch.testing.assert_close(*slopes, rtol=1e-10, atol=1e-12)
+    along = tuple(tensor(RNG.normal(size=value.shape)) for value in at)
+    moved = torch.func.jvp(compiled, at, along)[1]
+    expected = sum((s * d).sum() for s, d in zip(slopes[1], along, strict=True))
+    torch.testing.assert_close((moved * weight).sum(), expected, rtol=1e-10, atol=1e-12)
+    step = 1e-7
+    ends = [compiled(*(v + s * d for v, d in zip(at, along, strict=True))) for s in (step, -step)]
+    torch.testing.assert_close((ends[0] - ends[1]) / (2 * step), moved, rtol=1e-5, atol=1e-5)
+    bent = [
+        torch.autograd.grad(
+            sum((g * d).sum() for g, d in zip(made, along, strict=True)), at, allow_unused=True
+        )
+        for made in (
+            torch.autograd.grad((f(*at).sin() * weight).sum(), at, create_graph=True)
+            for f in (compiled, in_torch)
+        )
+    ]
+    torch.testing.assert_close(*bent, rtol=1e-9, atol=1e-9)
+
+
+def test_what_rests_on_its_target_moves_with_it():
+    """At rest it has no distance to go: its slope there is that of both sides."""
+    u, steps = torch.ones(1, 20, dtype=torch.float64), torch.full((19,), 0.1, dtype=torch.float64)
+    limits = tensor([3.0]), tensor([50.0])
+    d_u = torch.zeros_like(u)
+    d_u[0, 8:] = 1e-6  # small: it is there within a part, held or not
+    moved = torch.func.jvp(lambda v: _approach(v, steps, *limits, True), (u,), (d_u,))[1]
+    ends = [_approach(u + s * d_u, steps, *limits, True) for s in (1.0, -1.0)]
+    torch.testing.assert_close(0.5 * (ends[0] - ends[1]), moved, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("change", [slowed, with_play])

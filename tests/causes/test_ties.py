@@ -92,20 +92,15 @@ def test_a_profile_is_that_of_constant_acceleration():
     step = torch.ones(400, dtype=torch.float64)
     step[0] = 0.0
     t = grid.times - 0.01
-    place = accelerated(step, grid, torch.tensor(1 / a), torch.tensor(v**2 / a), held=True)
+    slowness, cruise = torch.tensor([1 / a, v**2 / a], dtype=torch.float64)
+    place = accelerated(step, grid, slowness, cruise, held=True)
     ways = [0.5 * a * t**2, 0.25 + v * (t - 0.5), 1.0 - 0.5 * a * (1.5 - t) ** 2]
     expected = torch.where(t < 0.5, ways[0], torch.where(t < 1.0, ways[1], ways[2]))
     expected = torch.where(t < 0, 0.0, torch.where(t > 1.5, 1.0, expected))
     torch.testing.assert_close(place, expected.double(), rtol=0, atol=1e-3)
-    u = torch.from_numpy(np.random.default_rng(1).normal(size=12).cumsum()).requires_grad_()
-    size = torch.tensor([0.02, 0.3], dtype=torch.float64)
-    for held in (True, False):  # compiled as torch has it
-        way = torch.tensor(0.5, dtype=torch.float64)
-        with_slopes = accelerated(u, Grid.even(12, 0.1), size, way, held=held)
-        without = accelerated(u.detach(), Grid.even(12, 0.1), size, way, held=held)
-        torch.testing.assert_close(with_slopes.detach(), without, rtol=1e-9, atol=1e-12)
+    u = torch.from_numpy(np.random.default_rng(1).normal(size=12).cumsum())
     none = torch.zeros(2, dtype=torch.float64)
-    assert torch.equal(held_accelerated(u.detach(), Grid.even(12, 0.1), none), u.expand(2, 12))
+    assert torch.equal(held_accelerated(u, Grid.even(12, 0.1), none), u.expand(2, 12))
 
 
 @pytest.mark.parametrize(

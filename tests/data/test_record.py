@@ -11,14 +11,15 @@ from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
 from diffsim.data.study_check import check_study
 from diffsim.data.study_file import load_study
-from labs.records.__main__ import damaged, told
-from labs.records.damages import DAMAGES
+from labs.records import blame
+from labs.records.__main__ import told
+from labs.records.damages import DAMAGES, damaged
 from labs.records.rigs import ALIKE, SOUND, joint, pendulum, servo, servo_at_zero
 
 
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda d: d.name)
 def test_a_damaged_copy_is_named_with_its_remedy(damage, tmp_path):
-    folder = damaged(np.random.default_rng(7), damage)
+    _, folder = damaged(np.random.default_rng(7), damage)
     said = told(folder, tmp_path / "rig")
     assert [text for _, text, _ in said if re.search(damage.remedy, text)], said
 
@@ -127,3 +128,14 @@ def test_a_fault_of_the_record_stops_before_physics(tmp_path, capsys, monkeypatc
         assert "--accept-record" in capsys.readouterr().err
     assert main(["diagnose", "check", folder, "--accept-record"]) == 0
     assert "ready for a diagnosis" in capsys.readouterr().out
+
+
+def test_first_answers_of_damaged_copies_are_counted_and_kept(tmp_path, capsys):
+    call = ["--seed", "3", "--num", "4", "--only", "3/4", "--out", str(tmp_path)]
+    assert blame.main(call) == 0
+    said = capsys.readouterr().out
+    assert "read_unsigned on servo_at_zero: record () The record is at fault" in said
+    assert "seed 3: of 1 damaged copies 1 record" in said
+    assert [p.stem for p in tmp_path.glob("*.json")] == ["3_0002"]
+    with pytest.raises(SystemExit):
+        blame.main(["--only", "5/4", "--out", str(tmp_path)])

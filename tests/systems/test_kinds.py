@@ -111,7 +111,6 @@ def test_a_name_has_one_unit_and_one_family_in_all_kinds():
     assert {name: found for name, found in known.items() if len(found) > 1} == {}
 
 
-@pytest.mark.cpu(25)  # two first answers
 def test_the_answer_is_the_same_to_the_bit_whatever_a_test_run_holds():
     def answer(study):
         setup = setup_of(study)

@@ -118,7 +118,6 @@ HIDDEN = {
 }
 
 
-@pytest.mark.cpu(20)  # a first answer over all rows of `ode`
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_hidden_cause_is_named_with_its_size(name):
     size, hidden = HIDDEN[name]

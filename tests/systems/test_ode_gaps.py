@@ -14,7 +14,6 @@ from diffsim.systems.registry import setup_of
 from tests.systems.sound_pendulum import pendulum_study
 
 
-@pytest.mark.cpu(40)  # a null answer over all rows of `ode`, some fifty
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nothing_is_missing_from_a_sound_pendulum_with_lost_rows(seed):
     """Without the nuisance both were "unknown": a jump comes up to 20 ms late."""

@@ -1,77 +1,122 @@
 #include "kernels/signals/follow.h"
 
 #include <algorithm>
-#include <cmath>
+
+#include "kernels/signals/clipped.h"
 
 namespace diffsim {
 
 namespace {
 
-/// numpy's minimum of a maximum: a bound that is not a number is the answer.
-inline double clipped(double value, double low, double high) {
-  const double sum = low + high;
-  if (std::isnan(sum)) return sum;
-  return std::min(std::max(value, low), high);
+/// The state that comes after `now`.
+template <Follow how>
+double next(double now, double target, double room) {
+  switch (how) {
+    case Follow::play:
+      return clipped(now, target - room, target + room);
+    case Follow::slowed:
+      return clipped(target, now - room, now + room);
+    case Follow::decays:
+      return now * room + target;
+  }
 }
+
+/// Slopes of `next`.
+struct Slopes {
+  double now, target, room;
+};
 
 template <Follow how>
-void follow_row(std::int64_t num_times, const double* targets, const double* room,
-                std::int64_t room_step, double* out) {
-  double now = out[0];
-  for (std::int64_t k = 1; k < num_times; ++k) {
-    const double width = room[(k - 1) * room_step];
-    const double target = targets[k];
-    now = how == Follow::play ? clipped(now, target - width, target + width)
-                              : clipped(target, now - width, now + width);
-    out[k] = now;
-  }
+Slopes slopes_at(double now, double target, double room) {
+  if (how == Follow::decays) return {room, 1.0, now};
+  const bool is_play = how == Follow::play;
+  const double value = is_play ? now : target, middle = is_play ? target : now;
+  const Shares part = shares(value, middle - room, middle + room);
+  const double of_middle = part.low + part.high, of_room = part.high - part.low;
+  return is_play ? Slopes{part.value, of_middle, of_room} : Slopes{of_middle, part.value, of_room};
 }
 
-constexpr int kParts = 16;  // of a step
+/// Rows of one rule.
+template <Follow how>
+class Rows {
+ public:
+  explicit Rows(const Followers& followers)
+      : f_(followers), room_step_(followers.room_stride == 1 ? 0 : 1) {}
 
-/// Place and speed of a point that brakes in time.
-struct Point {
-  double place, speed;
-
-  void go(double target, double most, double fastest, double h) {
-    const double away = target - place, change = most * h;
-    // speed from which it stops there in whole parts
-    const double root = std::sqrt(2.0 * most * std::abs(away) + 0.25 * change * change);
-    const double least = std::min(root - 0.5 * change, std::abs(away) / h);
-    const double wanted = std::copysign(std::min(least, fastest), away);
-    speed = clipped(wanted, speed - change, speed + change);
-    place += speed * h;
+  void run(std::int64_t row, double* states) const {
+    for (std::int64_t k = 1; k < f_.num_times; ++k)
+      states[k] = next<how>(states[k - 1], target(row)[k], room(row, k));
   }
+
+  void pull(std::int64_t row, const double* states, const double* grad_states, double* grad_targets,
+            double* grad_room, double* grad_start) const {
+    double grad = 0.0;
+    for (std::int64_t k = f_.num_times - 1; k > 0; --k) {
+      grad += grad_states[k];
+      const Slopes slopes = slopes_at<how>(states[k - 1], target(row)[k], room(row, k));
+      grad_targets[k] = slopes.target * grad;
+      grad_room[(k - 1) * room_step_] += slopes.room * grad;
+      grad *= slopes.now;
+    }
+    *grad_start = grad + grad_states[0];
+  }
+
+  void push(std::int64_t row, const double* states, const double* d_targets, const double* d_room,
+            double* d_states) const {
+    for (std::int64_t k = 1; k < f_.num_times; ++k) {
+      const Slopes slopes = slopes_at<how>(states[k - 1], target(row)[k], room(row, k));
+      d_states[k] = slopes.now * d_states[k - 1] + slopes.target * d_targets[k] +
+                    slopes.room * d_room[(k - 1) * room_step_];
+    }
+  }
+
+ private:
+  const double* target(std::int64_t row) const { return f_.targets + row * f_.num_times; }
+  double room(std::int64_t row, std::int64_t k) const {
+    return f_.room[row * f_.room_stride + (k - 1) * room_step_];
+  }
+
+  const Followers& f_;
+  const std::int64_t room_step_;
 };
+
+/// `visit` of each row, by its rule.
+template <typename Visit>
+void each_row(const Followers& f, const Visit& visit) {
+  const auto walk = [&](const auto& rows) {
+    for (std::int64_t row = 0; row < f.num_rows; ++row)
+      visit(rows, row, row * f.num_times, row * f.room_stride);
+  };
+  if (f.how == Follow::play) {
+    walk(Rows<Follow::play>(f));
+  } else if (f.how == Follow::slowed) {
+    walk(Rows<Follow::slowed>(f));
+  } else {
+    walk(Rows<Follow::decays>(f));
+  }
+}
 
 }  // namespace
 
-void approach(std::int64_t num_rows, std::int64_t num_times, const double* targets,
-              const double* steps, const double* most, const double* fastest, bool held,
-              double* out) {
-  for (std::int64_t row = 0; row < num_rows; ++row) {
-    const double* const u = targets + row * num_times;
-    double* const y = out + row * num_times;
-    Point now{u[0], 0.0};
-    y[0] = u[0];
-    for (std::int64_t k = 0; k < num_times - 1; ++k) {
-      const double h = steps[k] / kParts;
-      for (int i = 1; i <= kParts; ++i) {
-        const double share = held ? 0.0 : static_cast<double>(i) / kParts;
-        now.go(u[k] + share * (u[k + 1] - u[k]), most[row], fastest[row], h);
-      }
-      y[k + 1] = now.place;
-    }
-  }
+void follow(const Followers& f, double* states) {
+  each_row(f, [&](const auto& rows, std::int64_t row, std::int64_t at, std::int64_t) {
+    rows.run(row, states + at);
+  });
 }
 
-void follow(Follow how, std::int64_t num_rows, std::int64_t num_times, const double* targets,
-            const double* room, std::int64_t room_stride, double* out) {
-  const std::int64_t room_step = room_stride == 1 ? 0 : 1;
-  const auto walk = how == Follow::play ? follow_row<Follow::play> : follow_row<Follow::slowed>;
-  for (std::int64_t row = 0; row < num_rows; ++row)
-    walk(num_times, targets + row * num_times, room + row * room_stride, room_step,
-         out + row * num_times);
+void follow_vjp(const Followers& f, const double* states, const double* grad_states,
+                double* grad_targets, double* grad_room, double* grad_start) {
+  each_row(f, [&](const auto& rows, std::int64_t row, std::int64_t at, std::int64_t room) {
+    rows.pull(row, states + at, grad_states + at, grad_targets + at, grad_room + room,
+              grad_start + row);
+  });
+}
+
+void follow_tangent(const Followers& f, const double* states, const double* d_targets,
+                    const double* d_room, double* d_states) {
+  each_row(f, [&](const auto& rows, std::int64_t row, std::int64_t at, std::int64_t room) {
+    rows.push(row, states + at, d_targets + at, d_room + room, d_states + at);
+  });
 }
 
 void find_intervals(std::int64_t num_times, const double* times, std::int64_t num_places,

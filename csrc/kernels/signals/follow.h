@@ -5,28 +5,56 @@
 
 namespace diffsim {
 
-/// How a follower keeps to its target.
+/// How a follower keeps to its target; `room` is what its rule says.
 enum class Follow {
-  play,    // rests until the target is farther away than half the gap
-  slowed,  // goes to the target by at most the given way
+  play,    // rests until the target is farther away than half the gap, `room`
+  slowed,  // goes to the target by at most `room`
+  decays,  // keeps the share `room` of its state and adds the target
 };
 
-/// State of a follower after each time; the first state is given in `out`.
-///
-/// `targets` and `out` are (num_rows, num_times). `room` is (num_rows, num_times - 1) or, where
-/// `room_stride` is 1, (num_rows, 1): half of the gap, or the longest way, of each step.
-/// A target or room that is not a number makes all that follow it so.
-void follow(Follow how, std::int64_t num_rows, std::int64_t num_times, const double* targets,
-            const double* room, std::int64_t room_stride, double* out);
+/// Followers of signals: `targets` and states are (num_rows, num_times), `room` is (num_rows,
+/// num_times - 1), or, where `room_stride` is 1, (num_rows, 1) for all steps.
+struct Followers {
+  Follow how;
+  std::int64_t num_rows, num_times;
+  const double *targets, *room;
+  std::int64_t room_stride;
+};
 
-/// A point that goes to its target with its acceleration limited, braking in time to stop there.
+/// State after each time; the first state is given in `states`.
 ///
-/// `targets` and `out` are (num_rows, num_times), `steps` (num_times - 1), `most` and `fastest`
-/// (num_rows) the largest acceleration and speed. It begins at rest at the first target. Targets
+/// A target or room that is not a number makes all that follow it so.
+void follow(const Followers& f, double* states);
+
+/// Gradients from those of the states; that of the first state is the start's. A limit that is just
+/// reached has half of the slope of each side.
+void follow_vjp(const Followers& f, const double* states, const double* grad_states,
+                double* grad_targets, double* grad_room, double* grad_start);
+
+/// Directions of the states; the first one is given in `d_states`.
+void follow_tangent(const Followers& f, const double* states, const double* d_targets,
+                    const double* d_room, double* d_states);
+
+/// Points that go to targets with their acceleration limited, braking in time to stop there.
+///
+/// `targets` and places are (num_rows, num_times), `steps` (num_times - 1), `most` and `fastest`
+/// (num_rows) the largest acceleration and speed. They begin at rest at the first target. Targets
 /// are `held` until the next time, or straight between times. Each step is divided into `kParts`.
-void approach(std::int64_t num_rows, std::int64_t num_times, const double* targets,
-              const double* steps, const double* most, const double* fastest, bool held,
-              double* out);
+struct Approach {
+  std::int64_t num_rows, num_times;
+  const double *targets, *steps, *most, *fastest;
+  bool held;
+};
+
+void approach(const Approach& a, double* places);
+
+/// Gradients from those of the places.
+void approach_vjp(const Approach& a, const double* grad_places, double* grad_targets,
+                  double* grad_most, double* grad_fastest);
+
+/// Directions of the places.
+void approach_tangent(const Approach& a, const double* d_targets, const double* d_most,
+                      const double* d_fastest, double* d_places);
 
 /// Index of the interval of increasing `times` that holds each place, 0 to num_times - 2.
 ///
