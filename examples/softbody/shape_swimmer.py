@@ -55,8 +55,8 @@ COARSE, FINE = (10, 2, 2), (20, 4, 4)  # cells; searched is on the coarse ones
 CHECKS = {
     "coarse": (COARSE, DT),
     "half step": (COARSE, 0.5 * DT),
-    "fine": (FINE, DT),
     "fine, half step": (FINE, 0.5 * DT),
+    "fine": (FINE, DT),
 }
 
 
@@ -236,16 +236,18 @@ def main(
 def table(found: dict[str, Any]) -> str:
     """Speeds of the arms, and differences of each seed's arms, mean and standard deviation."""
     of = {arm: {k: r for k, r in found.items() if k.startswith(f"{arm}_")} for arm in ARMS}
+    names = [name for name in CHECKS if name in next(iter(found.values()))["speeds"]]
     speeds = {
-        arm: {k.partition("_")[2]: np.array(list(r["speeds"].values())) for k, r in results.items()}
-        for arm, results in of.items()
-        if results
+        arm: {
+            k.partition("_")[2]: np.array([r["speeds"][n] for n in names]) for k, r in kept.items()
+        }
+        for arm, kept in of.items()
+        if kept
     }
     rows = {arm: list(by_seed.values()) for arm, by_seed in speeds.items()}
     first = speeds.pop("cage", {})
     for arm, by_seed in speeds.items():
         rows[f"cage - {arm}"] = [first[k] - v for k, v in by_seed.items() if k in first]
-    names = next(iter(found.values()))["speeds"]
     lines = [f"{'mm/s':18s}" + "".join(f"{name:>20s}" for name in names)]
     for name, values in rows.items():
         if values:
@@ -262,40 +264,48 @@ def draw(found: dict[str, Any], path: str) -> None:
     fish = Fish(FINE)
     faces = mesh.surface_quads(fish.mesh).faces
     titles = {"controller": "controller alone", "cage": "shape and controller"}
-    figure, axes = plt.subplots(
-        3, 2, figsize=(9, 7), height_ratios=(1, 1, 1.4), layout="constrained", sharey="row"
+    figure, axes = plt.subplot_mosaic(
+        [["side controller", "side cage"], ["above controller", "above cage"], ["way", "way"]],
+        figsize=(10, 6.5),
+        height_ratios=(1.2, 0.8, 1.5),
+        layout="constrained",
     )
-    for column, (arm, title) in enumerate(titles.items()):
+    for arm, title in titles.items():
         results = [r for k, r in found.items() if k.startswith(f"{arm}_")]
         best = max(results, key=lambda r: r["speeds"]["coarse"])
         with torch.no_grad():
             motion, path_of = fish.swim(torch.tensor(best["numbers"], dtype=torch.float64))
-        side, above, travel = axes[:, column]
+        side, above = axes[f"side {arm}"], axes[f"above {arm}"]
         for sign in (1.0, -1.0):  # the upper half and its mirror image
-            side_view = 1e3 * motion[0][faces][..., [0, 2]] * torch.tensor([1.0, sign])
-            fill(side, side_view, "tab:orange")
+            fill(side, motion[0][faces][..., [0, 2]] * torch.tensor([1.0, sign]), "tab:orange")
         stroke = round(1.0 / HZ / DT)
-        for k in range(4):
+        for k in range(4):  # poses of a stroke, one after another, without the way between
             step = len(motion) - 1 - stroke + round(k * stroke / 4)
-            view = 1e3 * motion[step][faces][..., [0, 1]] + torch.tensor([0.0, -80.0 * k])
-            fill(above, view, "tab:blue")
-        travel.plot(DT * np.arange(len(path_of)), 1e3 * (path_of[:, 0] - path_of[0, 0]))
-        side.set_title(f"{title}: {best['speeds']['coarse']:.0f} mm/s")
-        for ax, up in ((side, "z [mm], at rest"), (above, "y [mm], a stroke")):
+            moved = torch.stack([path_of[step, 0] - 0.3 * k, path_of[step, 1]])
+            fill(above, motion[step][faces][..., [0, 1]] - moved, "tab:blue")
+        side.set_title(f"{title}: from the side, at rest")
+        above.set_title("from above, a stroke")
+        for ax in (side, above):
             ax.set_aspect("equal")
-            ax.set(xlabel="x [mm]", ylabel=up)
-        travel.set(xlabel="time [s]", ylabel="travel [mm]")
+            ax.set(xlabel="x [mm]")
+        axes["way"].plot(
+            DT * np.arange(len(path_of)), 1e3 * (path_of[:, 0] - path_of[0, 0]), label=title
+        )
+    axes["way"].set(xlabel="time [s]", ylabel="way on the finer mesh [mm]")
+    axes["way"].legend()
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
 
 def fill(ax: Any, faces: Tensor, color: str) -> None:
-    """Faces (n, 4, 2) drawn over each other."""
+    """Faces (n, 4, 2) [m] drawn over each other in millimeters."""
     from matplotlib.collections import PolyCollection
 
     ax.add_collection(
-        PolyCollection(list(faces.numpy()), facecolor=color, edgecolor="0.4", lw=0.2, alpha=0.4)
+        PolyCollection(
+            list(1e3 * faces.numpy()), facecolor=color, edgecolor="0.4", lw=0.2, alpha=0.4
+        )
     )
     ax.autoscale_view()
 
