@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -46,9 +46,13 @@ class Part(BaseModel):
 
     Whole numbers are counts of something that is made: beyond ``MAX_WHOLE_NUMBER`` they are
     refused.
+
+    Attributes:
+        names_differ: Whether two parts of one name in a list of it are an error.
     """
 
     model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
+    names_differ: ClassVar[bool] = False
 
     @model_validator(mode="before")
     @classmethod
@@ -64,7 +68,13 @@ class Part(BaseModel):
         return given
 
     @model_validator(mode="after")
-    def _bounded_counts(self) -> Part:
+    def _check_values(self) -> Part:
+        for key in type(self).model_fields if self.names_differ else ():
+            parts = getattr(self, key)
+            given = parts if isinstance(parts, tuple) else ()
+            names = [part.name for part in given if hasattr(part, "name")]
+            if twice := {name for name in names if names.count(name) > 1}:
+                raise ValueError(f"{key}: the name {min(twice)!r} is used twice")
         for name in _counts_without_bound(type(self)):
             for count in _whole_numbers(getattr(self, name)):
                 if abs(count) > MAX_WHOLE_NUMBER:

@@ -440,3 +440,18 @@ class TestRefusals:
             self.flow(viscosity=0.0)
         with pytest.raises(ValueError, match="either spacing or size"):
             stokes.Grid((2, 2))
+
+
+def test_cells_that_are_prescribed_as_a_whole_need_not_keep_mass():
+    """More enters than leaves in half of a column of cells: there nothing is left to solve."""
+    grid = stokes.Grid((1, 8), 0.1)
+    faces = [
+        stokes.Inlet("x-", "left"),
+        stokes.Inlet("x+", "right", lambda x: x[:, 1] < 0.45),
+        stokes.Open("y+"),
+    ]
+    flow = stokes.StokesFlow(grid, faces, incompressible=True)
+    phi = torch.ones(grid.node_shape, dtype=torch.float64)
+    field = flow(phi, {"left": tensor(1.0, 0.0), "right": tensor(0.5, 0.0)})
+    assert field.solve.converged
+    torch.testing.assert_close(field.velocity[0, 1, :5, 0], torch.full((5,), 0.5).double())
