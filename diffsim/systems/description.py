@@ -259,6 +259,16 @@ class Description(Part):
     effects: EffectChoice = Field(EffectChoice(), description="Which candidate causes are judged")
     effort: Effort = Field(Effort(), description="How much is simulated")
 
+    @model_validator(mode="after")
+    def _check_names_differ(self) -> Self:
+        for key in type(self).model_fields:
+            parts = getattr(self, key)
+            given = parts if isinstance(parts, tuple) else ()
+            names = [part.name for part in given if hasattr(part, "name")]
+            if twice := {name for name in names if names.count(name) > 1}:
+                raise ValueError(f"{key}: the name {min(twice)!r} is used twice")
+        return self
+
     def problems(self, study: Study) -> list[Problem]:
         """What the description and the recordings disagree on, found without a simulation.
 

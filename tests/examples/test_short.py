@@ -20,9 +20,24 @@ def test_the_modulus_is_found_again():
 
 
 def test_a_shaped_finger_lifts_more_on_a_finer_mesh_too():
-    found = load_story("softbody/shape.py").main(seeds=1, evaluations=8, evolution=False)
-    assert found["gradient coarse"] > found["plain coarse"] + 5.0
+    found = load_story("softbody/shape.py").main("lift", 1, 8, evolution=False)
+    assert found["gradient coarse"] > found["plain coarse"] + 5.0  # mm
     assert found["gradient fine"] > found["plain fine"] + 5.0
+
+
+def test_a_shaped_finger_holds_more_on_a_finer_mesh_too():
+    found = load_story("softbody/shape.py").main("hold", 1, 8, evolution=False)
+    assert found["gradient coarse"] > 1.5 * found["plain coarse"]
+    assert found["gradient fine"] > 1.5 * found["plain fine"]
+
+
+def test_a_fish_swims_faster_with_its_shape_and_every_result_is_kept(tmp_path):
+    story = load_story("softbody/shape_swimmer.py")
+    found = story.main(out=str(tmp_path), **story.QUICK)
+    cage, controller = (found[f"{arm}_0"]["speeds"]["coarse"] for arm in ("cage", "controller"))
+    assert cage > controller + 10.0 > 40.0  # mm/s; a network that has not learned: below 3
+    assert story.main(out=str(tmp_path), **story.QUICK) == found
+    assert "cage - controller" in story.table(found)
 
 
 def test_coulomb_friction_stops_the_block():
