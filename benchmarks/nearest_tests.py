@@ -2,9 +2,10 @@
 
 A test is near that says the name of the function or class that holds the line, or that of something
 which uses it, and so on: every step counts a tenth, and a name the less, the more tests say it. A
-test of the same folder counts more. Names of Python are those of definitions, of kernels those
-under which the bindings make them known. Only modules above the file are walked, and only tests
-above it are found (``scripts/changed_tests.py``); those that no name leads to come last.
+test of the same folder counts more, and one that is called like the file. Names of Python are those
+of definitions, of kernels those under which the bindings make them known. Only modules above the
+file are walked, and only tests above it are found (``scripts/changed_tests.py``); those that no
+name leads to come last.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from types import ModuleType
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = 0.05  # what a folder in a test's name counts; a name that one test says, a step away: 0.1
+WORD = 20  # of what a folder counts: a word of a file's name that one test is called by
 LOOK_AT_TEXT = (  # and see no answer: of every planted line, of what git knows
     "tests/benchmarks/test_planted_errors.py",
     "tests/test_changed.py",
@@ -39,7 +41,14 @@ def nearest_tests(file: str, line: int) -> list[str]:
     parts = Path(file).with_suffix("").parts
     room, stem = (parts[2] if parts[0] == "csrc" else parts[1]), parts[-1].strip("_")
 
-    folders = parts[parts.index(room) + 1 : -1]
+    folders = set(parts[parts.index(room) + 1 : -1])
+    words = {word for word in stem.split("_") if len(word) > 2} - {room}
+    if parts[0] == "csrc":  # its tests have no folder of theirs
+        folders.add(room)
+    called = {t: {*Path(t).parts[1:-1], *Path(t).stem.split("_")} for t in found}
+    if room == "cli":  # a command is said by its name
+        called = {test: own | _words_of_file(test) for test, own in called.items()}
+    of_word = Counter(word for own in called.values() for word in own & words)
     said = {test: _words_of_file(test) & steps.keys() for test in found}
     sayers = Counter(word for words in said.values() for word in words)
 
@@ -47,8 +56,10 @@ def nearest_tests(file: str, line: int) -> list[str]:
         own = Path(test).stem == f"test_{stem}"
         shared = len(set(Path(test).parts) & set(parts)) + (f"tests/{room}/" in test)
         near = sum(0.1 ** steps[word] / sayers[word] for word in said[test])
-        of_folder = any(Path(test).stem.startswith(f"test_{part}") for part in folders)
-        return not own, -near * (1 + shared) - FOLDER * of_folder, test
+        beside = Path(test).with_suffix("").parts
+        alike = any(f in beside or beside[-1].startswith(f"test_{f}") for f in folders)
+        alike += sum(WORD / of_word[word] for word in called[test] & words)
+        return not own, -near * (1 + shared) - FOLDER * alike, test
 
     return sorted(found, key=far)
 
@@ -87,10 +98,28 @@ def _holders(file: str, line: int) -> list[str]:
         return [name for name in around if not _is_called_unsaid(name)]
     changed = _changed_tests()
     stems = [Path(file).stem, *re.findall(r'^#include "(?:\S*/)?(\w+)\.h"', text, re.M)[:1]]
-    including = changed.reach(stems, changed.include_edges(changed.tracked_files()))
+    including = changed.reach(stems, _includers())
     bindings = [p for p in (ROOT / "csrc/bindings").glob("*.cpp") if p.stem in including]
     known = r'(?:m\.def\(|class_<[^"]*\(m,)\s*"(\w+)"'
     return [name for path in bindings for name in re.findall(known, path.read_text())]
+
+
+def sources_above(stem: str) -> list[str]:
+    """Sources of C++ that an error in a file compiles: those that include it, and itself.
+
+    Args:
+        stem: Name of the file without its ending.
+    """
+    changed = _changed_tests()
+    including = changed.reach([stem], _includers())
+    sources = (path for path in changed.tracked_files() if path.endswith(".cpp"))
+    return [path for path in sources if Path(path).stem in including]
+
+
+@cache
+def _includers() -> dict[str, set[str]]:
+    changed = _changed_tests()
+    return dict(changed.include_edges(changed.tracked_files()))
 
 
 def _is_called_unsaid(name: str) -> bool:

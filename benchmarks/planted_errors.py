@@ -160,12 +160,14 @@ class Outcome:
         cpu_s: CPU seconds of the tests, to the first failure [s].
         by: The first test that failed, or what else was seen.
         key: What it depends on.
+        build_s: CPU seconds of compiling what the error changed, and of linking [s].
     """
 
     state: str
     cpu_s: float = 0.0
     by: str = ""
     key: str = ""
+    build_s: float = 0.0
 
 
 class Ended(NamedTuple):
@@ -276,14 +278,14 @@ class WarmTests:
         self._server.communicate()
 
 
-def build(tree: Path) -> str:
-    """Compile what changed in a copy; empty, or the compiler's last words."""
+def build(tree: Path) -> tuple[str, float]:
+    """Compile what changed in a copy: empty, or the compiler's last words; and the CPU time [s]."""
     command = [sys.executable, "setup.py", "build_ext", "--inplace"]
     ended = run_limited(command, tree, environment_of(tree), 3600.0)
     if ended.status == 0:
-        return ""
-    lines = ended.output.strip().splitlines()
-    return next((line for line in lines if "error" in line), lines[-1] if lines else "no output")
+        return "", ended.cpu_s
+    lines = ended.output.strip().splitlines() or ["no output"]
+    return next((line for line in lines if ": error: " in line), lines[-1]), ended.cpu_s
 
 
 def lacking() -> list[str]:
@@ -347,7 +349,7 @@ def untouched_tree(folder: Path, reference: str | None, *, compiles: bool) -> Pa
         copy_of_commit(reference, tree)
     if compiles:
         share_objects(tree, apart=False)
-        if failed := build(tree):
+        if failed := build(tree)[0]:
             raise RuntimeError(f"the tree does not compile without a mistake: {failed}")
         shutil.rmtree(tree / "build", ignore_errors=True)
     asked = [sys.executable, "-c", "import diffsim.core.compiled as c; print(c.core.__file__)"]
@@ -378,13 +380,16 @@ def try_one(
     error: Planted, untouched: Path, folder: Path, tests: WarmTests, limit: float
 ) -> Outcome:
     """Plant one error and run its tests."""
+    build_s = 0.0
     try:
         with copy_with(error, untouched, folder) as tree:
             if error.is_compiled:
                 share_objects(tree, apart=True)
-                if failed := build(tree):
+                failed, build_s = build(tree)
+                if failed:
                     return Outcome(state=UNFIT, by=f"does not compile: {failed}")
-            return tests.outcome(tree, error.selection, limit)
+            found = tests.outcome(tree, error.selection, limit)
+            return replace(found, build_s=build_s)
     except PlanError as mistake:
         return Outcome(state=UNFIT, by=str(mistake))
 
@@ -596,15 +601,25 @@ def drawn_plan(args: argparse.Namespace) -> tuple[Planted, ...]:
     return tuple(Planted(**error._asdict()) for error in drawn)
 
 
-def share_caught(record: Record, harmless: Mapping[str, str]) -> str:
-    """Which share of drawn errors was caught, without those that change no answer."""
+def shares_caught(record: Record, harmless: Mapping[str, str]) -> str:
+    """Which share of drawn errors was caught, without those that change no answer; two lines."""
     tried = {n: r for n, r in record.errors.items() if r["state"] in (CAUGHT, MISSED)}
-    counted = [r["state"] for n, r in tried.items() if n not in harmless]
-    share = 100.0 * counted.count(CAUGHT) / max(len(counted), 1)
-    return (
-        f"caught {counted.count(CAUGHT)} of {len(counted)} ({share:.0f} %); "
-        f"{len(tried) - len(counted)} change no answer ({drawn_errors.HARMLESS.name})"
-    )
+    lines = []
+    for part, is_kernel in (("Python", False), ("kernels", True)):
+        names = [n for n, r in tried.items() if r["room"].startswith("csrc/") == is_kernel]
+        counted = [tried[n]["state"] for n in names if n not in harmless]
+        caught = counted.count(CAUGHT)
+        tests_s, build_s = (
+            sum(tried[n].get(key, 0.0) for n in names) / max(len(names), 1)
+            for key in ("cpu_s", "build_s")
+        )
+        lines.append(
+            f"{part}: caught {caught} of {len(counted)} "
+            f"({100.0 * caught / max(len(counted), 1):.0f} %); {tests_s:.0f} CPU s each, "
+            f"{build_s:.0f} more to compile; "
+            f"{len(names) - len(counted)} change no answer ({drawn_errors.HARMLESS.name})"
+        )
+    return "\n".join(lines)
 
 
 def main(given: Sequence[str] | None = None) -> int:
@@ -653,7 +668,7 @@ def main(given: Sequence[str] | None = None) -> int:
     record.save()
     print(f"\n{table({args.out.stem: {'errors': record.errors}})}\n\nwritten to {args.out}")
     if args.draw is not None:
-        print(share_caught(record, drawn_errors.read_harmless()))
+        print(shares_caught(record, drawn_errors.read_harmless()))
     return int(any(record.errors[e.name]["state"] == UNFIT for e in plan))
 
 

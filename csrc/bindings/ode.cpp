@@ -9,16 +9,14 @@ namespace {
 
 /// A problem whose memory Python keeps alive while the object lives.
 struct OdeAddresses {
-  Address rate_code, reading_code, rate_out, reading_out, constants, times, lower, upper, held;
-  std::int64_t num_rate_code, num_reading_code, num_states, num_inputs, num_parameters,
-      num_constants, num_channels, num_samples, num_steps, batch, input_stride;
+  Address code, ends, rate_out, reading_out, constants, times, lower, upper, held;
+  std::int64_t num_code, num_states, num_inputs, num_parameters, num_constants, num_channels,
+      num_samples, num_steps, batch, input_stride;
 
   OdeProblem problem() const {
     const std::int64_t num_given = 1 + num_states + num_inputs + num_parameters + num_constants;
     OdeProblem p;
-    p.rates = {reinterpret_cast<const TapeInstruction*>(rate_code), num_rate_code, num_given};
-    p.readings = {reinterpret_cast<const TapeInstruction*>(reading_code), num_reading_code,
-                  num_given};
+    p.tape = {reinterpret_cast<const TapeInstruction*>(code), in_index(ends), num_code, num_given};
     p.rate_out = in_index(rate_out);
     p.reading_out = in_index(reading_out);
     p.constants = in(constants);
@@ -44,8 +42,8 @@ struct OdeAddresses {
 void bind_ode(nb::module_& m) {
   nb::class_<OdeAddresses>(m, "OdeAddresses")
       .def(nb::init<>())
-      .def_rw("rate_code", &OdeAddresses::rate_code)
-      .def_rw("reading_code", &OdeAddresses::reading_code)
+      .def_rw("code", &OdeAddresses::code)
+      .def_rw("ends", &OdeAddresses::ends)
       .def_rw("rate_out", &OdeAddresses::rate_out)
       .def_rw("reading_out", &OdeAddresses::reading_out)
       .def_rw("constants", &OdeAddresses::constants)
@@ -53,8 +51,7 @@ void bind_ode(nb::module_& m) {
       .def_rw("lower", &OdeAddresses::lower)
       .def_rw("upper", &OdeAddresses::upper)
       .def_rw("held", &OdeAddresses::held)
-      .def_rw("num_rate_code", &OdeAddresses::num_rate_code)
-      .def_rw("num_reading_code", &OdeAddresses::num_reading_code)
+      .def_rw("num_code", &OdeAddresses::num_code)
       .def_rw("num_states", &OdeAddresses::num_states)
       .def_rw("num_inputs", &OdeAddresses::num_inputs)
       .def_rw("num_parameters", &OdeAddresses::num_parameters)

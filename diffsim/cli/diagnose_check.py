@@ -13,6 +13,7 @@ import numpy as np
 from diffsim.causes.readings import PLAY_START
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
+from diffsim.data.columns_beside import outputs_of
 from diffsim.data.header_units import header_units
 from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.shown import shown, shown_change
@@ -21,7 +22,7 @@ from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_like import read_whole
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
-from diffsim.diagnose.checks.whole_record import column_problems
+from diffsim.diagnose.checks.whole_record import model_problems
 from diffsim.diagnose.faults.given import take_apart
 from diffsim.systems.ode.repeat import write_out
 from diffsim.systems.registry import description_of, setup_of
@@ -249,7 +250,7 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     starts = f"; {PLAY_START}, {more} more, one per run: only beside a play" if more else ""
     cut = setup.study or study
     told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
-    problems = [*trial_problems(study, setup), *column_problems(study, setup)]
+    problems = [*trial_problems(study, setup), *model_problems(study, setup)]
     return problems, "".join(told) + (
         f"model: {len(shown)} base parameters ({_list_first(shown)}{starts}), "
         f"{len(causes)} candidate causes ({_list_first(causes)})"
@@ -280,9 +281,12 @@ def _summary(study: Study) -> Iterator[str]:
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
     if repeats:
         yield f"repeats: {_list_first([f'{n} runs of {g}' for g, n in repeats.items()])}"
-    if study.columns:
-        shown = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in study.columns]
+    outputs = outputs_of(study)
+    if beside := [c for c in study.columns if c.name not in outputs]:
+        shown = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in beside]
         yield f"recorded beside: {_list_first(shown)}; what is left may depend on them"
+    if outputs:
+        yield f"outputs, told by channels: {_list_first(sorted(outputs))}; no cause acts by them"
     yield from (f"done to the record: {sentence}" for sentence in study.mended)
     yield from not_used(study.left_out)
 

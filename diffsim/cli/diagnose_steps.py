@@ -36,7 +36,7 @@ from diffsim.core.threads import one_thread
 from diffsim.data.bank import command_table
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
-from diffsim.diagnose.checks.whole_record import column_problems
+from diffsim.diagnose.checks.whole_record import model_problems
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.apart import apart_words
@@ -159,7 +159,7 @@ def _explain(args: argparse.Namespace) -> None:
     for line in _pictures_left_out():
         print(line)
     inputs, out = _inputs(args, study)
-    if not args.accept_record and (faults := [*column_problems(inputs.study, inputs.setup)]):
+    if not args.accept_record and (faults := model_problems(inputs.study, inputs.setup)):
         _blame_record(study, faults, out)
         return
     before = _read_json(out / INPUTS_FILE)  # written last: it says that all files are there

@@ -6,6 +6,7 @@ import argparse
 import os
 import shlex
 import sys
+import warnings
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -38,6 +39,7 @@ from diffsim.core.streams import open_standard_streams
 from diffsim.core.version import __version__
 
 MOST_LETTERS = 2_000  # of a line of an error: one may quote what stands in a file
+OF_ARRAYS = ".*(encountered in|empty slice|All-NaN|Degrees of freedom)"  # NumPy's: no user can act
 EXIT_MISTAKE = 2  # what argparse uses too
 
 COMMANDS = {
@@ -112,7 +114,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         allow_links(args.links)
         hide_progress(args.quiet)
-        status = args.run(args) or 0
+        with warnings.catch_warnings():
+            if not args.debug:
+                warnings.filterwarnings("ignore", OF_ARRAYS, RuntimeWarning)
+            status = args.run(args) or 0
         sys.stdout.flush()
         return status
     except KeyboardInterrupt:

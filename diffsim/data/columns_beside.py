@@ -18,7 +18,7 @@ from diffsim.core.units import to_si
 from diffsim.data.formula import CLOCK
 from diffsim.data.names import COUNTER, TIME, may_be_time
 from diffsim.data.run_samples import RunSamples, in_si, unfilled
-from diffsim.data.study import Column, Run
+from diffsim.data.study import Column, Run, Study
 from diffsim.data.study_schema import Source
 from diffsim.data.table_guess import column_of
 
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _WORDS = {CLOCK, "nan", *CONSTANTS, *FUNCTIONS, *kwlist}  # of formulas: no names of columns
 _AS_IS = Source()  # as the file has it
 _EVEN = 0.5  # of the usual step: a clock varies by less, as for diffsim.data.clock_guess
+_UNTOLD_SHARE = 0.1  # of a column's squares, that channels leave of an output
 _DIGITS = 6  # of the range, in which copies agree: one in mm and one in m differ by rounding
 
 
@@ -68,6 +69,30 @@ def choose_columns(
         return {c.name: in_si(run.columns[c.header], _AS_IS, units[c.header]) for c in columns}
 
     return tuple(replace(run, columns=in_si_units(run)) for run in runs), tuple(columns)
+
+
+def outputs_of(study: Study) -> frozenset[str]:
+    """Columns beside that are outputs of the experiment, such as another marker of the same leg.
+
+    The channels of the same unit tell them row by row: what is left of a channel follows such a
+    column by itself, and nothing acts through it.
+
+    Args:
+        study: Study with columns beside; its test runs are not looked at.
+    """
+    runs, found = study.fit_runs or study.runs, []
+    for column in study.columns:
+        alike = [i for i, c in enumerate(study.channels) if column.unit in (None, c.unit)]
+        rows = np.concatenate([run.measured[:, alike] for run in runs])
+        values = np.concatenate([run.columns[column.name] for run in runs])
+        seen = np.isfinite(rows).all(axis=1) & np.isfinite(values)
+        if not alike or not seen.sum() > len(alike) + 1:
+            continue
+        given = np.column_stack([np.ones(seen.sum()), rows[seen]])
+        told = given @ np.linalg.lstsq(given, values[seen], rcond=None)[0]
+        if np.var(values[seen] - told) < _UNTOLD_SHARE * np.var(values[seen]):
+            found.append(column.name)
+    return frozenset(found)
 
 
 def _headers_that_tell(runs: Sequence[Run], used: Collection[str]) -> Iterator[str]:

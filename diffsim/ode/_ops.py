@@ -13,8 +13,8 @@ from diffsim.ode.in_torch import solve
 
 CONSTANT = {"dtype": torch.int64, "smooth": False}
 PROBLEM = {
-    "rate_code": array("num_rate_code", 4, **CONSTANT),
-    "reading_code": array("num_reading_code", 4, **CONSTANT),
+    "code": array("num_code", 4, **CONSTANT),
+    "ends": array(4, **CONSTANT),
     "rate_out": array("num_states", **CONSTANT),
     "reading_out": array("num_channels", **CONSTANT),
     "constants": array("num_constants", smooth=False),
@@ -25,7 +25,7 @@ PROBLEM = {
 }
 """What describes a problem, by the names that the kernel has for it."""
 SIZES = (
-    *("num_rate_code", "num_reading_code", "num_states", "num_inputs", "num_parameters"),
+    *("num_code", "num_states", "num_inputs", "num_parameters"),
     *("num_constants", "num_channels", "num_samples", "num_steps", "batch"),
 )
 

@@ -12,15 +12,15 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from diffsim.core.expression import OPERATIONS
+from diffsim.ode.tape import TAPE_OPERATIONS
 
 _SHARES = (0.0, 0.5, 0.5, 1.0)
 _WEIGHTS = (1.0, 2.0, 2.0, 1.0)
-_APPLY = tuple(OPERATIONS.values())
-_TAKES = {"where": 3} | dict.fromkeys(
+_APPLY = tuple(TAPE_OPERATIONS.values())
+_TAKES = dict.fromkeys(("where", "mul_add", "mul_sub", "sub_mul"), 3) | dict.fromkeys(
     ("add", "sub", "mul", "div", "pow", "less", "less_equal", "min", "max", "atan2", "hypot"), 2
 )
-_COUNTS = tuple(_TAKES.get(name, 1) for name in OPERATIONS)
+_COUNTS = tuple(_TAKES.get(name, 1) for name in TAPE_OPERATIONS)
 
 
 def solve(
@@ -29,14 +29,15 @@ def solve(
     """Readings and states as ``ode_integrate`` gives them; arguments as there."""
     times, lower, upper = problem["times"], problem["lower"], problem["upper"]
     moves = 1.0 - problem["held"].double()  # those that are held stay until the next sample
-    constants = list(problem["constants"])
+    constants, code = list(problem["constants"]), problem["code"].tolist()
+    ends = {"rate": int(problem["ends"][2]), "reading": len(code)}
 
     def evaluate(what: str, time: Tensor, x: Tensor, u: Tensor) -> Tensor:
         given = [time.expand(len(x)), *x.unbind(-1), *u.unbind(-1), *parameters.unbind(-1)]
         registers = [*given, *(c.expand(len(x)) for c in constants)]
-        for code, *operands in problem[f"{what}_code"].tolist():
-            taken = [registers[k] for k in operands[: _COUNTS[code]]]
-            registers.append(_APPLY[code](*taken))
+        for operation, *operands in code[: ends[what]]:
+            taken = [registers[k] for k in operands[: _COUNTS[operation]]]
+            registers.append(_APPLY[operation](*taken))
         rows = [registers[k] for k in problem[f"{what}_out"].tolist()]
         return torch.stack(rows, -1) if rows else x[:, :0]
 

@@ -23,7 +23,7 @@ from diffsim.core.errors import IntegrationError
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.core.numbers import values_of
 from diffsim.ode import _ops
-from diffsim.ode.tape import Tapes, make_tapes
+from diffsim.ode.tape import Tape, make_tape
 
 TIME = "t"
 INTERPOLATIONS = ("linear", "held")
@@ -64,7 +64,7 @@ class Ode:
             require_constant(f"limits of {name}", (low, high))
             if not low < high:
                 raise ValueError(f"limits of {name} must be (low, high), got ({low:g}, {high:g})")
-        _ = self.tapes  # formulas are read once, and mistakes in them show here
+        _ = self._described  # formulas are read once, and mistakes in them show here
 
     @property
     def names(self) -> list[str]:
@@ -72,14 +72,14 @@ class Ode:
         return [TIME, *self.rates, *self.inputs, *self.parameters]
 
     @cached_property
-    def tapes(self) -> Tapes:
+    def tape(self) -> Tape:
         """Formulas as the kernel reads them."""
-        return make_tapes(
-            self.names,
-            [
-                self._parse_formulas("rate", self.rates),
-                self._parse_formulas("reading", self.readings),
-            ],
+        kinds = {"state": self.rates, "input": self.inputs, "parameter": self.parameters}
+        named = {name: kind for kind, names in kinds.items() for name in names}
+        return make_tape(
+            {TIME: "time"} | named,
+            self._parse_formulas("rate", self.rates),
+            self._parse_formulas("reading", self.readings),
         )
 
     def _parse_formulas(
@@ -181,18 +181,24 @@ class Ode:
     @checked
     def problem(self, times: Tensor, num_steps: int, num_threads: int) -> dict[str, Any]:
         """Arguments of the ops that do not depend on values."""
-        low = [self.limits.get(s, (-math.inf, math.inf))[0] for s in self.rates]
-        high = [self.limits.get(s, (-math.inf, math.inf))[1] for s in self.rates]
-        return {
-            "rate_code": self.tapes.code[0],
-            "reading_code": self.tapes.code[1],
-            "rate_out": self.tapes.outputs[0],
-            "reading_out": self.tapes.outputs[1],
-            "constants": self.tapes.constants,
+        return self._described | {
             "times": times,
-            "lower": torch.tensor(low, dtype=torch.float64),
-            "upper": torch.tensor(high, dtype=torch.float64),
-            "held": torch.tensor([name in self.held for name in self.inputs], dtype=torch.int64),
             "num_steps": num_steps,
             "num_threads": num_threads,
+        }
+
+    @cached_property
+    def _described(self) -> dict[str, Tensor]:
+        """What is the same in every call."""
+        limits = [self.limits.get(s, (-math.inf, math.inf)) for s in self.rates]
+        lower, upper = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(-1)
+        return {
+            "code": self.tape.code,
+            "ends": self.tape.ends,
+            "rate_out": self.tape.rates,
+            "reading_out": self.tape.readings,
+            "constants": self.tape.constants,
+            "lower": lower.contiguous(),
+            "upper": upper.contiguous(),
+            "held": torch.tensor([name in self.held for name in self.inputs], dtype=torch.int64),
         }

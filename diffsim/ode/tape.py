@@ -1,12 +1,14 @@
-"""Formulas as tapes for the kernel: instructions on registers, equal parts computed once.
+"""Formulas as a tape for the kernel: instructions on registers, equal parts computed once.
 
-Registers: time, states, inputs, parameters, constants, then one for each instruction
+Registers: time, states, inputs, parameters, constants, then one for each instruction. Instructions
+stand in parts by what they need, so that none is computed again before that changes
 (``csrc/kernels/ode/tape.h``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -14,46 +16,104 @@ from torch import Tensor
 
 from diffsim.core.expression import OPERATIONS, Apply, Expression, Name, Node, NumberNode
 
-_CODES = {name: code for code, name in enumerate(OPERATIONS)}  # in the order of TapeOp
+TAPE_OPERATIONS = OPERATIONS | {
+    "mul_add": lambda a, b, c: a * b + c,
+    "mul_sub": lambda a, b, c: a * b - c,
+    "sub_mul": lambda a, b, c: c - a * b,
+}
+"""What instructions do, in the order of TapeOp."""
+_CODES = {name: code for code, name in enumerate(TAPE_OPERATIONS)}
+_COMMUTE = ("add", "mul")
+_FUSED = {_CODES["add"]: ("mul_add", "mul_add"), _CODES["sub"]: ("mul_sub", "sub_mul")}
 _QUICK_POWERS = (0.5, 2.0, 3.0)  # as torch.pow has them: a root, or products of equal bits
+_FIXED, _DRIVEN, _MOVING, _READINGS = range(4)  # parts of a tape
+_PARTS = {"time": _DRIVEN, "input": _DRIVEN, "state": _MOVING}
 
 
 @dataclass(frozen=True, eq=False)
-class Tapes:
-    """Several groups of formulas on the same given registers.
+class Tape:
+    """Formulas of rates and of readings on the same registers.
 
     Attributes:
         constants: Values of the constant registers, (num_constants,) float64.
-        code: For each group its instructions, (num_code, 4) int64: operation, a, b, c.
-        outputs: For each group the registers of its formulas, (num_formulas,) int64.
+        code: Instructions, (num_code, 4) int64: operation, a, b, c.
+        ends: (4,) int64, where parts of the code end: what needs parameters alone; for the rates,
+            what needs time and inputs besides, then all else; what only readings need.
+        rates: Registers of the rates, (num_rates,) int64.
+        readings: Registers of the readings, (num_readings,) int64.
     """
 
     constants: Tensor
-    code: tuple[Tensor, ...]
-    outputs: tuple[Tensor, ...]
+    code: Tensor
+    ends: Tensor
+    rates: Tensor
+    readings: Tensor
 
 
-def make_tapes(names: Sequence[str], groups: Sequence[Sequence[Expression]]) -> Tapes:
-    """Tapes of groups of formulas.
+def make_tape(
+    names: Mapping[str, str], rates: Sequence[Expression], readings: Sequence[Expression]
+) -> Tape:
+    """The tape of a system's formulas.
 
     Args:
-        names: Of the given registers in their order: time, states, inputs, parameters.
-        groups: Formulas of these names; each group becomes a tape of its own.
+        names: Given registers in their order, and what each is: "time", "state", "input" or
+            "parameter".
+        rates: Formulas of the rates.
+        readings: Formulas of the readings.
     """
     constants: dict[float, int] = {}
     seen: set[int] = set()
-    for group in groups:
-        for formula in group:
-            _collect(formula.root, constants, seen)
+    for formula in (*rates, *readings):
+        _collect(formula.root, constants, seen)
     place = {name: i for i, name in enumerate(names)}
-    place_of_number = {value: len(names) + i for value, i in constants.items()}
-    code, outputs = [], []
-    for group in groups:
-        tape = _Writer(place, place_of_number)
-        found = [tape.register(f.root) for f in group]
-        code.append(torch.tensor(tape.rows, dtype=torch.int64).reshape(-1, 4))
-        outputs.append(torch.tensor(found, dtype=torch.int64))
-    return Tapes(torch.tensor(list(constants), dtype=torch.float64), tuple(code), tuple(outputs))
+    writer = _Writer(place, {value: len(names) + i for value, i in constants.items()})
+    found = [writer.register(f.root) for f in rates]
+    num_needed, num_given = len(writer.rows), len(names) + len(constants)
+    found += [writer.register(f.root) for f in readings]
+    parts = [*(_PARTS.get(kind, _FIXED) for kind in names.values()), *([_FIXED] * len(constants))]
+    for i, row in enumerate(writer.rows):
+        part = max(parts[k] for k in row[1:])
+        parts.append(_READINGS if part and i >= num_needed else part)
+    rows = _fuse(writer.rows, parts, num_given, found)
+    depth = [0] * len(parts)
+    for k in rows:
+        depth[k] = 1 + max((depth[o] for o in rows[k][1:] if parts[o] == parts[k]), default=0)
+    order = sorted(rows, key=lambda k: (parts[k], depth[k], rows[k][0]))
+    new = dict(zip(order, range(num_given, num_given + len(order)), strict=True))
+    code = [[rows[k][0], *(new.get(operand, operand) for operand in rows[k][1:])] for k in order]
+    padded = [row + [0] * (4 - len(row)) for row in code]
+    counts = Counter(parts[k] for k in order)
+    outputs = torch.tensor([new.get(k, k) for k in found], dtype=torch.int64)
+    return Tape(
+        torch.tensor(list(constants), dtype=torch.float64),
+        torch.tensor(padded, dtype=torch.int64).reshape(-1, 4),
+        torch.tensor([counts[part] for part in range(4)], dtype=torch.int64).cumsum(0),
+        outputs[: len(rates)],
+        outputs[len(rates) :],
+    )
+
+
+def _fuse(
+    rows: Sequence[Sequence[int]], parts: Sequence[int], num_given: int, outputs: Sequence[int]
+) -> dict[int, Sequence[int]]:
+    """Instructions by their registers; a product that one sum alone asks for is part of it.
+
+    A sum of two products stays as it is: products that are equal then cancel to zero.
+    """
+    written = dict(enumerate(rows, num_given))
+    uses = Counter([*(k for row in rows for k in row[1:]), *outputs])
+    for register, (code, *operands) in list(written.items()):
+        if code not in _FUSED:
+            continue
+        products = [k in written and written[k][0] == _CODES["mul"] for k in operands]
+        if sum(products) != 1:
+            continue
+        place = products.index(True)
+        product, other = operands[place], operands[1 - place]
+        if uses[product] == 1 and parts[product] == parts[register]:
+            fused = _FUSED[code][place]
+            written[register] = [_CODES[fused], *written.pop(product)[1:], other]
+    return written
 
 
 def _collect(node: Node, constants: dict[float, int], seen: set[int]) -> None:
@@ -66,7 +126,7 @@ def _collect(node: Node, constants: dict[float, int], seen: set[int]) -> None:
 
 
 class _Writer:
-    """Instructions of one tape; parts that are equal, or the same object, are computed once."""
+    """Instructions in the order of formulas; what is equal, or one object, is computed once."""
 
     def __init__(self, place: dict[str, int], number: dict[float, int]):
         self._place, self._number = place, number
@@ -96,7 +156,7 @@ class _Writer:
 
     def _instruction(self, operation: str, *registers: int) -> int:
         """Register of an operation on registers; written down where it is new."""
-        row = [_CODES[operation], *registers, *([0] * (3 - len(registers)))]
+        row = [_CODES[operation], *(sorted(registers) if operation in _COMMUTE else registers)]
         if tuple(row) not in self._known:
             self.rows.append(row)
             num_given = len(self._place) + len(self._number)

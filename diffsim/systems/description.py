@@ -259,6 +259,16 @@ class Description(Part):
     effects: EffectChoice = Field(EffectChoice(), description="Which candidate causes are judged")
     effort: Effort = Field(Effort(), description="How much is simulated")
 
+    @model_validator(mode="after")
+    def _check_names_differ(self) -> Self:
+        for key in type(self).model_fields:
+            parts = getattr(self, key)
+            given = parts if isinstance(parts, tuple) else ()
+            names = [part.name for part in given if hasattr(part, "name")]
+            if twice := {name for name in names if names.count(name) > 1}:
+                raise ValueError(f"{key}: the name {min(twice)!r} is used twice")
+        return self
+
     def problems(self, study: Study) -> list[Problem]:
         """What the description and the recordings disagree on, found without a simulation.
 
@@ -352,6 +362,11 @@ class BaseParameters:
             for run in runs
         )
         self.base = tuple(self.quantities[key].parameter(name) for key, name in names)
+        self._known = {
+            key: torch.tensor(q.value, dtype=torch.float64)
+            for key, q in self.quantities.items()
+            if not q.is_fitted
+        }
 
     def with_further(self, more: Sequence[Parameter]) -> BaseParameters:
         """The same with base parameters that no quantity states, such as starts of pieces."""
@@ -360,7 +375,7 @@ class BaseParameters:
     def with_priors(self, base: Sequence[Parameter]) -> BaseParameters:
         """The same quantities, with these base parameters."""
         out = BaseParameters({}, ())
-        out.quantities, out.base = self.quantities, tuple(base)
+        out.quantities, out.base, out._known = self.quantities, tuple(base), self._known
         return out
 
     def name_of(self, key: str, run: Run) -> str:
@@ -389,9 +404,7 @@ class BaseParameters:
             run: Run that is simulated.
         """
         return {
-            key: values[self.name_of(key, run)]
-            if q.is_fitted
-            else torch.tensor(q.value, dtype=torch.float64)
+            key: values[self.name_of(key, run)] if q.is_fitted else self._known[key]
             for key, q in self.quantities.items()
         }
 

@@ -17,7 +17,7 @@ import numpy as np
 from diffsim.data.study_check import check_study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.checks.gates import require_separate
-from diffsim.diagnose.checks.whole_record import column_problems
+from diffsim.diagnose.checks.whole_record import model_problems
 from diffsim.systems.registry import setup_of
 from labs.records.damages import DAMAGES, damaged
 from labs.records.rates import rates_page
@@ -38,7 +38,7 @@ def told(folder: Folder, room: Path) -> list[tuple[str, str, bool]]:
     except ValueError as error:
         found.append(("copies", str(error), True))
     if not any(f[2] for f in found):
-        asked = column_problems(study, setup_of(study))
+        asked = model_problems(study, setup_of(study))
         found += [(p.rule, p.message, True) for p in asked]
     return [f for f in found if f[2] or f[0] != "check"]
 

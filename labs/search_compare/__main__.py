@@ -29,6 +29,7 @@ from labs.search_compare.rigs import RIGS as TOGETHER
 PLACE = re.compile(r"(_\d+|_(of|at)_.*)$")
 RIGS = {**TOGETHER, **DRIVES}
 NULLS = 4  # every fourth seed of a rig hides nothing
+OPEN_ENDS = ("ambiguous", "unknown")
 COLUMNS = ("right", "open", "wrong", "false names", "unseen error", "simulations", "CPU s")
 
 
@@ -133,13 +134,18 @@ def scored(report: Report, truth: frozenset[str]) -> dict[str, Any]:
         truth: Rows that act.
     """
     rows = {PLACE.sub("", name) for name in report.named}
-    sets = [{PLACE.sub("", n) for n in rival} for rival in report.rivals]
+    alike = (report.best_names, *report.rivals)
+    sets = [{PLACE.sub("", n) for n in rival} for rival in alike]
     is_right = report.verdict in ("none", "data_sheet") if not truth else rows == truth
+    is_among = truth in sets
+    if report.verdict == "named":  # what is certain, and an exact twin of the rest
+        is_open = rows < truth and is_among
+    else:
+        is_open = report.verdict in OPEN_ENDS and (not truth or is_among or not rows)
     after = [(row.after / row.noise) ** 2 for row in report.errors]
     return {
         "right": is_right and report.verdict != "ambiguous",
-        "open": report.verdict in ("ambiguous", "unknown")
-        and (not truth or truth in sets or not rows),
+        "open": is_open,
         "false": len(rows - truth) if report.verdict == "named" else 0,
         "said": f"{report.verdict}: {', '.join(report.best_names)}",
         "verdict": report.verdict,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -71,7 +72,7 @@ def profile(seed: int, null: bool) -> Study:
 
     def rates(points: Array) -> Rates:
         def of(s: float, y: Array) -> Array:
-            goal = points[min(int(s / 1e-3 + 1e-9), len(points) - 1)]
+            goal = _held(points, s, 1e-3)
             return np.array([y[1], (kp * (goal - y[0]) - kd * y[1]) / inertia])
 
         return of
@@ -79,7 +80,7 @@ def profile(seed: int, null: bool) -> Study:
     runs = []
     for goal in _goals(rng, t, 0.6):
         goal[0] = 0.0
-        points = np.repeat(goal, 20) if null else _profile(goal, 20, 1e-3, fastest, most)
+        points = np.repeat(goal, 20) if null else _profile(goal, 0.02, fastest, most)
         runs.append((_integrated(rates(points), np.zeros(2), t, 20)[:, :1], {"goal": goal}))
     return _study(
         "profile",
@@ -101,7 +102,8 @@ def late_torque(seed: int, null: bool) -> Study:
     rng, t = np.random.default_rng(seed), 0.005 * np.arange(400.0)
     wait = 0.0 if null else rng.uniform(0.008, 0.016)
     inertia, damping = 0.05 * rng.uniform(0.98, 1.02), 0.3 * rng.uniform(0.8, 1.2)
-    kp, kd, h = 80.0, 2.0, 5e-4
+    kp, kd, parts = 80.0, 2.0, 100
+    h = 0.005 / parts  # what steps this short miss is far below the noise
     later = round(wait / h)
     runs = []
     for goal in _sweeps(rng, t, 0.25, 4.0):
@@ -109,7 +111,7 @@ def late_torque(seed: int, null: bool) -> Study:
         torques, seen = [0.0] * later, []
         for k in range(len(t)):
             seen.append(q)
-            for _ in range(10):
+            for _ in range(parts):
                 torques.append(kp * (goal[k] - q) - kd * w)
                 w += h * (torques[-1 - later] - damping * w) / inertia
                 q += h * w
@@ -203,21 +205,26 @@ def _sweeps(rng: np.random.Generator, t: Array, size: float, fastest: float) -> 
     return out
 
 
-def _profile(goal: Array, parts: int, h: float, fastest: float, most: float) -> Array:
-    """Set points every h that follow a held goal, and brake in time."""
-    place, speed, out = float(goal[0]), 0.0, []
-    for wanted in np.repeat(goal, parts):
+def _profile(goal: Array, step: float, fastest: float, most: float) -> Array:
+    """Set points every 1/20 of a step that follow a held goal, and brake in time.
+
+    Where it brakes is decided in small parts: in parts of 1/20 it ends up to 0.02 beside.
+    """
+    parts, place, speed, out = 1000, float(goal[0]), 0.0, []
+    h = step / parts
+    for k, wanted in enumerate(np.repeat(goal, parts)):
         away = wanted - place
-        to = np.sign(away) * min(fastest, np.sqrt(2.0 * most * abs(away)))
-        speed += float(np.clip(to - speed, -most * h, most * h))
+        to = math.copysign(min(fastest, math.sqrt(2.0 * most * abs(away))), away)
+        speed = min(max(to, speed - most * h), speed + most * h)
         place += speed * h
-        out.append(place)
+        if (k + 1) % (parts // 20) == 0:
+            out.append(place)
     return np.array(out)
 
 
 DRIVES: Mapping[str, Rig] = {
     "elastic": Rig(elastic, frozenset({"elastic_coupling"})),
-    "profile": Rig(profile, frozenset({"acceleration_limit"})),
+    "profile": Rig(profile, frozenset({"acceleration_limit"})),  # which has a greatest speed
     "late_torque": Rig(late_torque, frozenset({"delay_inside_motor"})),
     "exchanged": Rig(exchanged, frozenset({"exchanged"})),
     "bus": Rig(bus, frozenset({"bus_age"})),

@@ -77,7 +77,7 @@ def tanks(seed: int, null: bool) -> Study:
 
     def rates(pump: Array) -> Rates:
         def of(s: float, y: Array) -> Array:
-            out = np.array([upper, lower]) * np.sqrt(np.maximum(y, 0.0))
+            out = np.array([upper, lower]) * np.sqrt(np.maximum(y, 1e-4))  # as the study has it
             spilled = 0.5 * max(y[0] - rim, 0.0)
             return np.array(
                 [(_held(pump, s, 0.5) - out[0]) / area - spilled, -np.diff(out)[0] / area]
@@ -243,7 +243,8 @@ def _behind(goal: Array, step: float, half: float) -> Array:
 
 
 def _held(values: Array, s: float, step: float) -> float:
-    return float(values[min(int(s / step + 1e-9), len(values) - 1)])
+    """Value that lasts a step; the last stage of ``_integrated`` still has the old one."""
+    return float(values[min(int(s / step + 1e-12), len(values) - 1)])
 
 
 def _integrated(rates: Rates, start: Array, t: Array, steps: int) -> Array:

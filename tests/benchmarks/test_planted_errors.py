@@ -184,8 +184,10 @@ def test_drawn_errors_fit_the_tree(monkeypatch):
     drawn = drawn_errors.draw(5, 20, nearest=1)
     assert drawn == drawn_errors.draw(5, 20, nearest=1)
     assert drawn != drawn_errors.draw(6, 20, nearest=1)
+    kernels = [error.file.startswith(drawn_errors.KERNELS) for error in drawn]
+    assert kernels == [k % 3 == 2 for k in range(20)]
     for error in drawn:
-        assert error.tests[-1] == "tests/test_house.py"
+        assert "tests/test_house.py" in error.tests
         text = planted_text(Planted(**error._asdict()), ROOT)
         if error.file.endswith(".py"):
             compile(text, error.file, "exec")
@@ -220,6 +222,10 @@ def test_the_operators_of_drawn_errors():
 
 def test_harmless_errors_leave_the_count(tmp_path):
     record = Record(tmp_path / "r.json", {})
-    record.errors = {"a": {"state": CAUGHT}, "b": {"state": MISSED}, "c": {"state": UNFIT}}
-    assert planted_errors.share_caught(record, {}).startswith("caught 1 of 2 (50 %)")
-    assert planted_errors.share_caught(record, {"b": "a guess"}).startswith("caught 1 of 1")
+    states = {"a": CAUGHT, "b": MISSED, "c": UNFIT}
+    record.errors = {n: {"state": s, "room": "soft", "cpu_s": 1.0} for n, s in states.items()}
+    record.errors["d"] = {"state": CAUGHT, "room": "csrc/soft", "cpu_s": 1.0, "build_s": 8.0}
+    python, kernels = planted_errors.shares_caught(record, {}).splitlines()
+    assert python.startswith("Python: caught 1 of 2 (50 %); 1 CPU s each, 0 more to compile; 0 ")
+    assert kernels.startswith("kernels: caught 1 of 1 (100 %); 1 CPU s each, 8 more to compile; 0 ")
+    assert "caught 1 of 1" in planted_errors.shares_caught(record, {"b": "a guess"})

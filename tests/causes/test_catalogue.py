@@ -11,7 +11,7 @@ import pytest
 
 import diffsim
 from diffsim.causes import all_rows, domains, rows
-from diffsim.causes.row import Row
+from diffsim.causes.row import ANY, Row
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "causes_page.py"
 LETTERS = re.compile(r"[a-z][a-z0-9_]*")
@@ -57,6 +57,34 @@ def test_every_row_is_said_in_words(domain):
         assert LETTERS.fullmatch(row.name), row.name
         assert row.form.endswith("."), row.name
         assert all(not like.endswith(".") for like in row.like), row.name
+
+
+@pytest.mark.parametrize("domain", domains())
+def test_a_cause_is_as_its_row_says(domain):
+    """Of every row, in a part called left, with usual magnitudes that are all 2."""
+    for row in rows(domain).values():
+        shapes = (vars(shape).values() for shape in row.shapes.values())
+        numbers = [row.said("typical", ANY), *(value for own in shapes for value in own)]
+        names = re.findall(r"[a-z_]+", " ".join(map(str, [*numbers, row.form])))
+        usual = dict.fromkeys(names, 2.0)
+        effect = row.effect(lambda scene, size, run: scene, usual, ending="_of_left")
+        stated = {
+            "name": f"{row.name}_of_left",
+            "family": row.family,
+            "kind": row.kind,
+            "unit": row.unit,
+            "shown_unit": row.shown,
+            "components": row.components,
+            "signed": not row.said("one_sided", ANY),
+            "smooth": not row.said("kink", ANY),
+            "scanned": row.scanned,
+            "tries": row.tries,
+            "masks": tuple(f"{name}_of_left" for name in row.said("masks", ANY)),
+            "also_looks_like": row.like,
+            "typical": float(eval(str(row.said("typical", ANY)), dict(usual))),
+        }
+        assert {key: getattr(effect, key) for key in stated} == stated, row.name
+        assert {*effect.shapes} == {f"{name}_of_{row.name}_of_left" for name in row.shapes}
 
 
 @pytest.mark.parametrize(

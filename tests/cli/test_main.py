@@ -3,8 +3,10 @@
 import subprocess
 import sys
 import types
+import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from diffsim import __version__, cli
@@ -28,6 +30,23 @@ def fake_demo(monkeypatch):
     module.main = main
     monkeypatch.setitem(sys.modules, "examples.demo", module)
     return record
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_warnings_of_arrays_reach_no_user(debug, monkeypatch):
+    def main(**kwargs):
+        np.log(np.zeros(1))
+        np.nanstd(np.full(3, np.nan))
+        warnings.warn("forces were limited", RuntimeWarning, stacklevel=1)
+
+    module = types.ModuleType("examples.demo")
+    module.main = main
+    monkeypatch.setitem(sys.modules, "examples.demo", module)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        assert cli.main(["demo", *(["--debug"] if debug else [])]) == 0
+    assert len(said) == (3 if debug else 1)
+    assert "forces were limited" in str(said[-1].message)
 
 
 def test_demo_receives_every_option(fake_demo, tmp_path):

@@ -181,3 +181,19 @@ def test_impacts_with_bdf2(restitution):
         state = body(state, obstacles=contact.floor(restitution=restitution))
     assert float(mass_mean(body, state.v)[2]) <= restitution + 0.1
     assert mechanical(body, state) <= 1.01 * before
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2"])
+def test_a_scene_that_stands_elsewhere_moves_alike(integrator):
+    """A slab that falls on a floor and slides, and the same eight meters off and five up."""
+    ends = []
+    for height in (0.0, 5.0):
+        body = slab(height=height + 0.02, integrator=integrator, dt=0.02)
+        state = moving(body, (0.5, 0.0, -0.5), (0.0, 1.0, 0.0))
+        state = state._replace(x=state.x + 1.6 * height * torch.eye(3, dtype=torch.float64)[0])
+        for _ in range(8):
+            state = body(state, obstacles=contact.floor(height, friction=0.3))
+        assert float(state.contact_force.abs().max()) > 0.1
+        ends.append(state.x - height * torch.tensor([1.6, 0.0, 1.0], dtype=torch.float64))
+    torch.testing.assert_close(*ends, rtol=0, atol=1e-7)

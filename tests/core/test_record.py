@@ -193,3 +193,16 @@ def test_a_solve_cannot_be_changed():
         dataclasses.replace(solve, ended=("fine",))
     with pytest.raises(ValueError, match="one for each of ended"):
         dataclasses.replace(solve, residual=())
+
+
+def test_a_warning_names_the_line_that_it_is_about():
+    def checks(stacklevel):
+        warn("said", stacklevel=stacklevel)  # 1: this line
+
+    first = checks.__code__.co_firstlineno
+    for stacklevel in (1, 2):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            checks(stacklevel)  # 2: this line
+        assert caught[0].filename == __file__
+        assert caught[0].lineno == first + (1 if stacklevel == 1 else 7)

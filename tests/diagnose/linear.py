@@ -26,7 +26,7 @@ class LinearScene:
 def shapes(name: str, run: Run, count: int = 1) -> torch.Tensor:
     """(T, 2, count) fixed random shapes of a name in a run."""
     rng = np.random.default_rng([*name.encode(), *run.name.encode()])
-    return torch.from_numpy(rng.normal(size=(NUM_SAMPLES, 2, count)))
+    return torch.from_numpy(rng.normal(size=(len(run.time_s), 2, count)))
 
 
 def line(name, *, signed=True, typical=0.4, components=("size",), family=""):

@@ -14,7 +14,7 @@ from gymnasium.wrappers import vector as wrappers  # noqa: E402
 import diffsim.envs as envs  # noqa: E402
 
 ID, OPTIONS = "diffsim/CopterTrack-v0", {"seconds": 0.12}  # six steps
-SEEDS = [11, 5, 8]
+SEEDS = [11, 5, 0]
 
 
 def native(mode: AutoresetMode | str = "NextStep", **more: object) -> gymnasium.vector.VectorEnv:

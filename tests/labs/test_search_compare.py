@@ -12,6 +12,7 @@ from labs.search_compare.__main__ import compared, scored
 from labs.search_compare.rigs import RIGS
 
 TRUTH = frozenset({"delay"})
+PAIR = frozenset({"lag", "delay"})
 
 
 def report(verdict, named=(), rivals=(), best=None):
@@ -28,10 +29,12 @@ def report(verdict, named=(), rivals=(), best=None):
         (report("named", ("delay", "lag")), TRUTH, False, False, 1),
         (report("ambiguous", ("lag",), (("delay_of_u0",),)), TRUTH, False, True, 0),
         (report("ambiguous", ("lag",), (("slack",),)), TRUTH, False, False, 0),
+        (report("ambiguous", best=("delay_of_u0",), rivals=(("lag",),)), TRUTH, False, True, 0),
         (report("unknown"), TRUTH, False, True, 0),
         (report("none"), TRUTH, False, False, 0),
         (report("none"), frozenset(), True, False, 0),
         (report("named", ("lag",)), frozenset(), False, False, 1),
+        (report("named", ("lag",), (("lag", "delay"),), ("lag", "gain")), PAIR, False, True, 0),
     ],
 )
 def test_outcomes_are_by_rows_whatever_the_place(given, truth, is_right, is_open, num_false):

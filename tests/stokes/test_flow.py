@@ -1,7 +1,9 @@
 """The flow layer: laws it keeps, shapes, messages."""
 
+import numpy as np
 import pytest
 import torch
+from scipy import ndimage
 
 from diffsim import stokes
 from diffsim.core.errors import FactorizationError
@@ -209,6 +211,31 @@ def test_a_node_of_fluid_in_a_plane_is_held_by_its_four_facets(wall):
     assert flow.report(phi)["num_loose_cells"] == 4
     field = flow(phi, tensor(1.0, 0.0), body_force=tensor(0.0, 1.0))
     assert float(field.velocity[0, 5, 7].abs().max()) < 1e-3
+
+
+@pytest.mark.parametrize("cells", [(20, 18), (9, 10, 8)])
+def test_the_report_counts_what_there_is(cells):
+    """Cells, cut ones, nodes and connected parts of a wavy fluid, counted by numpy and scipy."""
+    grid = stokes.Grid(cells, 0.1)
+    waves = [torch.sin(7.0 * x + k) for k, x in enumerate(grid.nodes.unbind(-1))]
+    phi = sum(waves) - 0.3
+    corners = np.stack(
+        [
+            phi.numpy()[tuple(slice(c, n + c) for c, n in zip(corner, cells, strict=True))]
+            for corner in np.ndindex(*len(cells) * (2,))
+        ]
+    )
+    fluid = (corners > 0.0).any(0)
+    count = ndimage.label(fluid)[1]
+    flow = stokes.StokesFlow(grid, [stokes.Inlet("x-"), stokes.Open("x+")])
+    report = flow.report(phi)
+    touched = np.zeros(np.array(cells) + 1, dtype=bool)
+    for corner in np.ndindex(*len(cells) * (2,)):
+        touched[tuple(slice(c, n + c) for c, n in zip(corner, cells, strict=True))] |= fluid
+    assert report["num_cells"] == fluid.sum()
+    assert report["num_cut_cells"] == (fluid & (corners < 0.0).any(0)).sum()
+    assert report["num_nodes"] == touched.sum()
+    assert report["num_regions"] == count
 
 
 def closed_blob(n: int, incompressible: bool, force: torch.Tensor) -> stokes.FlowField:

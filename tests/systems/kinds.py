@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
@@ -213,6 +216,160 @@ def rows_are_the_librarys(ready: Ready) -> None:
         torch.testing.assert_close(
             found, wanted, rtol=1e-12, atol=1e-9, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
         )
+
+
+#: what formulas of rows call, one number at a time
+CALLED = {
+    **{"sign": np.sign, "abs": abs, "max": max, "min": min},
+    "clip": lambda u, low, high: min(max(u, low), high),
+}
+
+
+def by_hand(text: str, u: np.ndarray, times: np.ndarray, names: Mapping[str, float]) -> np.ndarray:
+    """What a row writes of signals, (num_times, ...), evaluated by Python number by number."""
+    code = compile(text, "row", "eval")
+    out = np.empty_like(u)
+    for at in np.ndindex(u.shape):
+        own = {**CALLED, **names, "u": float(u[at]), "t": float(times[at[0]] - times[0])}
+        out[at] = eval(code, own)
+    return out
+
+
+def usual_readings(ready: Ready, names: Sequence[str]) -> dict[str, float]:
+    """Usual magnitudes of channels, from what was recorded."""
+    known = ready.study.fit_runs
+    places = [[c.name for c in ready.study.channels].index(name) for name in names]
+    seen = np.vstack([run.measured[:, places] for run in known])
+    low, high = np.nanmin(seen, 0), np.nanmax(seen, 0)
+    return {
+        "middle": float(0.5 * (low.min() + high.max())),
+        "width": float(high.max() - low.min()),
+        "spread": float((high - low).max()),
+        "longest": max(float(run.time_s[-1] - run.time_s[0]) for run in known),
+    }
+
+
+def usual_commands(ready: Ready, names: Sequence[str]) -> dict[str, float]:
+    """Usual magnitudes of commands, from what was sent."""
+    sent = np.hstack([run.command[name] for run in ready.study.fit_runs for name in names])
+    return {"reach": float(np.abs(sent).max()), "width": float(sent.max() - sent.min())}
+
+
+def read_by_hand(ready: Ready, text: str, found: Tensor, names: Mapping[str, float]) -> Tensor:
+    """Channels with a formula in those that a cause has changed [noise sd]."""
+    own = changed_channels(ready, found)
+    shown = (ready.plain[0] * ready.noise).numpy()
+    shown[:, own] = by_hand(text, shown[:, own], ready.run.time_s, names)
+    return torch.from_numpy(shown) / ready.noise
+
+
+def changed_channels(ready: Ready, found: Tensor) -> np.ndarray:
+    """Indices of the channels that a cause has changed."""
+    differs = found.nan_to_num() != ready.plain[0].nan_to_num()
+    return np.flatnonzero(differs.any(0).numpy())
+
+
+def sent_by_hand(
+    ready: Ready, text: str, commands: Sequence[str], names: Mapping[str, float]
+) -> Tensor:
+    """Channels under commands that a formula has changed before they are sent [noise sd]."""
+    run = ready.run
+    sent = {n: by_hand(text, np.asarray(run.command[n]), run.time_s, names) for n in commands}
+    return ready.shown(replace(run, command={**run.command, **sent}))
+
+
+def written_formulas(ready: Ready) -> Iterator[tuple[Row, str, Effect]]:
+    """Rows of commands and readings that are written as formulas, with what each is a cause of."""
+    for _, row in rows_in_order(ready.plant.kind):
+        text = row.said("map", ready.plant.kind) or ""
+        is_formula = row.at in ("command", "reading") and not text.isidentifier()
+        if is_formula and row.name not in ready.plant.functions:
+            named = re.compile(f"{row.name}(_of_(?!all_)\\w+)?")
+            own = (e for name, e in ready.effects.items() if named.fullmatch(name))
+            yield from ((row, text, effect) for effect in own)
+
+
+def formulas_are_as_written(ready: Ready) -> None:
+    """A row that is written as a formula does to readings and commands what Python makes of it,
+    and its usual size is what its row says of the recordings."""
+    if ready.plant is None or ready.plant.kind in LISTED_BY_CODE:
+        return
+    ways = {f"_of_{name}": (name,) for name in ready.plant.commands}
+    ways |= {way.ending: way.names for way in ready.plant.ways}
+    for row, text, effect in written_formulas(ready):
+        found = ready.shown(ready.run, {effect: uniform(effect, SHARE)})
+        size = {"size": SHARE * effect.typical}
+        if row.at == "reading":
+            own = [ready.channels[c].name for c in changed_channels(ready, found)]
+            usual = usual_readings(ready, own)
+            wanted = read_by_hand(ready, text, found, usual | size)
+        else:
+            sent = ways[effect.name.removeprefix(row.name)]
+            usual = usual_commands(ready, sent)
+            wanted = sent_by_hand(ready, text, sent, usual | size)
+        torch.testing.assert_close(
+            found, wanted, rtol=1e-9, atol=1e-6, equal_nan=True,
+            msg=lambda m, n=effect.name: f"{n}: {m}",
+        )  # fmt: skip
+        typical = eval(str(row.said("typical", ready.plant.kind)), dict(usual))
+        assert math.isclose(effect.typical, typical, rel_tol=1e-9), effect.name
+
+
+def stated_numbers(keys: Any) -> Iterator[dict[str, Any]]:
+    """Numbers of a description that have a prior."""
+    if isinstance(keys, dict):
+        if "value" in keys and {"sd", "percent"} & keys.keys():
+            yield keys
+        keys = list(keys.values())
+    for inner in keys if isinstance(keys, (list, tuple)) else ():
+        yield from stated_numbers(inner)
+
+
+def priors_are_as_stated(ready: Ready) -> None:
+    """A number with a prior is a base parameter: as wide, and of the same effect if it is restated.
+
+    One that has percent is positive, and so wide is its logarithm.
+    """
+    model = ready.setup.model
+    for k in range(len(list(stated_numbers(ready.study.model)))):
+        keys = deepcopy(dict(ready.study.model))
+        stated = list(stated_numbers(keys))[k]
+        value, _, unit = str(stated["value"]).partition(" ")
+        wide = float(stated["percent"]) / 100.0 if "percent" in stated else float(stated["sd"])
+        restated = float(value) * math.exp(wide) if "percent" in stated else float(value) + wide
+        stated["value"] = f"{restated!r} {unit}" if unit else restated
+        other = Ready(replace(ready.study, model=keys))
+        q = torch.tensor(
+            [
+                was.coordinate_of(now.value)
+                for was, now in zip(model.base, other.setup.model.base, strict=True)
+            ],
+            dtype=torch.float64,
+        )
+        assert q.any() and torch.allclose(q[q != 0.0], torch.ones(1, dtype=q.dtype)), stated
+        with torch.no_grad():
+            moved = model.predict(ready.run, q) / ready.noise
+        torch.testing.assert_close(
+            moved, other.plain[0], rtol=1e-9, atol=2e-3, equal_nan=True,
+            msg=lambda m, n=stated: f"{n}: {m}",
+        )  # fmt: skip
+
+
+def named_parts(keys: Any) -> Iterator[tuple[str, list[Any]]]:
+    """Lists of parts that have names, and the keys under which they stand."""
+    for key, parts in keys.items():
+        if isinstance(parts, list) and any("name" in p for p in parts if isinstance(p, dict)):
+            yield key, parts
+
+
+def names_are_used_once(ready: Ready) -> None:
+    """Two parts of one name are refused in words."""
+    keys = deepcopy(dict(ready.study.model))
+    for key, parts in named_parts(keys):
+        parts.append(parts[-1])
+        with pytest.raises(ValueError, match=f"{key}: the name '.*' is used twice"):
+            description_of(replace(ready.study, model=keys))
+        parts.pop()
 
 
 def known_before(ready: Ready) -> tuple[Any, ...]:
@@ -415,8 +572,13 @@ def slopes_are_those_of_differences(ready: Ready) -> None:
 
 
 def many_points_are_as_one_by_one(ready: Ready) -> None:
-    """Several points side by side, in base parameters and in every cause."""
+    """Several points side by side, in base parameters and in every cause.
+
+    Starts of flights follow by tangents of one point: what is of second order is left out, 28 % of
+    the change at most.
+    """
     model, base = ready.setup.model, len(ready.setup.model.base)
+    is_flown = ready.study.model["system"] == "multicopter"
     q = torch.zeros(3, base, dtype=torch.float64)
     q[1], q[2] = 0.2, -0.1
     for name, effect in ready.effects.items():
@@ -427,6 +589,9 @@ def many_points_are_as_one_by_one(ready: Ready) -> None:
                 model.predict(ready.run, at, {effect: size}) / ready.noise
                 for at, size in zip(q, sizes, strict=True)
             ]
+        off, moved = (many - torch.stack(alone)).nan_to_num(), (many - many[0]).nan_to_num()
+        if is_flown and float(off.norm()) < 0.3 * float(moved.norm()):
+            continue
         torch.testing.assert_close(
             many, torch.stack(alone), rtol=1e-7, atol=1e-6, equal_nan=True,
             msg=lambda m, n=name: f"{n}: {m}",
@@ -496,6 +661,9 @@ def check_kind(study: Study, silent: tuple[str, ...] = ()) -> None:
 STATEMENTS = (
     ports_act,
     rows_are_the_librarys,
+    formulas_are_as_written,
+    priors_are_as_stated,
+    names_are_used_once,
     test_runs_change_nothing,
     saved_means_the_same,
     rows_are_judged_or_refused,

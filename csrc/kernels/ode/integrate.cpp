@@ -2,17 +2,19 @@
 
 #include <algorithm>
 
+#include "kernels/linalg/aligned_buffer.h"
 #include "kernels/parallel.h"
 
 namespace diffsim {
 
 namespace {
 
-// Members of a batch side by side in one sweep; what is left of a batch goes by fours, twos and
-// ones. All give the same bits: lanes do not see each other.
-constexpr int kLanes = 8;
+// Two SIMD registers a row: reading an instruction takes as long as one.
+constexpr int kWide = 2 * kNativeLanes;
 
-/// Integrates `Lanes` members from `first` on.
+/// Integrates up to `Lanes` members from `first` on; lanes behind the batch repeat its last member.
+///
+/// Lanes do not see each other, so a member has the same bits beside any others, and alone.
 template <int Lanes>
 class Sweep {
  public:
@@ -21,34 +23,27 @@ class Sweep {
       : p_(problem),
         stop_(stop),
         first_(first),
+        count_(static_cast<int>(std::min<std::int64_t>(Lanes, p_.batch - first))),
+        carries_(std::none_of(p_.held, p_.held + p_.num_inputs, [](auto held) { return held; })),
         inputs_(inputs),
-        registers_(std::max(p_.rates.num_registers(), p_.readings.num_registers()) * Lanes),
-        rates_(4 * p_.num_states * Lanes),
-        stage_(p_.num_states * Lanes) {
-    double* at = given(1 + p_.num_states + p_.num_inputs);
-    for (std::int64_t i = 0; i < p_.num_parameters; ++i, at += Lanes)
-      for (int l = 0; l < Lanes; ++l) at[l] = parameters[(first + l) * p_.num_parameters + i];
+        registers_(p_.tape.num_registers() * Lanes),
+        rates_(4 * p_.num_states * Lanes) {
+    gather(parameters, p_.num_parameters, given(1 + p_.num_states + p_.num_inputs));
+    double* at = given(1 + p_.num_states + p_.num_inputs + p_.num_parameters);
     for (std::int64_t i = 0; i < p_.num_constants; ++i, at += Lanes)
       std::fill(at, at + Lanes, p_.constants[i]);
+    run_tape<Lanes>(p_.tape, kFixed, registers_.data());
   }
 
   void forward(const double* start, double* readings, double* states) {
     std::vector<double> x(p_.num_states * Lanes);
-    for (std::int64_t s = 0; s < p_.num_states; ++s)
-      for (int l = 0; l < Lanes; ++l) x[s * Lanes + l] = start[(first_ + l) * p_.num_states + s];
+    gather(start, p_.num_states, x.data());
     for (std::int64_t k = 0; k < p_.num_samples; ++k) {
-      for (int l = 0; l < Lanes; ++l)
-        for (std::int64_t s = 0; s < p_.num_states; ++s)
-          states[((first_ + l) * p_.num_samples + k) * p_.num_states + s] = x[s * Lanes + l];
       read(k, x.data());
-      for (int l = 0; l < Lanes; ++l)
-        for (std::int64_t c = 0; c < p_.num_channels; ++c)
-          readings[((first_ + l) * p_.num_samples + k) * p_.num_channels + c] =
-              registers_[p_.reading_out[c] * Lanes + l];
-      if (k + 1 == p_.num_samples) break;
-      for (std::int64_t j = 0; j < p_.num_steps; ++j) {
+      hand_out(k, x.data(), registers_.data(), states, readings);
+      for (std::int64_t j = 0; j < num_steps_from(k); ++j) {
         if (stop_.asked()) return;
-        step(k, j, x.data());
+        step(k, j, x.data(), j == 0);
       }
     }
   }
@@ -57,40 +52,30 @@ class Sweep {
   void tangent(const double* start, const double* d_start, const double* d_inputs,
                const double* d_parameters, double* d_readings, double* d_states) {
     const std::int64_t n = p_.num_states, size = n * Lanes;
-    tangents_.assign(registers_.size(), 0.0);
+    tangents_.resize(p_.tape.num_registers() * Lanes);
+    std::fill_n(tangents_.data(), p_.tape.num_given * Lanes, 0.0);
     d_inputs_ = d_inputs;
-    for (std::int64_t i = 0; i < p_.num_parameters; ++i)
-      for (int l = 0; l < Lanes; ++l)
-        tangents_[(1 + n + p_.num_inputs + i) * Lanes + l] =
-            d_parameters[(first_ + l) * p_.num_parameters + i];
+    gather(d_parameters, p_.num_parameters, &tangents_.data()[(1 + n + p_.num_inputs) * Lanes]);
+    tangent_tape<Lanes>(p_.tape, kFixed, registers_.data(), tangents_.data());
     std::vector<double> x(size), dx(size), d_rates(4 * size), d_stage(size);
-    for (std::int64_t s = 0; s < n; ++s)
-      for (int l = 0; l < Lanes; ++l) {
-        x[s * Lanes + l] = start[(first_ + l) * n + s];
-        dx[s * Lanes + l] = d_start[(first_ + l) * n + s];
-      }
+    gather(start, n, x.data());
+    gather(d_start, n, dx.data());
     for (std::int64_t k = 0; k < p_.num_samples; ++k) {
       read(k, x.data());
-      place_tangent(k, 0.0, dx.data());
-      tangent_tape<Lanes>(p_.readings, registers_.data(), tangents_.data());
-      for (int l = 0; l < Lanes; ++l) {
-        const std::int64_t row = (first_ + l) * p_.num_samples + k;
-        for (std::int64_t s = 0; s < n; ++s) d_states[row * n + s] = dx[s * Lanes + l];
-        for (std::int64_t c = 0; c < p_.num_channels; ++c)
-          d_readings[row * p_.num_channels + c] = tangents_[p_.reading_out[c] * Lanes + l];
-      }
-      if (k + 1 == p_.num_samples) break;
-      const double h = width(k), steps = static_cast<double>(p_.num_steps);
-      for (std::int64_t j = 0; j < p_.num_steps; ++j) {
+      move(dx.data());
+      tangent_tape<Lanes>(p_.tape, kReadings, registers_.data(), tangents_.data());
+      hand_out(k, dx.data(), tangents_.data(), d_states, d_readings);
+      for (std::int64_t j = 0; j < num_steps_from(k); ++j) {
         if (stop_.asked()) return;
+        const double h = width(k);
         for (int r = 0; r < 4; ++r) {
-          rate(k, j, r, stage(r, h, x.data()));
+          rate(k, j, r, x.data());
           for (std::int64_t i = 0; i < size; ++i)
             d_stage[i] = dx[i] + (r > 0 ? kShare[r] * h * d_rates[(r - 1) * size + i] : 0.0);
-          place_tangent(k, (static_cast<double>(j) + kShare[r]) / steps, d_stage.data());
-          tangent_tape<Lanes>(p_.rates, registers_.data(), tangents_.data());
+          move(d_stage.data());
           for (std::int64_t s = 0; s < n; ++s)
-            std::copy_n(&tangents_[p_.rate_out[s] * Lanes], Lanes, &d_rates[r * size + s * Lanes]);
+            std::copy_n(&tangents_.data()[p_.rate_out[s] * Lanes], Lanes,
+                        &d_rates[r * size + s * Lanes]);
         }
         for (std::int64_t i = 0; i < size; ++i) {
           const double end = x[i] + advance(h, i);
@@ -107,110 +92,152 @@ class Sweep {
   void backward(const double* states, const double* grad_readings, const double* grad_states,
                 double* grad_start, double* grad_inputs, double* grad_parameters) {
     const std::int64_t n = p_.num_states;
-    adjoints_.assign(registers_.size(), 0.0);
+    adjoints_.resize(p_.tape.num_registers() * Lanes);
+    std::fill_n(adjoints_.data(), p_.tape.num_registers() * Lanes, 0.0);
     std::vector<double> g(n * Lanes, 0.0), path((p_.num_steps + 1) * n * Lanes);
     grad_inputs_ = grad_inputs;
     for (std::int64_t k = p_.num_samples - 1; k >= 0; --k) {
-      if (k + 1 < p_.num_samples) {
-        load(states, k, path.data());
-        for (std::int64_t j = 0; j + 1 < p_.num_steps; ++j) {
-          if (stop_.asked()) return;
-          std::copy_n(&path[j * n * Lanes], n * Lanes, &path[(j + 1) * n * Lanes]);
-          step(k, j, &path[(j + 1) * n * Lanes]);
-        }
-        for (std::int64_t j = p_.num_steps - 1; j >= 0; --j) {
-          if (stop_.asked()) return;
-          reverse_step(k, j, &path[j * n * Lanes], g.data());
-        }
-      }
       load(states, k, path.data());
+      for (std::int64_t j = 0; j + 1 < num_steps_from(k); ++j) {
+        if (stop_.asked()) return;
+        std::copy_n(&path[j * n * Lanes], n * Lanes, &path[(j + 1) * n * Lanes]);
+        step(k, j, &path[(j + 1) * n * Lanes]);
+      }
+      for (std::int64_t j = num_steps_from(k) - 1; j >= 0; --j) {
+        if (stop_.asked()) return;
+        reverse_step(k, j, &path[j * n * Lanes], g.data());
+      }
       read(k, path.data());
       for (std::int64_t c = 0; c < p_.num_channels; ++c)
-        for (int l = 0; l < Lanes; ++l)
-          adjoints_[p_.reading_out[c] * Lanes + l] +=
+        for (int l = 0; l < count_; ++l)
+          adjoints_.data()[p_.reading_out[c] * Lanes + l] +=
               grad_readings[((first_ + l) * p_.num_samples + k) * p_.num_channels + c];
-      reverse_tape<Lanes>(p_.readings, registers_.data(), adjoints_.data());
-      collect(g.data(), 1.0, k, 0.0);
+      reverse(kReadings);
+      reverse(kMoving);
+      collect_states(g.data());
+      reverse(kDriven);
+      collect_inputs(k, 0.0);
       for (std::int64_t s = 0; s < n; ++s)
-        for (int l = 0; l < Lanes; ++l)
+        for (int l = 0; l < count_; ++l)
           g[s * Lanes + l] += grad_states[((first_ + l) * p_.num_samples + k) * n + s];
     }
-    for (int l = 0; l < Lanes; ++l) {
+    reverse(kFixed);
+    const double* of_parameters = &adjoints_.data()[(1 + n + p_.num_inputs) * Lanes];
+    for (int l = 0; l < count_; ++l) {
       for (std::int64_t s = 0; s < n; ++s) grad_start[(first_ + l) * n + s] = g[s * Lanes + l];
       for (std::int64_t i = 0; i < p_.num_parameters; ++i)
-        grad_parameters[(first_ + l) * p_.num_parameters + i] =
-            adjoints_[(1 + n + p_.num_inputs + i) * Lanes + l];
+        grad_parameters[(first_ + l) * p_.num_parameters + i] = of_parameters[i * Lanes + l];
     }
   }
 
  private:
-  double* given(std::int64_t i) { return &registers_[i * Lanes]; }
+  double* given(std::int64_t i) { return registers_.data() + i * Lanes; }
+  std::int64_t member(int l) const { return first_ + std::min(l, count_ - 1); }
+  std::int64_t num_steps_from(std::int64_t k) const {
+    return k + 1 < p_.num_samples ? p_.num_steps : 0;
+  }
 
-  /// Time, state and inputs at a share of the interval from sample k on.
-  void place(std::int64_t k, double share, const double* x) {
+  /// Rows of (batch, size) as registers.
+  void gather(const double* rows, std::int64_t size, double* to) const {
+    for (std::int64_t i = 0; i < size; ++i)
+      for (int l = 0; l < Lanes; ++l) to[i * Lanes + l] = rows[member(l) * size + i];
+  }
+
+  /// Inputs, or their tangents, at a share of the interval from sample k on.
+  void place_inputs(const double* inputs, std::int64_t k, double share, double* u) const {
     const std::int64_t next = std::min(k + 1, p_.num_samples - 1);
-    std::fill_n(given(0), Lanes, p_.times[k] + share * (p_.times[next] - p_.times[k]));
-    std::copy_n(x, p_.num_states * Lanes, given(1));
-    double* u = given(1 + p_.num_states);
     for (std::int64_t i = 0; i < p_.num_inputs; ++i)
       for (int l = 0; l < Lanes; ++l) {
-        const double* own = inputs_ + (first_ + l) * p_.input_stride;
+        const double* own = inputs + member(l) * p_.input_stride;
         const double now = own[k * p_.num_inputs + i];
         const double then = own[next * p_.num_inputs + i];
         u[i * Lanes + l] = p_.held[i] ? now : now + share * (then - now);
       }
   }
 
-  /// Tangents of what `place` sets; time does not move.
-  void place_tangent(std::int64_t k, double share, const double* dx) {
+  /// Time and inputs at a share of the interval from sample k on, and what they drive; nothing
+  /// where they are there already.
+  void drive(std::int64_t k, double share) {
+    if (carries_ && share == 1.0) ++k, share = 0.0;
+    if (k == driven_from_ && share == driven_share_) return;
+    driven_from_ = k, driven_share_ = share;
     const std::int64_t next = std::min(k + 1, p_.num_samples - 1);
-    std::copy_n(dx, p_.num_states * Lanes, &tangents_[Lanes]);
-    double* du = &tangents_[(1 + p_.num_states) * Lanes];
-    for (std::int64_t i = 0; i < p_.num_inputs; ++i)
-      for (int l = 0; l < Lanes; ++l) {
-        const double* own = d_inputs_ + (first_ + l) * p_.input_stride;
-        const double now = own[k * p_.num_inputs + i];
-        const double then = own[next * p_.num_inputs + i];
-        du[i * Lanes + l] = p_.held[i] ? now : now + share * (then - now);
-      }
+    std::fill_n(given(0), Lanes, p_.times[k] + share * (p_.times[next] - p_.times[k]));
+    place_inputs(inputs_, k, share, given(1 + p_.num_states));
+    run_tape<Lanes>(p_.tape, kDriven, registers_.data());
+    if (tangents_.data() == nullptr) return;
+    place_inputs(d_inputs_, k, share, &tangents_.data()[(1 + p_.num_states) * Lanes]);
+    tangent_tape<Lanes>(p_.tape, kDriven, registers_.data(), tangents_.data());
+  }
+
+  /// Tangents of the rates along those of the states, where both are evaluated.
+  void move(const double* dx) {
+    std::copy_n(dx, p_.num_states * Lanes, &tangents_.data()[Lanes]);
+    tangent_tape<Lanes>(p_.tape, kMoving, registers_.data(), tangents_.data());
   }
 
   void read(std::int64_t k, const double* x) {
-    place(k, 0.0, x);
-    run_tape<Lanes>(p_.readings, registers_.data());
+    drive(k, 0.0);
+    std::copy_n(x, p_.num_states * Lanes, given(1));
+    run_tape<Lanes>(p_.tape, kMoving, registers_.data());
+    run_tape<Lanes>(p_.tape, kReadings, registers_.data());
   }
 
-  /// Rates at stage r (0 to 3) of step j into `rates_`; registers are left as the tape filled them.
+  /// States and readings at sample k, or their tangents, as rows of the batch.
+  void hand_out(std::int64_t k, const double* x, const double* registers, double* states,
+                double* readings) const {
+    for (int l = 0; l < count_; ++l) {
+      const std::int64_t row = (first_ + l) * p_.num_samples + k;
+      for (std::int64_t s = 0; s < p_.num_states; ++s)
+        states[row * p_.num_states + s] = x[s * Lanes + l];
+      for (std::int64_t c = 0; c < p_.num_channels; ++c)
+        readings[row * p_.num_channels + c] = registers[p_.reading_out[c] * Lanes + l];
+    }
+  }
+
+  /// Where stage r (0 to 3) of step j lies between sample k and the next.
+  double share(std::int64_t j, int r) const {
+    return (static_cast<double>(j) + kShare[r]) / static_cast<double>(p_.num_steps);
+  }
+
+  /// Rates at stage r of step j into `rates_`; registers are left as the tape filled them.
+  /// @param x  state at the step's start
   void rate(std::int64_t k, std::int64_t j, int r, const double* x) {
-    const double steps = static_cast<double>(p_.num_steps);
-    place(k, (static_cast<double>(j) + kShare[r]) / steps, x);
-    run_tape<Lanes>(p_.rates, registers_.data());
+    const std::int64_t size = p_.num_states * Lanes;
+    drive(k, share(j, r));
+    double* at = given(1);
+    if (r == 0) {
+      std::copy_n(x, size, at);
+    } else {
+      const double* before = &rates_[(r - 1) * size];
+      const double way = kShare[r] * width(k);
+      for (std::int64_t i = 0; i < size; ++i) at[i] = x[i] + way * before[i];
+    }
+    run_tape<Lanes>(p_.tape, kMoving, registers_.data());
+    keep_rates(r);
+  }
+  void keep_rates(int r) {
     for (std::int64_t s = 0; s < p_.num_states; ++s)
-      std::copy_n(&registers_[p_.rate_out[s] * Lanes], Lanes,
-                  &rates_[(r * p_.num_states + s) * Lanes]);
+      std::copy_n(given(p_.rate_out[s]), Lanes, &rates_[(r * p_.num_states + s) * Lanes]);
   }
 
   double width(std::int64_t k) const {
     return (p_.times[k + 1] - p_.times[k]) / static_cast<double>(p_.num_steps);
   }
 
-  /// State at which stage r is evaluated, from that of the step's start and the rates so far.
-  const double* stage(int r, double h, const double* x) {
-    if (r == 0) return x;
-    const double* before = &rates_[(r - 1) * p_.num_states * Lanes];
-    for (std::int64_t i = 0; i < p_.num_states * Lanes; ++i)
-      stage_[i] = x[i] + kShare[r] * h * before[i];
-    return stage_.data();
-  }
-
-  void step(std::int64_t k, std::int64_t j, double* x) {
+  /// @param is_read  whether `read` has just evaluated the start of the step
+  void step(std::int64_t k, std::int64_t j, double* x, bool is_read = false) {
     const double h = width(k);
-    const std::int64_t size = p_.num_states * Lanes;
-    for (int r = 0; r < 4; ++r) rate(k, j, r, stage(r, h, x));
-    for (std::int64_t i = 0; i < size; ++i) {
-      const double end = x[i] + advance(h, i);
-      x[i] = std::clamp(end, p_.lower[i / Lanes], p_.upper[i / Lanes]);
-    }
+    if (is_read)
+      keep_rates(0);
+    else
+      rate(k, j, 0, x);
+    for (int r = 1; r < 4; ++r) rate(k, j, r, x);
+    for (std::int64_t s = 0; s < p_.num_states; ++s)
+      for (std::int64_t i = s * Lanes; i < (s + 1) * Lanes; ++i) {
+        const double end = x[i] + advance(h, i);
+        x[i] = std::clamp(end, p_.lower[s], p_.upper[s]);
+      }
   }
 
   double advance(double h, std::int64_t i) const {
@@ -223,7 +250,7 @@ class Sweep {
   void reverse_step(std::int64_t k, std::int64_t j, const double* x, double* g) {
     const double h = width(k);
     const std::int64_t size = p_.num_states * Lanes;
-    for (int r = 0; r < 4; ++r) rate(k, j, r, stage(r, h, x));
+    for (int r = 0; r < 4; ++r) rate(k, j, r, x);
     for (std::int64_t i = 0; i < size; ++i) {
       const double end = x[i] + advance(h, i);
       if (end < p_.lower[i / Lanes] || end > p_.upper[i / Lanes]) g[i] = 0.0;
@@ -232,15 +259,18 @@ class Sweep {
     std::vector<double> of_rate(4 * size), before(size);
     for (int r = 0; r < 4; ++r)
       for (std::int64_t i = 0; i < size; ++i) of_rate[r * size + i] = h / 6.0 * kWeight[r] * g[i];
-    const double steps = static_cast<double>(p_.num_steps);
     for (int r = 3; r >= 0; --r) {
-      rate(k, j, r, stage(r, h, x));
+      if (r < 3) rate(k, j, r, x);
       for (std::int64_t s = 0; s < p_.num_states; ++s)
         for (int l = 0; l < Lanes; ++l)
-          adjoints_[p_.rate_out[s] * Lanes + l] += of_rate[r * size + s * Lanes + l];
-      reverse_tape<Lanes>(p_.rates, registers_.data(), adjoints_.data());
+          adjoints_.data()[p_.rate_out[s] * Lanes + l] += of_rate[r * size + s * Lanes + l];
+      reverse(kMoving);
       std::fill(before.begin(), before.end(), 0.0);
-      collect(before.data(), 1.0, k, (static_cast<double>(j) + kShare[r]) / steps);
+      collect_states(before.data());
+      if (r != 2) {  // stages 1 and 2 are driven alike
+        reverse(kDriven);
+        collect_inputs(k, share(j, r));
+      }
       for (std::int64_t i = 0; i < size; ++i) {
         g[i] += before[i];
         if (r > 0) of_rate[(r - 1) * size + i] += kShare[r] * h * before[i];
@@ -248,25 +278,35 @@ class Sweep {
     }
   }
 
-  /// Adds adjoints of the states to `g`, hands those of the inputs to the samples around; those of
-  /// the parameters stay and sum up.
-  void collect(double* g, double factor, std::int64_t k, double share) {
-    const std::int64_t n = p_.num_states, next = std::min(k + 1, p_.num_samples - 1);
-    for (std::int64_t i = 0; i < n * Lanes; ++i) g[i] += factor * adjoints_[Lanes + i];
+  void reverse(TapePart part) {
+    reverse_tape<Lanes>(p_.tape, part, registers_.data(), adjoints_.data());
+  }
+
+  /// Adds adjoints of the states to `g`; those of the parameters stay and sum up.
+  void collect_states(double* g) {
+    double* own = adjoints_.data() + Lanes;
+    for (std::int64_t i = 0; i < p_.num_states * Lanes; ++i) g[i] += own[i];
+    std::fill_n(own, p_.num_states * Lanes, 0.0);
+  }
+
+  /// Hands adjoints of the inputs to the samples around.
+  void collect_inputs(std::int64_t k, double share) {
+    const std::int64_t next = std::min(k + 1, p_.num_samples - 1);
+    double* of_inputs = adjoints_.data() + (1 + p_.num_states) * Lanes;
     for (std::int64_t i = 0; i < p_.num_inputs; ++i)
-      for (int l = 0; l < Lanes; ++l) {
-        const double a = adjoints_[(1 + n + i) * Lanes + l];
+      for (int l = 0; l < count_; ++l) {
+        const double a = of_inputs[i * Lanes + l];
         double* own = grad_inputs_ + (first_ + l) * p_.num_samples * p_.num_inputs;
         own[k * p_.num_inputs + i] += p_.held[i] ? a : (1.0 - share) * a;
         own[next * p_.num_inputs + i] += p_.held[i] ? 0.0 : share * a;
       }
-    std::fill_n(adjoints_.begin(), (1 + n + p_.num_inputs) * Lanes, 0.0);
+    std::fill_n(of_inputs, p_.num_inputs * Lanes, 0.0);
   }
 
   void load(const double* states, std::int64_t k, double* x) const {
     for (std::int64_t s = 0; s < p_.num_states; ++s)
       for (int l = 0; l < Lanes; ++l)
-        x[s * Lanes + l] = states[((first_ + l) * p_.num_samples + k) * p_.num_states + s];
+        x[s * Lanes + l] = states[(member(l) * p_.num_samples + k) * p_.num_states + s];
   }
 
   // classical Runge-Kutta: where stages lie in a step, and their weights times 6
@@ -276,28 +316,29 @@ class Sweep {
   const OdeProblem& p_;
   Stop& stop_;
   std::int64_t first_;
+  int count_;     // lanes that are members
+  bool carries_;  // whether an interval's end is the next one's begin: no input is held
   const double* inputs_;
   double* grad_inputs_ = nullptr;
   const double* d_inputs_ = nullptr;
-  std::vector<double> registers_, rates_, stage_, adjoints_, tangents_;
+  std::int64_t driven_from_ = -1;  // sample and share that `drive` was called for
+  double driven_share_ = 0.0;
+  AlignedBuffer<double> registers_, adjoints_, tangents_;
+  std::vector<double> rates_;
 };
 
 /// Calls f with the width and first member of every group; groups do not depend on the threads.
 template <typename F>
 void each_group(std::int64_t batch, int num_threads, F&& f) {
-  const std::int64_t wide = batch / kLanes, rest = batch % kLanes;
-  const std::int64_t four = rest / 4, two = rest % 4 / 2, count = wide + four + two + rest % 2;
+  const std::int64_t rest = batch % kWide;
+  const bool has_few = rest > 0 && rest <= kNativeLanes;  // one SIMD register holds what is left
+  const std::int64_t wide = batch / kWide + (rest > 0 && !has_few), count = wide + has_few;
   ThreadPool pool(static_cast<int>(std::min<std::int64_t>(num_threads, count)));
   pool.run(count, [&](std::int64_t i) {
-    const std::int64_t first = wide * kLanes;
     if (i < wide)
-      f(std::integral_constant<int, kLanes>(), i * kLanes);
-    else if (i < wide + four)
-      f(std::integral_constant<int, 4>(), first);
-    else if (i < wide + four + two)
-      f(std::integral_constant<int, 2>(), first + 4 * four);
+      f(std::integral_constant<int, kWide>(), i * kWide);
     else
-      f(std::integral_constant<int, 1>(), first + 4 * four + 2 * two);
+      f(std::integral_constant<int, kNativeLanes>(), i * kWide);
   });
 }
 

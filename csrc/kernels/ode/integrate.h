@@ -15,8 +15,7 @@ namespace diffsim {
 
 /// What one problem is made of. Given registers: t, x (n), u (m), p (q), then constants.
 struct OdeProblem {
-  Tape rates;                       ///< f; num_states outputs
-  Tape readings;                    ///< g; num_channels outputs
+  Tape tape;                        ///< f and g
   const std::int64_t* rate_out;     ///< (num_states) registers of f
   const std::int64_t* reading_out;  ///< (num_channels) registers of g
   const double* constants;          ///< (num_constants)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from diffsim.core.unit_slips import UNIT_SLIPS
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
+from diffsim.diagnose.checks.starts import start_problems
 from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
 
@@ -55,6 +56,16 @@ class _Way:
         return replace(
             run, command={name: signals[name] for name in run.command}, measured=measured
         )
+
+
+def model_problems(study: Study, setup: DiagnosisSetup) -> list[Problem]:
+    """Faults of a record that only its model can tell: of columns, else of where runs begin.
+
+    Args:
+        study: Study with the description.
+        setup: What the description made.
+    """
+    return [*column_problems(study, setup)] or [*start_problems(study, setup)]
 
 
 def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
@@ -168,4 +179,4 @@ def _ways(study: Study, runs: Sequence[Run]) -> Iterator[_Way]:
             )
 
 
-__all__ = ["column_problems"]
+__all__ = ["column_problems", "model_problems"]

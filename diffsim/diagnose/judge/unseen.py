@@ -37,6 +37,7 @@ LEAST_WIDTH = 0.1  # half-width of a range over its middle, where all fitted run
 FAST = ("rate of", "frequency of")  # quantities that tell no distance of levels
 LEVEL = "level of"  # smallest and largest value alike: what lies between was passed through
 OF_ONE_RUN = re.compile(r"([_\- ]*(\d+|(?<=[_\- ])[a-z]))+$")  # what tells runs of a kind apart
+OWN_SPIKE_SHARE = 0.5  # of what is left of a sample, that a model itself may make of it there
 MIN_RATE_SAMPLES = 8  # samples; fewer have no rate and no frequency
 
 
@@ -316,7 +317,7 @@ def on_unseen(
     for given in runs:
         try:
             run, misread = choose_commands(given, commands, partial(_left_by, extended), sd)
-            run, count = _without_spikes((plain, extended), run)
+            run, count = _without_spikes((plain, extended), run, sd)
             points = [
                 At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet))
                 for frozen in (plain, extended)
@@ -428,16 +429,27 @@ def _left_by(model: Frozen, run: Run) -> Array:
     return run.measured - _predict_run(model, run)
 
 
-def _without_spikes(models: Sequence[Frozen], run: Run) -> tuple[Run, int]:
-    """The run without isolated spikes; a spike is one in the record itself and to every model."""
+def _without_spikes(models: Sequence[Frozen], run: Run, sd: Array) -> tuple[Run, int]:
+    """The run without isolated spikes: those that every model leaves, and none makes."""
     is_spike = np.isfinite(run.measured)
-    left = (_left_by(frozen, run) for frozen in models)
-    for record in (run.measured, *left):
-        (cleaned,), _ = without_spikes([run], [record])
+    for frozen in models:
+        predicted = _predict_run(frozen, run)
+        left = run.measured - predicted
+        (cleaned,), _ = without_spikes([run], [left], sd)
         is_spike &= ~np.isfinite(cleaned.measured)
+        is_spike &= _off_lines(predicted) < OWN_SPIKE_SHARE * np.abs(left)
     count = int(is_spike.sum())
     measured = np.where(is_spike, np.nan, run.measured)
     return (replace(run, measured=measured), count) if count else (run, 0)
+
+
+def _off_lines(values: Array) -> Array:
+    """Distance of samples from the middle of those one and two away; infinite at the ends."""
+    off = np.full(values.shape, np.inf)
+    inner = values[2:-2]
+    sides = (values[1:-3] + values[3:-1], values[:-4] + values[4:])
+    off[2:-2] = np.maximum(*(np.abs(inner - 0.5 * both) for both in sides))
+    return off
 
 
 def _error_rows(

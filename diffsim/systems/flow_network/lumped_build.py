@@ -137,8 +137,6 @@ def layout_of(
         )
     if len(set(held)) < len(held):
         raise ValueError("sources: two pressures at one node")
-    if repeated := {n for n in names if names.count(n) > 1}:
-        raise ValueError(f"channels repeat: {', '.join(sorted(repeated))}")
     readings = []
     for m in meters:
         tube = m.flow_in or m.pressure_in

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.expression import Expression, parse_expression
+from diffsim.data.columns_beside import outputs_of
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.law import (
@@ -130,7 +131,8 @@ class OdeLaws(LawPort):
         for channel, text in self.system.keys.readings.items():
             if text.strip() not in names:
                 yield Variable(channel, f"({text})", units.get(channel, "-"), is_turn=True)
-        for column in self.system.columns:
+        outputs = outputs_of(self.study)
+        for column in (name for name in self.system.columns if name not in outputs):
             unit = units.get(column, "-")
             yield Variable(column, column, unit, columns=(column,), is_turn=True)
         if motion.states:

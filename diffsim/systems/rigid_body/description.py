@@ -54,8 +54,6 @@ class RigidBodyDescription(Description):
     @model_validator(mode="after")
     def _check_names(self) -> RigidBodyDescription:
         known = [b.name for b in self.bodies]
-        if len(set(known)) < len(known):
-            raise ValueError(f"names of bodies repeat: {', '.join(known)}")
         for body in self.bodies:
             if body.like is not None:
                 _require_known(f"bodies: like of {body.name}", body.like, known)

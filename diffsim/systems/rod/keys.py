@@ -175,11 +175,7 @@ class RodKeys(Description):
         return self
 
     @model_validator(mode="after")
-    def _check_names_differ(self) -> RodKeys:
-        for key, parts in (("tendons", self.tendons), ("masses", self.masses)):
-            names = [part.name for part in parts]
-            if twice := {n for n in names if names.count(n) > 1}:
-                raise ValueError(f"{key}: the name {sorted(twice)[0]!r} is used twice")
+    def _check_markers(self) -> RodKeys:
         for name, reading in self.channels.items():
             if reading.marker not in self.markers:
                 raise ValueError(

@@ -85,14 +85,6 @@ class SoftBodyKeys(Description):
                     )
         return self
 
-    @model_validator(mode="after")
-    def _check_names_differ(self) -> SoftBodyKeys:
-        for key in ("regions", "masses", "tendons", "muscles", "chambers"):
-            names = [part.name for part in getattr(self, key)]
-            if twice := {n for n in names if names.count(n) > 1}:
-                raise ValueError(f"{key}: the name {sorted(twice)[0]!r} is used twice")
-        return self
-
     @property
     def commands(self) -> tuple[str, ...]:
         """Names of the commands that drive something."""

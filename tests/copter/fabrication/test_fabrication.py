@@ -19,13 +19,16 @@ from diffsim.copter.fabrication import (
     plan,
     write_plan,
 )
+from diffsim.copter.fabrication.files import summary
 from diffsim.copter.fabrication.materials import bill
 from diffsim.copter.fabrication.print_check import check_print, thinnest_wall
 from diffsim.copter.fabrication.printable import has_screw_holes
 from diffsim.copter.fabrication.prism import circle, inside, perforated_prism, refined
 from diffsim.copter.fabrication.rods import RodCut, pack
 from diffsim.core.errors import MeshError
+from diffsim.viz import fabrication_page
 from diffsim.viz.fabrication_page import write_fabrication
+from diffsim.viz.report import Table
 from tests.measured import data_folder
 
 LARGE = Printer(bed=(700.0, 700.0, 300.0))
@@ -418,3 +421,52 @@ def test_command_line(tmp_path, capsys):
     assert "did you mean 'quadcopter'" in capsys.readouterr().err
     assert cli.main(["fabricate", "quadcopter", "--stock", "0.1", "--out", str(out)]) == 2
     assert "buy longer bars" in capsys.readouterr().err
+
+
+#: columns of a table of the page, and those of the file that hold the same
+SHOWN = {
+    "Rods": ("rods", {"quantity": "quantity", "length [mm]": "length_mm"}),
+    "Connectors on rods": (
+        "connectors",
+        {"to its middle [mm]": "from_start_mm", "turned [deg]": "roll_deg"},
+    ),
+    "Motors": (
+        "motors",
+        {
+            **{f"{way} [mm]": f"{way}_mm" for way in ("front", "right", "down")},
+            "angle from up [deg]": "tilt_deg",
+        },
+    ),
+    "Printed parts and sheets": (
+        "prints",
+        {"mass each [g]": "mass_g", "thinnest wall [mm]": "thinnest_wall_mm"},
+    ),
+    "Bill of materials": ("materials", {"mass [g]": "mass_g", "price [EUR]": "price_eur"}),
+}
+
+
+def test_page_and_files_show_the_numbers_of_the_plan(plans, monkeypatch):
+    for picture in ("view", "wiring", "bars", "printed"):  # seconds of drawing
+        monkeypatch.setattr(fabrication_page.draw, picture, lambda *_: None)
+    monkeypatch.setattr(fabrication_page, "data_uri", lambda *_, **__: "")
+    found = plans["pentacopter_payload"]
+    files = summary(found)
+    for section in fabrication_page.page(found).sections:
+        name, columns = SHOWN.get(section.title, ("", {}))
+        for table in (part for part in section.content if isinstance(part, Table) and name):
+            shown = [row for row in table.rows if row[0] != "total"]
+            for column, own in columns.items():
+                cells = [float(row[table.columns.index(column)]) for row in shown]
+                digits = 0.5 if "turned" in column else 0.051
+                assert cells == pytest.approx([row[own] for row in files[name]], abs=digits)
+    in_si = {
+        ("rods", "length_mm"): [1e3 * cut.length for cut in found.cuts],
+        ("connectors", "from_start_mm"): [1e3 * place.from_start for place in found.places],
+        ("motors", "down_mm"): [1e3 * motor.position[2] for motor in found.motors],
+        ("materials", "mass_g"): [
+            1e3 * line.mass for line in (*found.materials, *found.consumables)
+        ],
+    }
+    for (name, own), wanted in in_si.items():
+        assert [row[own] for row in files[name]] == pytest.approx(wanted, abs=0.051)
+        assert len(wanted) > 2

@@ -15,6 +15,7 @@ from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import (
     Grounds,
+    _may_be_replaced,
     doubts_of,
     doubts_of_fit,
     doubts_of_unseen,
@@ -24,7 +25,7 @@ from diffsim.diagnose.judge.preconditions import (
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow
 from diffsim.diagnose.say import assemble
 from diffsim.diagnose.say.causes import _why_not_refuted
-from diffsim.diagnose.search.evidence import Hypothesis
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
 from diffsim.diagnose.search.search import fitted_exactly
 from diffsim.identify import DiagnosisSettings
 from diffsim.identify.linearization import record_at
@@ -366,3 +367,18 @@ def test_a_first_answer_says_its_reason_once():
     assert causes(report)["push"].status == "likely"
     assert not any("not certain" in s for s in report.sentences)
     assert sum("first answer" in s for s in report.sentences) == 1
+
+
+@pytest.mark.parametrize("left_out", [0.5, 3.0])
+def test_a_member_may_be_replaced_where_more_causes_could_make_up_for_it(left_out):
+    """By evidences alone: without it, the best set lies below by less than twice what is left out
+    and a factor that odds of one cause have."""
+    edge = 2.0 * left_out + ALONE_NATS
+    for gap, may in ((0.99 * edge, True), (1.01 * edge, False)):
+        sets = {(0, 1): -3.0, (0,): -9.0 - gap, (1,): -3.0 - gap}
+        nats = {Hypothesis(frozenset(own)): SimpleNamespace(nats=n) for own, n in sets.items()}
+        search = SimpleNamespace(linear={}, posteriors=nats)
+        given = SimpleNamespace(left_out=left_out, search=search)
+        assert _may_be_replaced(given, 0) == may
+    given.left_out = 0.0
+    assert not _may_be_replaced(given, 0)

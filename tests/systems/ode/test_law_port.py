@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.data.study import Column
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Problem, extended_model, save_extended
 from diffsim.identify.law import Entry, HiddenState, Law, Shape, Variable
@@ -140,6 +141,20 @@ def test_variables_have_recorded_columns_and_memories_among_them(setup):
         "time": "s",
     }
     assert {v.memory for v in found} == {"", "heat", "relaxation", "slip", "work", "oscillator"}
+
+
+def test_an_output_of_the_experiment_is_no_variable(table):
+    """Another marker of the same arm follows what is left of the first one by itself."""
+
+    def seen_twice(run):
+        noise = np.random.default_rng(7).normal(size=len(run.time_s))
+        marker = 0.5 + 2.0 * run.measured[:, 0] + 3.0 * NOISE * noise
+        return replace(run, columns={**run.columns, "marker": marker})
+
+    runs = tuple(seen_twice(run) for run in table.runs)
+    columns = (*table.columns, Column("marker", table.channels[0].unit, "marker"))
+    names = {v.name for v in setup_of(replace(table, runs=runs, columns=columns)).laws.variables()}
+    assert "temp" in names and "marker" not in names
 
 
 @pytest.mark.reference
