@@ -64,7 +64,7 @@ class Ode:
             require_constant(f"limits of {name}", (low, high))
             if not low < high:
                 raise ValueError(f"limits of {name} must be (low, high), got ({low:g}, {high:g})")
-        _ = self._described  # formulas are read once, and mistakes in them show here
+        _ = self._fixed_arguments  # formulas are read once, and mistakes in them show here
 
     @property
     def names(self) -> list[str]:
@@ -181,14 +181,14 @@ class Ode:
     @checked
     def problem(self, times: Tensor, num_steps: int, num_threads: int) -> dict[str, Any]:
         """Arguments of the ops that do not depend on values."""
-        return self._described | {
+        return self._fixed_arguments | {
             "times": times,
             "num_steps": num_steps,
             "num_threads": num_threads,
         }
 
     @cached_property
-    def _described(self) -> dict[str, Tensor]:
+    def _fixed_arguments(self) -> dict[str, Tensor]:
         """What is the same in every call."""
         limits = [self.limits.get(s, (-math.inf, math.inf)) for s in self.rates]
         lower, upper = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(-1)
