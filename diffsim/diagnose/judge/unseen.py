@@ -437,19 +437,13 @@ def _without_spikes(models: Sequence[Frozen], run: Run, sd: Array) -> tuple[Run,
         left = run.measured - predicted
         (cleaned,), _ = without_spikes([run], [left], sd)
         is_spike &= ~np.isfinite(cleaned.measured)
-        is_spike &= _off_lines(predicted) < OWN_SPIKE_SHARE * np.abs(left)
+        near = np.pad(predicted, ((2, 2), (0, 0)), constant_values=np.inf)  # no line at the ends
+        lines = 0.5 * np.stack([near[1:-3] + near[3:-1], near[:-4] + near[4:]])
+        own = np.abs(predicted - lines).max(axis=0)
+        is_spike &= own < OWN_SPIKE_SHARE * np.abs(left)
     count = int(is_spike.sum())
     measured = np.where(is_spike, np.nan, run.measured)
     return (replace(run, measured=measured), count) if count else (run, 0)
-
-
-def _off_lines(values: Array) -> Array:
-    """Distance of samples from the middle of those one and two away; infinite at the ends."""
-    off = np.full(values.shape, np.inf)
-    inner = values[2:-2]
-    sides = (values[1:-3] + values[3:-1], values[:-4] + values[4:])
-    off[2:-2] = np.maximum(*(np.abs(inner - 0.5 * both) for both in sides))
-    return off
 
 
 def _error_rows(

@@ -54,7 +54,7 @@ from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.next_run import next_run
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.say.wording import BeforeTest, sentences
+from diffsim.diagnose.say.wording import BeforeTest, resolution_words, sentences
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Screen
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.fitted_sets import Search
@@ -296,6 +296,7 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
         sentences=(
             *sentences(answer, gained, found.errors, found.failed),
             *own_words(found.own),
+            *resolution_words(answer.causes, study),
         ),
     )
 

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.records import CauseRow, Interval
 from diffsim.diagnose.say.tables import cannot_see
-from diffsim.diagnose.say.wording import Answer, sentences
+from diffsim.diagnose.say.wording import Answer, resolution_words, sentences
 from tests.diagnose.linear import line
 
 SIZE = Interval(0.3, 0.1, 0.5)
@@ -93,3 +94,15 @@ def test_a_size_without_a_unit_has_no_dash():
     effect = replace(line("loss", typical=0.2), unit="-")
     screened = SimpleNamespace(smallest_visible=[76.6])
     assert cannot_see([effect], screened, {}) == {"loss": "below 76.6 (383 times a usual size)"}
+
+
+def test_a_delay_stands_beside_what_the_record_can_show():
+    encoder = 0.005 * np.round(np.sin(np.arange(200) / 9.0) / 0.005)
+    run = Run("a", np.arange(200) / 30.0, encoder[:, None], {}, "a")
+    study = Study("rig", "ode", (Channel("angle", "rad", "angle", sd=1e-3),), (run,))
+    late = replace(cause("delay", "likely"), unit="s")
+    assert resolution_words([late], study) == (
+        "One row of the record is 33.3 ms, one step of angle 0.005 rad.",
+    )
+    for other in (replace(late, status="refuted"), replace(late, unit="N")):
+        assert resolution_words([other], study) == ()
