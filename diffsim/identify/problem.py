@@ -125,12 +125,6 @@ class Coordinates:
             k += count
         return sizes
 
-    def _list_idle(self) -> set[str]:
-        """Base parameters that are shapes of effects which are not there: nothing depends on
-        them."""
-        there = {name for e in self.effects for name in e.shapes}
-        return {p.name for p in self.model.base if p.of_effect} - there
-
 
 @dataclass(frozen=True, eq=False)
 class Problem(Coordinates, WhitenedRuns):
@@ -203,11 +197,6 @@ class Problem(Coordinates, WhitenedRuns):
         """(K, num_samples, num_channels) at K points."""
         x = torch.stack(list(points))
         return self._predict_many(run, self._simulated_at(x), self.sizes_at(x))
-
-    def _predict_scaled(self, run: Run, points: Sequence[Tensor]) -> Tensor:
-        """(K, num_samples, num_channels) at K points in scaled coordinates."""
-        u = torch.stack(list(points))
-        return self._predict_many(run, self._simulated_at(u), self.sizes_of(u[:, self.num_base :]))
 
     def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
         self._require_finite(run, q, sizes)
@@ -282,7 +271,8 @@ class Problem(Coordinates, WhitenedRuns):
     ) -> tuple[Array, Array]:
         """Residual and d(W S)/du at x, by the scaled coordinates u; arguments of ``linearize``."""
         point = torch.from_numpy(np.ascontiguousarray(self.scaled(x), dtype=np.float64))
-        names, idle = self.names, self._list_idle()
+        names, there = self.names, {name for e in self.effects for name in e.shapes}
+        idle = {p.name for p in self.model.base if p.of_effect} - there  # shapes of no effect
         wanted = range(len(x)) if only is None else sorted(set(only))
         stencils = self._choose_stencils(x, [i for i in wanted if names[i] not in idle], screen)
         effects = self._effect_of_each
@@ -291,7 +281,11 @@ class Problem(Coordinates, WhitenedRuns):
         def one(run: Run) -> tuple[Array, Array]:
             own = {i: s for i, s in stencils.items() if touches(names[i], run)}
             here, columns = self.jacobian.columns(
-                lambda points: self._predict_scaled(run, points),
+                lambda points: self._predict_many(
+                    run,
+                    self._simulated_at(u := torch.stack(list(points))),
+                    self.sizes_of(u[:, self.num_base :]),
+                ),
                 point,
                 own,
                 quick=quick.intersection(own),

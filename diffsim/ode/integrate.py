@@ -23,7 +23,7 @@ from diffsim.core.errors import IntegrationError
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.core.numbers import values_of
 from diffsim.ode import _ops
-from diffsim.ode.tape import Tape, make_tape
+from diffsim.ode.tape import make_tape
 
 TIME = "t"
 INTERPOLATIONS = ("linear", "held")
@@ -64,23 +64,12 @@ class Ode:
             require_constant(f"limits of {name}", (low, high))
             if not low < high:
                 raise ValueError(f"limits of {name} must be (low, high), got ({low:g}, {high:g})")
-        _ = self._described  # formulas are read once, and mistakes in them show here
+        _ = self._arrays  # formulas are read once, and mistakes in them show here
 
     @property
     def names(self) -> list[str]:
         """Quantities of the formulas: time, states, inputs, parameters."""
         return [TIME, *self.rates, *self.inputs, *self.parameters]
-
-    @cached_property
-    def tape(self) -> Tape:
-        """Formulas as the kernel reads them."""
-        kinds = {"state": self.rates, "input": self.inputs, "parameter": self.parameters}
-        named = {name: kind for kind, names in kinds.items() for name in names}
-        return make_tape(
-            {TIME: "time"} | named,
-            self._parse_formulas("rate", self.rates),
-            self._parse_formulas("reading", self.readings),
-        )
 
     def _parse_formulas(
         self, what: str, formulas: Mapping[str, str | Expression]
@@ -181,23 +170,30 @@ class Ode:
     @checked
     def problem(self, times: Tensor, num_steps: int, num_threads: int) -> dict[str, Any]:
         """Arguments of the ops that do not depend on values."""
-        return self._described | {
+        return self._arrays | {
             "times": times,
             "num_steps": num_steps,
             "num_threads": num_threads,
         }
 
     @cached_property
-    def _described(self) -> dict[str, Tensor]:
-        """What is the same in every call."""
+    def _arrays(self) -> dict[str, Tensor]:
+        """Formulas as the kernel reads them, and what else is the same in every call."""
+        kinds = {"state": self.rates, "input": self.inputs, "parameter": self.parameters}
+        named = {name: kind for kind, names in kinds.items() for name in names}
+        tape = make_tape(
+            {TIME: "time"} | named,
+            self._parse_formulas("rate", self.rates),
+            self._parse_formulas("reading", self.readings),
+        )
         limits = [self.limits.get(s, (-math.inf, math.inf)) for s in self.rates]
         lower, upper = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(-1)
         return {
-            "code": self.tape.code,
-            "ends": self.tape.ends,
-            "rate_out": self.tape.rates,
-            "reading_out": self.tape.readings,
-            "constants": self.tape.constants,
+            "code": tape.code,
+            "ends": tape.ends,
+            "rate_out": tape.rates,
+            "reading_out": tape.readings,
+            "constants": tape.constants,
             "lower": lower.contiguous(),
             "upper": upper.contiguous(),
             "held": torch.tensor([name in self.held for name in self.inputs], dtype=torch.int64),

@@ -8,7 +8,7 @@ stand in parts by what they need, so that none is computed again before that cha
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -61,31 +61,28 @@ def make_tape(
         rates: Formulas of the rates.
         readings: Formulas of the readings.
     """
-    constants: dict[float, int] = {}
-    seen: set[int] = set()
-    for formula in (*rates, *readings):
-        _collect(formula.root, constants, seen)
-    place = {name: i for i, name in enumerate(names)}
-    writer = _Writer(place, {value: len(names) + i for value, i in constants.items()})
+    writer, num_names = _Writer(names), len(names)
     found = [writer.register(f.root) for f in rates]
-    num_needed, num_given = len(writer.rows), len(names) + len(constants)
+    num_needed = len(writer.rows)
     found += [writer.register(f.root) for f in readings]
-    parts = [*(_PARTS.get(kind, _FIXED) for kind in names.values()), *([_FIXED] * len(constants))]
+    parts = {i: _PARTS.get(kind, _FIXED) for i, kind in enumerate(names.values())}
+    parts |= dict.fromkeys(writer.constants.values(), _FIXED)
     for i, row in enumerate(writer.rows):
         part = max(parts[k] for k in row[1:])
-        parts.append(_READINGS if part and i >= num_needed else part)
-    rows = _fuse(writer.rows, parts, num_given, found)
-    depth = [0] * len(parts)
+        parts[num_names + i] = _READINGS if part and i >= num_needed else part
+    rows = _fuse(writer.rows, parts, num_names, found)
+    depth = dict.fromkeys(parts, 0)
     for k in rows:
         depth[k] = 1 + max((depth[o] for o in rows[k][1:] if parts[o] == parts[k]), default=0)
     order = sorted(rows, key=lambda k: (parts[k], depth[k], rows[k][0]))
-    new = dict(zip(order, range(num_given, num_given + len(order)), strict=True))
-    code = [[rows[k][0], *(new.get(operand, operand) for operand in rows[k][1:])] for k in order]
+    given = [*range(num_names), *writer.constants.values()]
+    new = {old: i for i, old in enumerate([*given, *order])}
+    code = [[rows[k][0], *(new[operand] for operand in rows[k][1:])] for k in order]
     padded = [row + [0] * (4 - len(row)) for row in code]
     counts = Counter(parts[k] for k in order)
-    outputs = torch.tensor([new.get(k, k) for k in found], dtype=torch.int64)
+    outputs = torch.tensor([new[k] for k in found], dtype=torch.int64)
     return Tape(
-        torch.tensor(list(constants), dtype=torch.float64),
+        torch.tensor(list(writer.constants), dtype=torch.float64),
         torch.tensor(padded, dtype=torch.int64).reshape(-1, 4),
         torch.tensor([counts[part] for part in range(4)], dtype=torch.int64).cumsum(0),
         outputs[: len(rates)],
@@ -94,13 +91,13 @@ def make_tape(
 
 
 def _fuse(
-    rows: Sequence[Sequence[int]], parts: Sequence[int], num_given: int, outputs: Sequence[int]
+    rows: Sequence[Sequence[int]], parts: Mapping[int, int], num_names: int, outputs: Sequence[int]
 ) -> dict[int, Sequence[int]]:
     """Instructions by their registers; a product that one sum alone asks for is part of it.
 
     A sum of two products stays as it is: products that are equal then cancel to zero.
     """
-    written = dict(enumerate(rows, num_given))
+    written = dict(enumerate(rows, num_names))
     uses = Counter([*(k for row in rows for k in row[1:]), *outputs])
     for register, (code, *operands) in list(written.items()):
         if code not in _FUSED:
@@ -116,28 +113,23 @@ def _fuse(
     return written
 
 
-def _collect(node: Node, constants: dict[float, int], seen: set[int]) -> None:
-    if isinstance(node, NumberNode):
-        constants.setdefault(node.value, len(constants))
-    elif isinstance(node, Apply) and id(node) not in seen:
-        seen.add(id(node))
-        for part in node.parts:
-            _collect(part, constants, seen)
-
-
 class _Writer:
-    """Instructions in the order of formulas; what is equal, or one object, is computed once."""
+    """Instructions in the order of formulas; what is equal, or one object, is computed once.
 
-    def __init__(self, place: dict[str, int], number: dict[float, int]):
-        self._place, self._number = place, number
+    Registers of constants are below 0: how many there are shows at the end.
+    """
+
+    def __init__(self, names: Iterable[str]):
+        self._place = {name: i for i, name in enumerate(names)}
         self._known: dict[tuple[int, ...], int] = {}  # instruction -> its register
         self._visited: dict[int, int] = {}  # id of a part -> its register
+        self.constants: dict[float, int] = {}  # value -> its register
         self.rows: list[list[int]] = []
 
     def register(self, node: Node) -> int:
         """Register of a part; instructions that it needs are added to ``rows``."""
         if isinstance(node, NumberNode):
-            return self._number[node.value]
+            return self.constants.setdefault(node.value, -1 - len(self.constants))
         if isinstance(node, Name):
             return self._place[node.name]
         if id(node) not in self._visited:
@@ -159,6 +151,6 @@ class _Writer:
         row = [_CODES[operation], *(sorted(registers) if operation in _COMMUTE else registers)]
         if tuple(row) not in self._known:
             self.rows.append(row)
-            num_given = len(self._place) + len(self._number)
+            num_given = len(self._place)
             self._known[tuple(row)] = num_given + len(self.rows) - 1
         return self._known[tuple(row)]

@@ -184,6 +184,7 @@ def gain_of(finger: Finger, moves: np.ndarray) -> float | None:
 def draw(task: str, moves: Tensor, path: str) -> None:
     """The fingers before and after, at rest and bent, from the side and from above."""
     import matplotlib.pyplot as plt
+    from matplotlib.patches import Circle
 
     kind, _, unit = TASKS[task]
     finger = kind((20, 4, 4))
@@ -203,7 +204,7 @@ def draw(task: str, moves: Tensor, path: str) -> None:
                 ax.set_ylabel(label)
             if task == "hold":  # the peg before it is pulled
                 center = (1e3 * PLACE, 1e3 * (SIZE[2] + RADIUS + GAP))
-                axes[0, column].add_patch(plt.Circle(center, 1e3 * RADIUS, fill=False, ls="--"))
+                axes[0, column].add_patch(Circle(center, 1e3 * RADIUS, fill=False, ls="--"))
             axes[0, column].set_title(f"{title}: {task}s {finger.gain(given).item():.3g} {unit}")
             axes[1, column].set_xlabel("x [mm]")
     plt.tight_layout()

@@ -7,8 +7,9 @@ the same starts: Adam on shape and controller, Adam on the controller alone, and
 install cma``) on both at as many simulated steps, an adjoint counted as a step. All are stated on a
 finer mesh and with half the time step, too, where none was optimized.
 
-Expected: see docs/soft.md, "Shape". Running time: 3 min for a seed; results are kept in a folder,
-so that seeds and arms can be run side by side, and a last call gathers what there is.
+Expected, on the finer mesh, five seeds: 141 mm/s (standard deviation 37), with the controller alone
+76 (1.5), by CMA-ES 122 (10). Running time: 2.5 min for a seed; results are kept in a folder, so
+that seeds and arms can be run side by side, and a last call gathers what there is.
 
     python examples/softbody/shape_swimmer.py --seeds 0 --arms cage --out runs/fish
     python examples/softbody/shape_swimmer.py --seeds 0 1 2 3 4 --out runs/fish --plot fish.png

@@ -134,3 +134,9 @@ def test_messages():
         signal.first_crossing(t, x, 1.0)
     with pytest.raises(ValueError, match=r"one-dimensional and of equal length"):
         signal.fit_decay(t[1:], x)
+
+
+def test_less_than_a_cycle_is_refused_with_how_many_there_are():
+    t = np.linspace(0.0, 0.25, 40)
+    with pytest.raises(ValueError, match=r"record of 0\.25 s holds 0\.50 cycles of 2 Hz"):
+        signal.fit_decay(t, np.cos(4.0 * np.pi * t), frequency_Hz=2.0)

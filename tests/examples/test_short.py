@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
+from diffsim.mesh import nodal_volume
 from tests.examples.stories import load_story
 
 pytestmark = pytest.mark.example
@@ -36,6 +38,11 @@ def test_a_fish_swims_faster_with_its_shape_and_every_result_is_kept(tmp_path):
     found = story.main(out=str(tmp_path), **story.QUICK)
     cage, controller = (found[f"{arm}_0"]["speeds"]["coarse"] for arm in ("cage", "controller"))
     assert cage > controller + 10.0 > 40.0  # mm/s; a network that has not learned: below 3
+    fish, numbers = story.Fish(story.COARSE), torch.tensor(found["cage_0"]["numbers"]).double()
+    shape = fish.shape(numbers[sum(story.SIZES) :].reshape(3, -1))
+    assert (shape - fish.mesh.x_rest).abs().max() > 2e-3  # m
+    assert torch.equal(fish.swim(numbers, 0.1)[0][0], shape)  # where it begins, at rest
+    assert float(nodal_volume(fish.mesh, shape).sum()) == pytest.approx(float(fish.volume))
     assert story.main(out=str(tmp_path), **story.QUICK) == found
     assert "cage - controller" in story.table(found)
 

@@ -186,7 +186,9 @@ def test_every_option_stands_in_the_algorithm_and_is_spent(method: str) -> None:
     for name, theirs in IN_ALGORITHM[method].items():
         said, found = getattr(made.options, name), getattr(made.model, theirs)
         assert found == (said or -1 if name == "hold_noise" else said), name
-    assert made.update(0.0).steps == made.options.envs * made.options.rollout
+    assert made.update(0.25).steps == made.options.envs * made.options.rollout
+    if method == "ppo":  # annealed over the budget
+        assert made.rate == pytest.approx(0.75 * made.options.learning_rate)
     assert made.venv.gamma == made.options.discount
 
 

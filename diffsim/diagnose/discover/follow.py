@@ -160,11 +160,6 @@ class FollowedRecord:
     jacobian: Array
     chi2: float
 
-    @property
-    def is_led(self) -> bool:
-        """Whether anything can lead the simulations along the recordings."""
-        return any(response.shape[1] for response in self.responses)
-
     def reach(self, port: LawPort, entry: Entry) -> Reach | None:
         """What terms at an entry do; None where they must be simulated."""
         out = []

@@ -202,7 +202,7 @@ def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _
     """All laws weighed along the recordings; where the best of them keeps little of what it
     promises there, along the simulations as fitted, too: the screen that keeps more."""
     screen = screen_laws(follow(fit, port), port, progress, most_steps)
-    if not screen.followed.is_led:
+    if not any(response.shape[1] for response in screen.followed.responses):  # nothing leads
         return _ScreenWithFit(screen, None, None, _count_tried(screen))
     led = _with_best_fitted(screen, fit, port)
     if led.keeps_promise:

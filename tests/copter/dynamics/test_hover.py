@@ -127,6 +127,7 @@ def test_feasible_up_to_the_largest_weight(seed):
     below = hover(copter, load=0.999 * largest - float(copter.weight))
     above = hover(copter, load=1.001 * largest - float(copter.weight))
     assert (below.status, above.status) == ("optimal", "infeasible")
+    assert below.feasible and not above.feasible
     assert below.residual_norm < 1e-12
     assert 1e-6 < above.residual_norm < 2e-3
 
