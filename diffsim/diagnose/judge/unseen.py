@@ -340,9 +340,11 @@ def on_unseen(
         far = times_outside(outside_rows([unseen], channels, spans, commands))
         if (half := half_widths(run, far)) is not None:
             bands[run.name] = half
+        valid = np.isfinite(run.measured)
+        first = run.measured[valid.argmax(axis=0), np.arange(valid.shape[1])]
         left += [
             run.measured - constant,
-            run.measured - _first_reading(run),
+            run.measured - np.where(valid.any(axis=0), first, np.nan),
             run.measured - _predict_without(points[1], run, own),
         ]
         errors += _error_rows(run, left, half, channels, sd, num_own, use)
@@ -416,13 +418,6 @@ def _predict_without(at: At, run: Run, own: Collection[str]) -> Array:
         return _predict_run(At(at.problem, x), run)
     except DiffsimError:
         return np.full(run.measured.shape, np.nan)
-
-
-def _first_reading(run: Run) -> Array:
-    """The first measured sample of each channel, (num_channels,); NaN: none."""
-    valid = np.isfinite(run.measured)
-    first = run.measured[valid.argmax(axis=0), np.arange(run.measured.shape[1])]
-    return np.where(valid.any(axis=0), first, np.nan)
 
 
 def _left_by(model: Frozen, run: Run) -> Array:

@@ -284,6 +284,8 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
     gain = found.gain if frozen.best.problem.effects else None
     gained = gain if is_test else None  # runs that chose between causes prove none
     answer = taken_back(frozen, gained, found.errors)
+    named = [row for row in answer.causes if row.status in (CERTAIN, LIKELY)]
+    is_late = any(row.origin == EFFECT and row.unit == "s" for row in named)
     return replace(
         answer,
         study=replace(study, runs=(*seen.runs, *study.test_runs)),
@@ -296,7 +298,7 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
         sentences=(
             *sentences(answer, gained, found.errors, found.failed),
             *own_words(found.own),
-            *resolution_words(answer.causes, study),
+            *([resolution_words(study)] if is_late else []),
         ),
     )
 

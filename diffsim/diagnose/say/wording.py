@@ -427,16 +427,12 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
 
 
-def resolution_words(causes: Sequence[CauseRow], study: Study) -> tuple[str, ...]:
-    """How fine the record is, where a delay is named: none is seen in fewer rows than one.
+def resolution_words(study: Study) -> str:
+    """How fine the record is, which is said where a delay is named.
 
     Args:
-        causes: Rows of the answer.
         study: Study whose fitted runs are asked.
     """
-    named = [row for row in causes if row.origin == EFFECT and row.status in (CERTAIN, LIKELY)]
-    if not any(row.unit == "s" for row in named):
-        return ()
     runs = study.fit_runs
     row_s = float(np.median(np.concatenate([np.diff(run.time_s) for run in runs])))
     steps = []
@@ -445,7 +441,7 @@ def resolution_words(causes: Sequence[CauseRow], study: Study) -> tuple[str, ...
     ):
         if (step := step_of(values)) is not None and step > (channel.sd or 0.0):
             steps.append(f", one step of {channel.name} {shown_step(channel, step)}")
-    return (f"One row of the record is {1e3 * row_s:.3g} ms{''.join(steps[:MOST_LISTED])}.",)
+    return f"One row of the record is {1e3 * row_s:.3g} ms{''.join(steps[:MOST_LISTED])}."
 
 
 def _sizes(rows: Sequence[CauseRow]) -> str:

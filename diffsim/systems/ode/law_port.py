@@ -131,7 +131,7 @@ class OdeLaws(LawPort):
         for channel, text in self.system.keys.readings.items():
             if text.strip() not in names:
                 yield Variable(channel, f"({text})", units.get(channel, "-"), is_turn=True)
-        outputs = outputs_of(self.study)
+        outputs = outputs_of(self.study) if self.system.columns else ()
         for column in (name for name in self.system.columns if name not in outputs):
             unit = units.get(column, "-")
             yield Variable(column, column, unit, columns=(column,), is_turn=True)
