@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.check import LARGEST
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo, memo_field
 from diffsim.core.numbers import anywhere
@@ -162,14 +163,14 @@ class Problem(Coordinates, WhitenedRuns):
         """A step out of the range of numbers is a failed step, whatever the simulator says to it.
 
         Raises:
-            PredictionError: values of base parameters or sizes that are not finite.
+            PredictionError: values of base parameters or sizes that are no numbers, or too large.
         """
         parts = [self.model.values.raw(q), *sizes.values()]
-        if not anywhere(~torch.isfinite(torch.cat([p.reshape(-1) for p in parts]))):
+        if not anywhere(~(torch.cat([p.reshape(-1) for p in parts]).abs() <= LARGEST)):
             return
         values = self.model.values.at(q)
         every = {**values, **{effect.name: size for effect, size in sizes.items()}}
-        bad = [name for name, value in every.items() if anywhere(~torch.isfinite(value))]
+        bad = [name for name, value in every.items() if anywhere(~(value.abs() <= LARGEST))]
         if bad:
             raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
 

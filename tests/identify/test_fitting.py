@@ -210,7 +210,8 @@ def test_errors_say_what_to_do():
         fit(decay_model(), [wrong], (CHANNEL[0], CHANNEL[0]))
 
 
-def test_a_step_out_of_the_range_of_numbers_is_a_failed_step():
+@pytest.mark.parametrize("far", [np.nan, 1e200])  # whose square is no number
+def test_a_step_out_of_the_range_of_numbers_is_a_failed_step(far):
     """The simulator is not asked: it may refuse in its own way, which would end a search."""
 
     def refuse(values, run, numerics):
@@ -219,4 +220,4 @@ def test_a_step_out_of_the_range_of_numbers_is_a_failed_step():
     model = SimModel(refuse, decay_model().base)
     problem = Problem(model, tuple(decay_runs()), WhiteNoise(CHANNEL))
     with pytest.raises(PredictionError, match="left the range"):
-        problem.residual(np.array([0.0, np.nan, 0.0, 0.0]))
+        problem.residual(np.array([0.0, 0.0, far, 0.0]))
