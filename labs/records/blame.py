@@ -73,13 +73,12 @@ def solve(case: Mapping[str, int]) -> dict[str, Any]:
         case: Its ``seed`` and ``index``: neighbors have other damages.
     """
     seed, index = case["seed"], case["index"]
-    order = np.random.default_rng(seed).permutation(len(DAMAGES))
-    damage = DAMAGES[order[index % len(DAMAGES)]]
-    pair = damaged(np.random.default_rng([seed, index]), damage)
-    if pair is None:
-        raise ValueError(f"case {index} of seed {seed}: no rig was drawn that can have {damage}")
+    rng, order = np.random.default_rng([seed, index]), np.random.default_rng(seed)
+    kinds = [DAMAGES[k] for k in np.roll(order.permutation(len(DAMAGES)), -index)]
+    drawn = ((kind, damaged(rng, kind)) for kind in kinds)
+    # the next kind where no rig was drawn that can have the first
+    damage, (sound, copy) = next((kind, pair) for kind, pair in drawn if pair is not None)
     started = time.process_time()
-    sound, copy = pair
     row = answered(copy)
     if row["names"]:
         row["names_sound"] = answered(sound)["names"]
