@@ -1,4 +1,4 @@
-"""The recipes run as they stand, one after the other, in an empty folder."""
+"""The recipes run as they stand, each in an empty folder, with no name of another one."""
 
 import json
 import re
@@ -20,9 +20,35 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "recipes.md"
 @pytest.mark.example
 @pytest.mark.story
 def test_recipes_run_as_they_stand(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+    seen = {}
+    for k, recipe in enumerate(re.split(r"\n## ", PAGE.read_text("utf-8"))):
+        (tmp_path / str(k)).mkdir()
+        monkeypatch.chdir(tmp_path / str(k))
+        seen |= _run(recipe)
+
+    def read(path):
+        (found,) = tmp_path.glob(f"*/{path}")
+        return json.loads(found.read_text())
+
+    fitted = read("fitted/fit.json")
+    assert 2.97e5 < _value(fitted, "youngs_modulus") < 3.04e5
+    assert abs(float(seen["stiffness"].grad.sum())) > 0.0
+    assert 2.9e5 < float(seen["np"].exp(seen["found"].x)[0]) < 3.1e5
+    assert len([*tmp_path.glob("*/flight/flight.csv")]) == 1
+    assert abs(_value(read("fitted_lever/fit.json"), "mass") - 1.15) < 0.01
+    assert 0.88 < _value(read("fitted_arm/fit.json"), "body.rod.mass") < 0.96
+    (motor,) = read("which_motor/faults.json")["verdicts"]
+    assert (motor["group"], motor["causes"]) == ("x", ["loss_2"])
+    found = read("which_sensor/report.json")
+    assert found["named"] == ["sensor_scale_of_camera"]
+    constants = read("answer/mujoco.json")
+    assert abs(_value(constants, "kp") - 12.0) < 1.5
+
+
+def _run(recipe):
+    """What the blocks of a recipe leave as names."""
     names = {"__name__": "__main__"}
-    for kind, text in re.findall(r"```(python|yaml|sh)\n(.*?)```", PAGE.read_text("utf-8"), re.S):
+    for kind, text in re.findall(r"```(python|yaml|sh)\n(.*?)```", recipe, re.S):
         if kind == "python":
             exec(compile(text, "docs/recipes.md", "exec"), names)
         elif kind == "yaml":
@@ -30,21 +56,7 @@ def test_recipes_run_as_they_stand(tmp_path, monkeypatch):
         else:
             for line in text.strip().splitlines():
                 assert main(shlex.split(line.removeprefix("diffsim "))) == 0, line
-    fitted = json.loads(Path("fitted/fit.json").read_text())
-    assert 2.97e5 < _value(fitted, "youngs_modulus") < 3.04e5
-    assert abs(float(names["stiffness"].grad.sum())) > 0.0
-    assert 2.9e5 < float(names["np"].exp(names["found"].x)[0]) < 3.1e5
-    assert Path("flight/flight.csv").is_file()
-    assert abs(_value(json.loads(Path("fitted_lever/fit.json").read_text()), "mass") - 1.15) < 0.01
-    assert (
-        0.88 < _value(json.loads(Path("fitted_arm/fit.json").read_text()), "body.rod.mass") < 0.96
-    )
-    (motor,) = json.loads(Path("which_motor/faults.json").read_text())["verdicts"]
-    assert (motor["group"], motor["causes"]) == ("x", ["loss_2"])
-    found = json.loads(Path("which_sensor/report.json").read_text())
-    assert found["named"] == ["sensor_scale_of_camera"]
-    constants = json.loads(Path("answer/mujoco.json").read_text())
-    assert abs(_value(constants, "kp") - 12.0) < 1.5
+    return names
 
 
 def _value(found, name):
