@@ -272,6 +272,11 @@ class Numerics(Part):
     integrator: Literal["implicit_midpoint", "bdf2", "implicit_euler", "semi_implicit_euler"] = (
         Field("implicit_midpoint", description="Implicit midpoint has no damping of its own")
     )
+    element: Literal["standard", "assumed_strain"] = Field(
+        "standard",
+        description="`assumed_strain`: cells of six faces that bend like beams at any Poisson's "
+        "ratio, where standard ones are too stiff",
+    )
     tolerance: float = Field(1e-8, gt=0, lt=1, description="Relative tolerance of every step")
     correct_mesh: bool = Field(
         True,

@@ -157,7 +157,7 @@ class BodyRig:
             "poissons_ratio": material.poissons_ratio.value,
             "density": material.density.value,
             "material": material.law,
-            "element": "standard",  # Young's modulus is corrected for it, see `compliance`
+            "element": self.given.numerics.element,
             "gravity": self.given.gravity.vector,
             "fixed": fixed,
             "muscles": self._muscles,
