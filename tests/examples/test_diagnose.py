@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 
 from diffsim.data import load_study
+from diffsim.diagnose.judge.records import Interval
 from diffsim.systems import setup_of
 from tests.examples.stories import load_story
 
 pytestmark = pytest.mark.example
 
 
-def found(story: str, folder, name: str) -> tuple[float, float]:
-    """Size of the only cause that is named, and its sd."""
+def found(story: str, folder, name: str) -> Interval:
+    """Size of the only cause that is named, as it is stated."""
     report = load_story(f"diagnose/{story}.py").main(folder)
     assert report.named == (name,), report.sentences
-    return report.best.values[name], report.best.sd[name]
+    (size,) = next(c for c in report.causes if c.name == name).size.values()
+    return size
 
 
 def test_a_simulator_of_my_own_is_read_and_misses_what_rubs(tmp_path):
@@ -43,8 +45,8 @@ def test_a_simulator_of_my_own_is_read_and_misses_what_rubs(tmp_path):
 
 @pytest.mark.story
 def test_a_simulator_of_my_own_lacks_friction(tmp_path):
-    size, sd = found("own_simulator", tmp_path, "dry_friction_at_rail")
-    assert abs(size - 0.3) < 3.0 * sd < 0.03
+    size = found("own_simulator", tmp_path, "dry_friction_at_rail")
+    assert size.low < 0.3 < size.high < size.low + 0.06
 
 
 @pytest.mark.slow
@@ -76,12 +78,12 @@ def test_the_law_of_a_motor_that_cogs_is_found(tmp_path):
 @pytest.mark.slow
 def test_a_mujoco_model_lacks_a_spring(tmp_path):
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoco)")
-    size, sd = found("mujoco_pendulum", tmp_path, "added_spring_at_hinge")
-    assert abs(size - 0.6) < 3.0 * sd < 0.1
+    size = found("mujoco_pendulum", tmp_path, "added_spring_at_hinge")
+    assert size.low < 0.6 < size.high < size.low + 0.1
 
 
 @pytest.mark.slow
 def test_rotorpy_hears_its_commands_too_early(tmp_path):
     pytest.importorskip("rotorpy", reason="RotorPy is not installed (pip install rotorpy)")
-    size, sd = found("rotorpy_climb", tmp_path, "delay")
-    assert abs(size - 0.04) < 3.0 * sd < 0.01
+    size = found("rotorpy_climb", tmp_path, "delay")
+    assert size.low < 0.04 < size.high < size.low + 0.01
