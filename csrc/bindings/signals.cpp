@@ -34,6 +34,7 @@ void bind_follow(nb::module_& m) {
 }
 
 void bind_approach(nb::module_& m) {
+  m.attr("APPROACH_PARTS") = kParts;
   nb::class_<Approach>(m, "Approach")
       .def(
           "__init__",

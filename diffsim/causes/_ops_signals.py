@@ -15,7 +15,8 @@ from diffsim.core.ops import Call, Given, Op, array
 
 RULES = ("play", "slowed", "decays")
 """How a state keeps to its target, in the order of the kernel."""
-PARTS = 16  # of a step, in which what accelerates goes on; kParts of csrc/kernels/signals
+PARTS: int = core.APPROACH_PARTS
+"""Of a step, in which what accelerates goes on."""
 
 
 def follow(

@@ -319,11 +319,6 @@ def _mean_on_way(start: Tensor, end: Tensor, step: Tensor) -> Tensor:
     return torch.where(moves, mean, 0.5 * (first + last))
 
 
-def limited(u: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Between two limits that broadcast with the signal."""
-    return torch.minimum(torch.maximum(u, low), high)
-
-
 def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     """Followed no faster than 1 / ``slowness``, () or (K,) [s per unit]; 0: the signal itself."""
     most = grid.times.diff() / slowness[..., None].clamp(min=_NO_LIMIT)

@@ -29,7 +29,6 @@ from labs.search_compare.rigs import RIGS as TOGETHER
 PLACE = re.compile(r"(_\d+|_(of|at)_.*)$")
 RIGS = {**TOGETHER, **DRIVES}
 NULLS = 4  # every fourth seed of a rig hides nothing
-OPEN_ENDS = ("ambiguous", "unknown")
 COLUMNS = ("right", "open", "wrong", "false names", "unseen error", "simulations", "CPU s")
 
 
@@ -141,7 +140,7 @@ def scored(report: Report, truth: frozenset[str]) -> dict[str, Any]:
     if report.verdict == "named":  # what is certain, and an exact twin of the rest
         is_open = rows < truth and is_among
     else:
-        is_open = report.verdict in OPEN_ENDS and (not truth or is_among or not rows)
+        is_open = report.verdict in (HELD, OPEN) and (not truth or is_among or not rows)
     after = [(row.after / row.noise) ** 2 for row in report.errors]
     return {
         "right": is_right and report.verdict != "ambiguous",

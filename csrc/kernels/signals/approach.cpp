@@ -9,8 +9,6 @@ namespace diffsim {
 
 namespace {
 
-constexpr int kParts = 16;  // of a step
-
 /// What does not change along a row.
 struct Limits {
   double most, fastest;

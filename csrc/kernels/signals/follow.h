@@ -35,6 +35,9 @@ void follow_vjp(const Followers& f, const double* states, const double* grad_sta
 void follow_tangent(const Followers& f, const double* states, const double* d_targets,
                     const double* d_room, double* d_states);
 
+/// Parts of a step, in which what accelerates goes on.
+constexpr int kParts = 16;
+
 /// Points that go to targets with their acceleration limited, braking in time to stop there.
 ///
 /// `targets` and places are (num_rows, num_times), `steps` (num_times - 1), `most` and `fastest`
