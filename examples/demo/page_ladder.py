@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.data import signal
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
+from examples.data import vibration
 from examples.data.beam import BeamStudy, BeamTrial
 from examples.data.beam_motion import COMPARE_S, RING_DOWN_START_S
 from examples.demo import verdict
@@ -44,12 +44,12 @@ def section(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -
 
     def spectrum(label: str, role: str, time_s: np.ndarray, tip: np.ndarray) -> figures.Curve:
         grid = np.arange(0.0, COMPARE_S - 1e-9, 0.01)
-        f, amplitude = signal.amplitude_spectrum(grid, np.interp(grid, time_s, tip[:, 2]))
+        f, amplitude = vibration.amplitude_spectrum(grid, np.interp(grid, time_s, tip[:, 2]))
         return figures.Curve(x=f, y=amplitude, label=label, role=role)
 
     def decay(label: str, role: str, time_s: np.ndarray, tip: np.ndarray) -> figures.Curve:
         free = time_s >= RING_DOWN_START_S
-        turns = signal.swings(time_s[free], tip[free, 2], smallest=0.005)
+        turns = vibration.swings(time_s[free], tip[free, 2], smallest=0.005)
         return figures.Curve(
             x=turns.time_s[:-1], y=turns.height, label=label, role=role, points=True
         )
@@ -209,7 +209,7 @@ def _residuals(
 
 def _floor(study: BeamStudy, case: str) -> figures.Curve:
     first, second = study.repeats()[case][:2]
-    floor = signal.repeat_floor(first.after_release(), second.after_release(), until_s=COMPARE_S)
+    floor = vibration.repeat_floor(first.after_release(), second.after_release(), until_s=COMPARE_S)
     apart = np.abs(floor.difference[:, 2])
     half = max(1, round(0.1 / float(floor.time_s[1] - floor.time_s[0])))
     around = np.array([apart[max(0, i - half) : i + half + 1].max() for i in range(len(apart))])

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import signal
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
+from examples.data import vibration
 from examples.data.beam import BeamStudy, BeamTrial
 from examples.data.beam_motion import COMPARE_S, moving_tip_mass, ring_down
 
@@ -83,7 +83,7 @@ def _spectrum_curves(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
     for role, trial in zip(ROLES, trials, strict=False):
         time_s, tip = trial.after_release(4.0)
         for axis, label, dashed in ((2, "vertical", False), (1, "lateral", True)):
-            f, amplitude = signal.amplitude_spectrum(time_s, tip[:, axis])
+            f, amplitude = vibration.amplitude_spectrum(time_s, tip[:, axis])
             curves.append(
                 figures.Curve(
                     x=f, y=amplitude, label=f"{trial.name} {label}", role=role, dashed=dashed
@@ -95,7 +95,7 @@ def _spectrum_curves(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
 def _decay_curves(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
     curves = []
     for role, trial in zip(ROLES, trials, strict=False):
-        turns = signal.swings(*ring_down(trial, 4.0), smallest=0.005)
+        turns = vibration.swings(*ring_down(trial, 4.0), smallest=0.005)
         curves.append(
             figures.Curve(
                 x=turns.time_s[:-1], y=turns.height, label=trial.name, role=role, points=True
@@ -105,7 +105,7 @@ def _decay_curves(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
 
 
 def _difference(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
-    floor = signal.repeat_floor(
+    floor = vibration.repeat_floor(
         trials[0].after_release(), trials[1].after_release(), until_s=COMPARE_S
     )
     labels = (("third", "along"), ("fourth", "lateral"), ("fitted", "vertical"))
