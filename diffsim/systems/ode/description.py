@@ -145,6 +145,3 @@ class OdeDescription(FormulaKeys):
                 make=self.setup,
             ),
         )
-
-
-__all__ = ["OdeDescription"]
