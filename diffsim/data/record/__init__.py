@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from diffsim.core.memo import Memo
 from diffsim.core.progress import say_stage
-from diffsim.data.record.clocks import find_drift, find_gaps, find_unstamped
+from diffsim.data.record.clocks import find_drift, find_gaps, find_stamps, find_unstamped
 from diffsim.data.record.columns import (
     find_copies,
     find_laws,
@@ -31,6 +31,7 @@ from diffsim.data.record.signals import Record
 from diffsim.data.study import Study
 
 RULES: tuple[RecordRule, ...] = (
+    RecordRule("stamps", "stamps that cannot be right", "stamps, duplicates", find_stamps),
     RecordRule("signs", "words whose sign is a bit, or was not read", "decode", find_signs),
     RecordRule("wraps", "counts and angles that wrap", "decode: {wrap}", find_wraps),
     RecordRule("codes", "numbers for nothing measured", "decode: {missing}", find_codes),
@@ -54,6 +55,7 @@ RULES: tuple[RecordRule, ...] = (
 """All rules, those first that explain what later ones would see, too."""
 
 _EXPLAINS = {
+    "stamps": ("gaps", "unstamped", "drift", "lines", "lasting", "misread", "frozen", "jumps"),
     "signs": (
         "wraps",
         "far",
