@@ -62,6 +62,19 @@ def test_what_a_column_is_coded_by_is_undone_and_told(make, code, decode, tmp_pa
     assert not [p for p in check_study(study) if p.severity == "error"]
 
 
+def test_repeats_of_a_slow_sensor_are_left_out(tmp_path):
+    damage = next(d for d in DAMAGES if d.name == "slow_sensor")
+    _, copy = damaged(np.random.default_rng(4), damage)
+    (said,) = {found[1] for found in told(copy, tmp_path / "copy") if "repeats: drop" in found[1]}
+    rate = float(re.search(r"one of ([\d.]+) rows", said)[1])
+    for entry in copy.study["channels"]:
+        entry["decode"] = {"repeats": "drop"}
+    study = load_study(copy.write(tmp_path / "mended"))
+    kept = np.mean([np.isfinite(run.measured).mean(0) for run in study.runs], axis=0)
+    assert min(kept) == pytest.approx(1.0 / rate, rel=0.05)
+    assert not [p for p in check_study(study) if "repeats: drop" in str(p)]
+
+
 def test_a_folded_angle_gets_its_sign_back(tmp_path):
     sound = pendulum(np.random.default_rng(5))
     true = sound.tables["a"]["angle_rad"]

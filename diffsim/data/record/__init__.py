@@ -26,6 +26,7 @@ from diffsim.data.record.shapes import (
     find_lasting,
     find_lines,
     find_misread,
+    find_repeats,
 )
 from diffsim.data.record.signals import Record
 from diffsim.data.study import Study
@@ -44,6 +45,7 @@ RULES: tuple[RecordRule, ...] = (
     RecordRule("drift", "clocks of two files that run apart", "stamps: {drift}", find_drift),
     RecordRule("copies", "columns that are copies of others", "column", find_copies),
     RecordRule("laws", "columns that a controller computed", "channels", find_laws),
+    RecordRule("repeats", "readings that are repeated", "decode: {repeats}", find_repeats),
     RecordRule("lines", "rows between those that were measured", "every", find_lines),
     RecordRule("folded", "sizes without their sign", "decode: {folded}", find_folded),
     RecordRule("frozen", "a channel that stands still for a while", "missing_if", find_frozen),
@@ -76,6 +78,7 @@ _EXPLAINS = {
     "unstamped": ("lasting", "misread"),
     "copies": ("laws", "units", "lines", "flat", "folded", "misread", "frozen"),
     "lines": ("laws", "misread", "frozen"),
+    "repeats": ("laws", "misread", "frozen", "flat"),
     "laws": ("misread",),
 }
 """Rules that are silent on a channel or run of which another rule has spoken."""
