@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
-from diffsim.cli.diagnose_check import certain_faults, check, not_used, require_ready
+from diffsim.cli.diagnose_check import certain_faults, check, done_by_setup, require_ready
 from diffsim.cli.diagnose_export import EXPORT_FILE, constants_of, notes_of, say_interval
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_files import (
@@ -107,7 +107,7 @@ def _inputs(
         accept_numerics=args.accept_numerics,
         with_bank=with_bank,
     )
-    for line in not_used(inputs.study.left_out[len(study.left_out) :]):
+    for line in done_by_setup(study, inputs.study):
         print(line)
     return inputs, args.out or Path(DIAGNOSES) / study.name
 
