@@ -248,8 +248,7 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     shown = [p.name for p in base if not p.name.startswith(PLAY_START)]
     more = len(base) - len(shown)
     starts = f"; {PLAY_START}, {more} more, one per run: only beside a play" if more else ""
-    cut = setup.study or study
-    told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
+    told = [f"{line}\n" for line in done_by_setup(study, setup.study or study)]
     problems = [*trial_problems(study, setup), *model_problems(study, setup)]
     return problems, "".join(told) + (
         f"model: {len(shown)} base parameters ({_list_first(shown)}{starts}), "
@@ -287,12 +286,19 @@ def _summary(study: Study) -> Iterator[str]:
         yield f"recorded beside: {_list_first(shown)}; what is left may depend on them"
     if outputs:
         yield f"outputs, told by channels: {_list_first(sorted(outputs))}; no cause acts by them"
-    yield from (f"done to the record: {sentence}" for sentence in study.mended)
-    yield from not_used(study.left_out)
+    yield from done_by_setup(replace(study, mended=(), left_out=()), study)
 
 
-def not_used(sentences: Sequence[str]) -> Iterator[str]:
-    """Lines on what of the recordings is not used, the first of them in full."""
+def done_by_setup(given: Study, used: Study) -> Iterator[str]:
+    """Lines on what was done to a record, and what of it is not used, the first of them in full.
+
+    Args:
+        given: Study before.
+        used: The same as a setup uses it.
+    """
+    mended = used.mended[len(given.mended) :]
+    yield from (f"done to the record: {sentence}" for sentence in mended)
+    sentences = used.left_out[len(given.left_out) :]
     for sentence in sentences[:MAX_LEFT_OUT]:
         yield f"not used: {sentence}"
     if (more := len(sentences) - MAX_LEFT_OUT) > 0:

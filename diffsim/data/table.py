@@ -218,7 +218,7 @@ def parse_time(path: Path, line: int, column: str, cell: str, before: float | No
     if before is not None and now <= before:
         raise ValueError(
             f"{path}, row {line}, column {column}: time must increase, got "
-            f"{now:g} s after {before:g} s; remove repeated rows or sort the file"
+            f"{now:g} s after {before:g} s; sort the file, one row a stamp"
         )
     return now
 

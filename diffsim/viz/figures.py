@@ -59,8 +59,17 @@ def data_uri(figure: Figure, *, png: bool = False, dpi: int = 160) -> str:
         backend.FigureCanvasAgg(figure).print_png(buffer)
     else:
         backend.FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
-    kind = "png" if png else "svg+xml"
-    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+    return uri_of(buffer.getvalue(), "png" if png else "svg+xml")
+
+
+def uri_of(content: bytes, kind: str) -> str:
+    """A picture's file as a data URI.
+
+    Args:
+        content: Content of the file.
+        kind: Its kind: "png", "svg+xml".
+    """
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def style(ax: Axes) -> None:

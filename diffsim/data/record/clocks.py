@@ -28,6 +28,12 @@ LEAST_DRIFT = 20.0  # parts per million
 BETTER = 0.7  # share of the squares that are left with a drift
 
 
+def find_stamps(record: Record) -> Iterator[Finding]:
+    """Stamps that are missing, equal or go back: rows with them were not read."""
+    for run, says in record.study.stamps:
+        yield Finding("stamps", f"run {run}", says, "", True)
+
+
 def find_gaps(record: Record) -> Iterator[Finding]:
     """Rows that are lost while a command moves, and clocks that were set."""
     system, held = (record.study.model or {}).get("system"), _find_held(record)
