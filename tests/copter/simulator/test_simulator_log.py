@@ -10,7 +10,7 @@ from diffsim import cli
 from diffsim.copter import load_design
 from diffsim.copter.simulator import FlightLog, FlightSimulator, Pacer, load_mission
 from diffsim.core.interrupts import EXIT_INTERRUPTED
-from diffsim.data import load_csv
+from labs.markers import load_csv
 
 SECONDS = 1.5
 
