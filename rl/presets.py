@@ -11,9 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 from diffsim.core.check import require_choice
-from diffsim.learn.methods import Options, Plan
+from diffsim.learn.methods import Options
 from diffsim.learn.recipes import recipe
 from diffsim.learn.setup import Setup
+from rl.trainings import Plan
 
 _Candidates = dict[str, tuple[dict[str, Any], ...]]
 _COPTER: _Candidates = {

@@ -55,7 +55,6 @@ VERDICTS = (
     "unrepeatable",
     "numerical",
 )
-MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 MOST_LISTED = 3  # sizes, rival sets or names in a sentence; the page lists all
 
 
