@@ -191,7 +191,11 @@ def _of_model(study: Study) -> Iterator[Problem]:
                 continue
             yield Problem("error", f"model{key}" if message else where, what or line)
         return
-    yield from description.problems(study)
+    try:
+        yield from description.problems(study)
+    except ValueError as error:  # what only the numbers of a record show
+        yield Problem("error", "model", str(error))
+        return
     if study.model.get("system") in NAMES_ITS_COLUMNS:
         yield from _not_mentioned(study)
     if study.model.get("system") in ("ode", "bench"):
