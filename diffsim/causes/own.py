@@ -187,6 +187,3 @@ def _read(row: OwnRow, text: str, known: Sequence[str], scales: Mapping[str, flo
 def _by(formula: Formula, row: OwnRow) -> ByFormula:
     fitted = tuple(name for name, s in row.shapes.items() if s.sd is not None)
     return ByFormula(formula, fitted, len(row.components), row.said("kink"))
-
-
-__all__ = ["OwnRow", "own_causes"]

@@ -311,6 +311,3 @@ def spell_plainly(name: str) -> str:
     """A name as the names of causes are written: lower case, digits, underscores."""
     kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name.lower())
     return kept.strip("_") or "x"
-
-
-__all__ = ["ANY", "Port", "Row", "number_in", "spell_plainly", "with_size"]

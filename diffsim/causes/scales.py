@@ -196,6 +196,3 @@ def _command_scale(runs: Sequence[Run], name: str) -> CommandScale:
     if not len(every):
         return CommandScale(0.0, 0.0, 0.0)
     return CommandScale(float(every.min()), float(every.max()), max(rates))
-
-
-__all__ = ["SCALES", "CommandScale", "Scales"]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.causes.readings import PLAY_START
+from diffsim.causes.scene import PLAY_START
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
 from diffsim.data.columns_beside import outputs_of

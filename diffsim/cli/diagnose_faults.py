@@ -166,6 +166,3 @@ def _of_what(verdict: FaultVerdict) -> str:
     more = f" and {len(names) - MAX_RUNS} more" if len(names) > MAX_RUNS else ""
     facts = "".join(f"; {name} {value}" for name, value in verdict.facts.items())
     return f"{'runs' if len(names) > 1 else 'run'} {', '.join(names[:MAX_RUNS])}{more}{facts}"
-
-
-__all__ = ["judged", "lines", "new_labels", "with_new"]

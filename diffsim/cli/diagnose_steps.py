@@ -285,16 +285,19 @@ def _extend(args: argparse.Namespace) -> None:
         print(f"{saved.path} names no effect: the extended model is the plain model")
     units = {c.name: c.unit for c in extension.model().base}
     for name in sizes:
-        unit = "" if units[name] == "-" else units[name]
-        value, sd = extension.fit.values[name], extension.fit.sd[name]
-        was = f"(was {saved.values[name]:.6g})" if name in saved.values else "(of a new run)"
-        print(f"{name:<32} {value:>12.6g} +- {sd:.2g} {unit} {was}")
+        unit = "" if units[name] == "-" else f" {units[name]}"
+        value, low, high = extension.ranges[name]
+        was = f"was {saved.values[name]:.6g}" if name in saved.values else "of a new run"
+        print(f"{name:<32} {value:>12.6g}{unit} ({low:.4g} to {high:.4g}; 90 % interval; {was})")
     before, after = extension.null.chi2, extension.fit.chi2
     print(f"chi2 of the runs fitted: {before:.6g} before, {after:.6g} extended")
-    if extension.gain is None:
+    if extension.gain is not None:
+        print(extension.gain.words)
+    elif extension.unseen is None:
         print("no test run, so no gain is known: a smaller training error proves nothing")
     else:
-        print(extension.gain.words)
+        for name, why in extension.unseen.failed.items():
+            print(f"run {name} could not be simulated, so no gain is quoted: {why}")
     print(f"wrote {path}")
 
 

@@ -36,6 +36,7 @@ MAX_STEP = 1.5  # of the median step; a longer one is a gap in the clock
 MAX_MISSING = 0.2  # share of a channel's samples
 _SUFFIXES = ("mm", "cm", "um", "ms", "us", "deg", "rpm", "mbar", "kPa", "mV", "mA", "mN", "Pa",
              "rad", "Nm", "N", "rad_s", "m_s", "m_s2")  # fmt: skip
+MAX_SCATTER = 4.0  # times the stated sd and that of other runs: at most 2.7 in 27 published sets
 MAX_COMMAND_SCATTER = 0.02  # rms, of the command's range; repeats of one group must agree to this
 
 
@@ -163,6 +164,7 @@ def _check_channels(study: Study) -> Iterator[Problem]:
                 + _jitter(study, channel),
             )
         yield from _steps(study, channel)
+        yield from _shaken(study, channel)
 
 
 def _steps(study: Study, channel: Channel) -> Iterator[Problem]:
@@ -180,18 +182,43 @@ def _steps(study: Study, channel: Channel) -> Iterator[Problem]:
         )
 
 
+def _shaken(study: Study, channel: Channel) -> Iterator[Problem]:
+    """Runs that scatter far more than the stated noise and than the others: they hide causes."""
+    levels = _scatter_by_run(study, channel, 4) if channel.sd else {}
+    usual = max(channel.sd or 0.0, float(np.median([*levels.values(), 0.0])))
+    alike = sorted(
+        (n for n, v in levels.items() if v > MAX_SCATTER * usual), key=levels.__getitem__
+    )
+    if alike and channel.sd:
+        *others, most = alike
+        more = f" (likewise {', '.join(others)})" if others else ""
+        yield Problem(
+            "note",
+            f"channel {channel.name}",
+            f"from sample to sample run {most} scatters by {shown_step(channel, levels[most])}, "
+            f"{levels[most] / channel.sd:.2g} times the stated sd{more}: state it as it is, or "
+            f"leave it out of such runs (columns: {{{channel.name}: null}})",
+        )
+
+
 def _jitter(study: Study, channel: Channel) -> str:
     """Scatter from sample to sample, as a hint for the sd."""
-    at = study.channels.index(channel)
-    levels = []
-    for run in study.runs:
-        steps = np.diff(run.measured[:, at], n=2) if run.measured.shape[1] > at else np.empty(0)
-        if np.isfinite(steps).sum() >= MIN_SAMPLES:
-            levels.append(float(scatter(steps, 2)))
+    levels = list(_scatter_by_run(study, channel, 2).values())
     if not levels or not max(levels) > 0.0:
         return ""
     size = shown_step(channel, float(np.median(levels)))
     return f" (from sample to sample it scatters by {size})"
+
+
+def _scatter_by_run(study: Study, channel: Channel, order: int) -> dict[str, float]:
+    """Scatter of a channel behind differences of an order, by name of runs that are long enough."""
+    at, found = study.channels.index(channel), dict[str, float]()
+    for run in study.runs:
+        if run.measured.shape[1] > at:
+            steps = np.diff(run.measured[:, at], n=order)
+            if np.isfinite(steps).sum() >= MIN_SAMPLES:
+                found[run.name] = float(scatter(steps, order))
+    return found
 
 
 def _said_unit(channel: Channel) -> str | None:

@@ -167,6 +167,3 @@ class OdeDescription(FormulaKeys):
             ),
             study=None if used is study else used,
         )
-
-
-__all__ = ["OdeDescription"]

@@ -18,9 +18,10 @@ from pydantic import (
 from diffsim.causes.own import OwnRow
 from diffsim.causes.row import Names, SizeWords
 from diffsim.core.expression import parse_expression
+from diffsim.core.schema import Part
 from diffsim.core.units import NO_UNIT, factor, in_si
 from diffsim.identify.effect import KINDS
-from diffsim.systems.description import IN_UNIT, Description, EffectChoice, Part, Quantity
+from diffsim.systems.description import IN_UNIT, Description, EffectChoice, Quantity
 
 
 def _check_formula(text: str) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from diffsim.causes.channel_groups import channels_of, clock_of
-from diffsim.causes.readings import PLAY_START
+from diffsim.causes.scene import PLAY_START
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.signal import scatter

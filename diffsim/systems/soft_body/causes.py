@@ -303,14 +303,3 @@ def seen_axes(given: SoftBodyKeys, study: Study) -> set[int]:
     """Axes of space that the channels show displacements along."""
     readings = [given.channels[c.name] for c in study.channels]
     return {main_axis(r) for r in readings if r.axis is not None} or {0, 1, 2}
-
-
-__all__ = [
-    "FUNCTIONS",
-    "body_cause",
-    "command_reach",
-    "plant_of",
-    "scales_of",
-    "unknowns",
-    "usual_motion",
-]

@@ -248,6 +248,3 @@ def seen(look: Look, camera: Camera, values: Mapping[str, Tensor], channels: Seq
         return (points.flatten(1) @ look.rows.T) * scale + zero
 
     return channels_of
-
-
-__all__ = ["Camera", "Clock", "Look", "Marker", "MarkerPlace", "Reading", "look_of", "seen"]
