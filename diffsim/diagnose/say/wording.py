@@ -9,9 +9,6 @@ from types import MappingProxyType
 import numpy as np
 
 from diffsim.core.units import after_number
-from diffsim.data.shown import shown_step
-from diffsim.data.steps import step_of
-from diffsim.data.study import Study
 from diffsim.diagnose.checks.gates import (
     COARSE,
     CUTS,
@@ -419,23 +416,6 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
     shown = " or ".join(" with ".join(names) or nothing for names in words)
     more = len(rivals) - MOST_LISTED
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
-
-
-def resolution_words(study: Study) -> str:
-    """How fine the record is, which is said where a delay is named.
-
-    Args:
-        study: Study whose fitted runs are asked.
-    """
-    runs = study.fit_runs
-    row_s = float(np.median(np.concatenate([np.diff(run.time_s) for run in runs])))
-    steps = []
-    for channel, values in zip(
-        study.channels, np.concatenate([r.measured for r in runs]).T, strict=True
-    ):
-        if (step := step_of(values)) is not None and step > (channel.sd or 0.0):
-            steps.append(f", one step of {channel.name} {shown_step(channel, step)}")
-    return f"One row of the record is {1e3 * row_s:.3g} ms{''.join(steps[:MOST_LISTED])}."
 
 
 def _sizes(rows: Sequence[CauseRow]) -> str:
