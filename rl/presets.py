@@ -50,7 +50,7 @@ _COPTER: _Candidates = {
         {"passes": 64, "learning_rate": 1e-3},
     ),
 }
-# measured with ``gradient_step_cost`` on the coarse bodies, as is the copter's 1.9
+# measured by benchmarks.envs on the coarse bodies, as is the copter's 1.9
 _SWIM_COST = 2.1
 _SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 32}
 _STARFISH: _Candidates = {

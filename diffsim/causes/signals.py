@@ -23,6 +23,7 @@ _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
 _SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
 _NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
 _SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
+MOST_STEPS = 1e9  # of a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +47,18 @@ class Grid:
         Args:
             seconds: (num_samples,) times of the samples [s].
             step: Longest step of the integrator [s].
+
+        Raises:
+            ValueError: steps without end.
         """
         gaps = np.diff(seconds)
-        counts = np.maximum(np.ceil(gaps / step - 1e-6), 1.0).astype(int)
+        needed = np.maximum(np.ceil(gaps / step - 1e-6), 1.0)
+        if not needed.sum() < MOST_STEPS:
+            raise ValueError(
+                f"{gaps.max():g} s lie between two samples: {needed.max():.3g} steps of {step:g} "
+                f"s, where a run may have {MOST_STEPS:g}"
+            )
+        counts = needed.astype(int)
         samples = np.concatenate([[0], np.cumsum(counts)])
         at = np.arange(samples[-1]) - np.repeat(samples[:-1], counts)
         parts = np.repeat(seconds[:-1], counts) + np.repeat(gaps, counts) * at / np.repeat(

@@ -15,8 +15,9 @@ from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
 from diffsim.data.columns_beside import outputs_of
 from diffsim.data.header_units import header_units
+from diffsim.data.record.clocks import TIMELESS
 from diffsim.data.run_files import BLOCK_OF
-from diffsim.data.shown import shown, shown_change
+from diffsim.data.shown import resolution_words, shown, shown_change
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_like import read_whole
@@ -191,7 +192,11 @@ def _of_model(study: Study) -> Iterator[Problem]:
                 continue
             yield Problem("error", f"model{key}" if message else where, what or line)
         return
-    yield from description.problems(study)
+    try:
+        yield from description.problems(study)
+    except ValueError as error:  # what only the numbers of a record show
+        yield Problem("error", "model", str(error))
+        return
     if study.model.get("system") in NAMES_ITS_COLUMNS:
         yield from _not_mentioned(study)
     if study.model.get("system") in ("ode", "bench"):
@@ -275,6 +280,8 @@ def _summary(study: Study) -> Iterator[str]:
     yield ""
     rows = [_run_row(run) for run in sorted(study.runs, key=lambda r: r.order)]
     yield from _table(["run", "use", "group", "samples", "step", "from .. to", "facts"], rows)
+    if (study.model or {}).get("system") not in TIMELESS and (fine := resolution_words(study)):
+        yield fine
     yield ""
     yield from _describe_uses(study)
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}

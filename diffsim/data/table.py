@@ -444,7 +444,7 @@ def _all_numbers_of(
         for number, line in enumerate(lines, before + 1):
             if number % ROWS_SHOWN == 0:
                 say_stage(f"reading {path.name}, row {number}")
-            if not line.isspace():
+            if line.strip():
                 numbers.append(number)
                 yield line
 

@@ -36,7 +36,7 @@ class Setup:
         steps: Budget of simulation steps.
         evaluate_every: Simulation steps between two ratings.
         evaluation_episodes: Whose mean reward is the rating; the same ones for every method.
-        step_cost: What a step with its gradient costs, in steps without (``gradient_step_cost``).
+        step_cost: What a step with its gradient costs, in steps without, by ``benchmarks.envs``.
         warm_up: Control steps of random commands from which observations are first normalized.
         output_gain: Gain of the first network's last layer, for every method. A small one makes a
             controller that hardly moves, which is where a copter hovers and a swimmer learns

@@ -25,6 +25,7 @@ PLACES = ("m", "rad", "-", None, "K", "Pa")  # SI units of what cannot jump and 
 SMALL = 0.1  # of the range of a command: a goal so near is none
 HELD = 0.8  # share of rows in which a command of goals keeps its value
 REACTION = 5  # rows after which a channel moves to a new goal, at most
+NOISY = 0.1  # of its samples equal the one before, at most, where noise makes them differ
 FROZEN = 6  # samples of which a stop can be told
 CHANCE = 1e-8  # of so long a stop where neighbors differ
 MAX_RATE = 20  # rows on one line
@@ -308,6 +309,15 @@ def find_frozen(record: Record) -> Iterator[Finding]:
     """A channel that stands still, exactly, while others move."""
     for signal in record.channels:
         for samples in signal.runs:
+            if _is_stuck(signal, samples):
+                yield Finding(
+                    "frozen",
+                    f"run {samples.run}",
+                    f"channel {signal.name} shows {samples.low:.6g} in all {len(samples)} samples, "
+                    "where its readings differ from row to row in other runs: it was stuck",
+                    f"`columns: {{{signal.name}: null}}` in run {samples.run} leaves it out",
+                    True,
+                )
             if (found := _longest_stop(samples)) is None:
                 continue
             first, last = found
@@ -332,6 +342,13 @@ def find_frozen(record: Record) -> Iterator[Finding]:
                 "them out",
                 True,
             )
+
+
+def _is_stuck(signal: Signal, samples: Samples) -> bool:
+    """Whether a channel never changes in a run, and nearly always in others."""
+    others = [s for s in signal.runs if s.range > 0.0 and len(s) >= FEW]
+    is_still = len(samples) >= FEW and not samples.range > 0.0
+    return is_still and bool(others) and all(s.shares_equal < NOISY for s in others)
 
 
 def _are_rests(command: Signal, stretches: Sequence[tuple[Samples, int, int]]) -> bool:

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.ndimage import median_filter
 
+from diffsim.core.memo import Memo
 from diffsim.data.command_jumps import WIDTH
 from diffsim.data.signal import scatter
 from diffsim.data.steps import moves_on, rest_and_jump
@@ -30,6 +32,8 @@ SAME = 1e-3  # of a command's range: how far lines between rows may be off
 SLOW = 1e-2  # of a channel's range
 NOISES = 4.0  # noise sd that are no motion
 MOST_SHARE = 0.5  # of a run's rows: where more are needed, all stay
+
+_KNOWN: Memo[Run] = Memo(512)
 
 
 def interval_of(study: Study, most_rows: int) -> float:
@@ -72,8 +76,12 @@ def simulated(
         or (is_held(i, study) and moves_on(study.runs, list_commands_of(i, study)))
     }
     stated = [i for i in inputs if i.held and i.name in moving]
-    steps = {name for i in stated for name in list_commands_of(i, study)}
-    runs = tuple(_cut(_through_middles(run, steps), study, interval) for run in study.runs)
+    steps = frozenset(name for i in stated for name in list_commands_of(i, study))
+    asked = (steps, study.channels, study.commands, interval)
+    # the same runs each time: what was found out of them is kept by run
+    runs = tuple(
+        _KNOWN((run, *asked), partial(_cut, run, study, interval, steps)) for run in study.runs
+    )
     before, after = (sum(len(run.time_s) for run in of) for of in (study.runs, runs))
     if after == before:
         return inputs, study
@@ -96,8 +104,9 @@ def _through_middles(run: Run, names: Collection[str]) -> Run:
     return replace(run, command={**run.command, **middles})
 
 
-def _cut(run: Run, study: Study, interval: float) -> Run:
+def _cut(run: Run, study: Study, interval: float, steps_of: Collection[str]) -> Run:
     """The rows of a run that are needed; all where these are most, or a command is not known."""
+    run = _through_middles(run, steps_of)
     count, steps = len(run.time_s), np.diff(run.time_s)
     is_known = all(np.isfinite(values).all() for values in run.command.values())
     if count < WIDTH or not is_known or not (steps > 0.0).all():
