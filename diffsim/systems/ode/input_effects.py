@@ -133,10 +133,10 @@ def follow_profile(name: str, own: str, *, held: Mapping[str, bool]) -> Apply:
     change = Change(
         names={name: filled(parse_expression("where(size, other, u)"), parts)}, inputs=(other,)
     )
-    return with_inputs(change, symbol(own), partial(_accelerated, name, other, held[name]))
+    return with_inputs(change, symbol(own), partial(_accelerate_input, name, other, held[name]))
 
 
-def _accelerated(
+def _accelerate_input(
     name: str, other: str, is_held: bool, scene: OdeScene, size: Tensor
 ) -> dict[str, Tensor]:
     most, fastest = size[..., 0], size[..., 1]
