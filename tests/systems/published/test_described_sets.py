@@ -25,7 +25,7 @@ SETS = {
     "rotor_drive": ("rotor_bench", 23, 4),
     "silicone_tensile": ("silicone_tensile", 15, 15),
     "f1tenth_car": ("f1tenth_car", 13, 4),
-    "motor_pendulum": ("motor_pendulum", 16, 3),
+    "motor_pendulum": ("motor_pendulum", 32, 6),
     "so101": ("so101", 3, 1),
 }
 
