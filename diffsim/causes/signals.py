@@ -1,8 +1,7 @@
 """What happens to signals on their way, commands and readings alike: the one home of such maps.
 
 Signals are (..., num_times), at the times of a grid that need not be evenly spaced. All changes are
-the identity at size 0. Many sizes at once, (K,), give (K, num_times). ``on_columns`` takes them to
-signals in columns.
+the identity at size 0. Many sizes at once, (K,), give (K, num_times).
 """
 
 from __future__ import annotations
@@ -117,18 +116,6 @@ def _space_evenly(num_times: int, dt: float) -> Grid:
 SignalMap = Callable[[Tensor, "Grid"], Tensor]
 #: (signal on the grid, grid, size () or (K,)) -> the same signal, changed
 SizedMap = Callable[[Tensor, "Grid", Tensor], Tensor]
-
-
-def on_columns(change: SizedMap, u: Tensor, dt: float, size: Tensor) -> Tensor:
-    """A map of signals in columns.
-
-    Args:
-        change: Function (signal, grid, size).
-        u: Signals every ``dt`` [s], (..., num_samples, width).
-        dt: Time between two samples [s].
-        size: () or of the leading axes of u.
-    """
-    return change(u.mT, Grid.even(u.shape[-2], dt), size[..., None]).mT
 
 
 def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: Grid) -> Tensor:
@@ -261,16 +248,6 @@ def held_lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
     share = time_constant[..., None] / steps * (1.0 - decay)
     share = torch.cat([share, share[..., -1:]], -1)
     return u + error * share
-
-
-def dead_band(u: Tensor, grid: Grid, half_width: Tensor) -> Tensor:
-    """Nothing below ``half_width``, () or (K,), and that much less above it."""
-    return u.sign() * (u.abs() - half_width[..., None]).clamp(min=0.0)
-
-
-def slack(u: Tensor, grid: Grid, length: Tensor) -> Tensor:
-    """Nothing until a positive signal exceeds ``length``, () or (K,), then that much less."""
-    return torch.where(u > 0.0, (u - length[..., None]).clamp(min=0.0), u)
 
 
 def in_steps(u: Tensor, grid: Grid, step: Tensor) -> Tensor:

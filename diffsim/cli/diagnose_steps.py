@@ -58,6 +58,7 @@ from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
 from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.tables import FIRST_LOOK
 from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended
 from diffsim.identify.numerics import Numerics
 
@@ -186,7 +187,14 @@ def _explain(args: argparse.Namespace) -> None:
             file=sys.stderr,
         )
     with progress_bar("diagnose") as progress:
-        report = diagnosed(inputs, progress=progress, cache=cache)
+
+        def told(stage: str, fraction: float, message: str) -> None:
+            progress(stage, fraction, message)
+            if stage == FIRST_LOOK and not (out / INPUTS_FILE).is_file():
+                look = {"study": study.name, "verdict": FIRST_LOOK, "headline": message}
+                write_json_atomic(out / REPORT_FILE, look)  # until the answer takes its place
+
+        report = diagnosed(inputs, progress=told, cache=cache)
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
 
@@ -439,6 +447,11 @@ def _next(args: argparse.Namespace) -> None:
     if saved is None:
         raise FileNotFoundError(
             f"{path}: no such report; make one with `diffsim diagnose explain {args.study}`"
+        )
+    if saved["verdict"] in (RECORD, FIRST_LOOK):
+        raise ValueError(
+            f"{path} holds no causes to choose from: {saved['headline']} Finish it with "
+            f"`diffsim diagnose explain {args.study}`"
         )
     if saved["verdict"] == DESCRIBED:  # its laws are causes of no library, but of the saved model
         study = read_extended(path.parent).framed(study)

@@ -31,8 +31,8 @@ from typing import Any
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import read_part
 from diffsim.core.units import to_si
+from diffsim.data.datasets import find_dataset
 from diffsim.data.formats import split_part
-from diffsim.data.recording import find_dataset
 from diffsim.data.run_files import RunReader
 from diffsim.data.study import Channel, Command, Study
 from diffsim.data.study_like import read_whole

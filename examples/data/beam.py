@@ -55,8 +55,8 @@ from scipy.spatial.transform import Rotation
 
 from diffsim.core.inside import inside
 from diffsim.core.yaml_text import read_yaml_file
-from diffsim.data import Recording, load_csv
 from examples.data import vibration
+from labs.markers import Recording, load_csv
 
 Array = NDArray[np.float64]
 

@@ -140,9 +140,16 @@ def test_an_interrupted_explanation_goes_on(short_folder, tmp_path, monkeypatch,
     # interrupted while the gain is computed: all that was fitted is kept
     monkeypatch.setattr("diffsim.diagnose.diagnosis.report_of", stopped_report)
     assert run("explain", short_folder, tmp_path, "--quick") == 130
-    assert "go on with: diffsim diagnose explain" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "go on with: diffsim diagnose explain" in said.err
+    # what stood out before any fit is said, and is what an interruption leaves
+    look = json.loads((tmp_path / "report.json").read_text())
+    assert look["verdict"] == "first look" and said.out.count(look["headline"]) == 1
+    assert "each alone would take of the misfit: drag 84%, " in look["headline"]
+    with pytest.raises(ValueError, match="holds no causes to choose from: A first look"):
+        run("next", short_folder, tmp_path)
     kept = list((tmp_path / "interrupted").rglob("*.npz"))
-    assert kept and not (tmp_path / "report.json").exists()
+    assert kept
     monkeypatch.undo()
     assert run("explain", short_folder, tmp_path, "--quick") == 0
     assert "going on with what an interrupted diagnosis left" in capsys.readouterr().out

@@ -52,7 +52,6 @@ VERDICTS = (
     "unrepeatable",
     "numerical",
 )
-MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 MOST_LISTED = 3  # sizes, rival sets or names in a sentence; the page lists all
 
 
@@ -351,12 +350,6 @@ def _join_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def _say_left(answer: Answer) -> str:
-    """What the fit leaves, and what it would leave with something unknown beside."""
-    beside = (f", {left:.2g} with an {name} beside" for name, left in answer.with_unknown.items())
-    return f"{answer.left:.2g} times the noise{''.join(beside)}"
-
-
 def _data_sheets(answer: Answer) -> list[str]:
     """One sentence per base parameter far off its data sheet."""
     out = []
@@ -377,7 +370,8 @@ def _rest(answer: Answer) -> list[str]:
     """What the names leave open."""
     decision, out = answer.decision, []
     if answer.verdict in ("ambiguous", "named", "unknown"):
-        out.append(f"The fit leaves {_say_left(answer)}.")
+        beside = [f", {v:.2g} with an {name} beside" for name, v in answer.with_unknown.items()]
+        out.append(f"The fit leaves {answer.left:.2g} times the noise{''.join(beside)}.")
     open_ = [r for r in effects_of(answer) if r.status not in (CERTAIN, LIKELY) and r.rivals]
     if answer.verdict == "named" and answer.rivals and open_:
         shared = set.intersection(*map(set, answer.rivals))
