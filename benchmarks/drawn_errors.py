@@ -26,6 +26,12 @@ ROOT = Path(__file__).resolve().parents[1]
 HARMLESS = Path(__file__).with_name("harmless_errors.yaml")
 DEFAULTS = "tests/test_api.py"  # holds those of all public calls against docs/api.md
 KERNELS = "csrc/kernels"
+KNOWN = "tests/test_known_numbers.py::test_"
+NUMBERS = (
+    f"{KNOWN}numbers_are_those_that_are_known",
+    f"{KNOWN}what_commands_say_and_write_is_known",
+)
+OF_COMMANDS = ("cli", "data", "diagnose", "identify", "viz")  # rooms that commands show at once
 CONTRACT = "tests/systems/test_kinds.py::test_every_kind_keeps_its_contract"  # what kinds keep
 OF_KINDS = ("diffsim/causes/", "diffsim/systems/")
 FOLDERS = {"diffsim": "*.py", KERNELS: "*.[ch]*"}
@@ -95,6 +101,8 @@ def draw(seed: int, num: int, nearest: int | None = None) -> list[Drawn]:
         ):
             continue  # what is dropped ends between brackets
         if tests := nearest_tests(name, _line_of(text, site))[:nearest]:
+            known = NUMBERS[:: -1 if Path(name).parts[1] in OF_COMMANDS else 1]
+            tests = [*known, *(test for test in tests if test not in KNOWN)]
             before = [DEFAULTS] if site.kind == "default" and path.suffix == ".py" else []
             after = [CONTRACT] if name.startswith(OF_KINDS) else []
             drawn[name] = _stated(name, text, site, [*before, *tests, *after])
