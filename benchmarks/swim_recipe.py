@@ -28,10 +28,11 @@ from diffsim.core import interruptible, open_executor
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.core.paths import PROJECT
 from diffsim.core.runs import run_each
-from diffsim.learn.methods import Options, Training
+from diffsim.learn.methods import Options
 from diffsim.learn.recipes import recipe
 from diffsim.learn.run import Row, is_finished, read_rows
 from diffsim.learn.setup import Setup
+from rl.trainings import Training
 
 SWIMS = 0.1  # mean reward per step above which a run counts as swimming
 RECORD = PROJECT / "rl" / "results" / "recipe"

@@ -30,10 +30,11 @@ import torch
 from diffsim.cli.arguments import add_executor
 from diffsim.core import open_executor
 from diffsim.core.files import write_json_atomic, write_text_atomic
-from diffsim.learn import METHODS, Plan
+from diffsim.learn import METHODS
 from rl import comparison
 from rl.figures import comparison_figure
 from rl.presets import PRESETS, preset
+from rl.trainings import Plan
 
 
 def report(task: str, plan: Plan, folder: Path, figure: Path, *, quality: bool) -> str | None:

@@ -14,11 +14,12 @@ import numpy as np
 
 from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.learn.checkpoint import CHECKPOINT
-from diffsim.learn.methods import FAILURE, METHODS, Plan, Training, searched, train_all, tune
+from diffsim.learn.methods import METHODS
 from diffsim.learn.run import Row, load_controller, read_rows
 from diffsim.learn.setup import untrained_reward
 from rl.quality import gradient_quality
 from rl.reward_statistics import Scale, bootstrap_interval, first_reach, interquartile_mean
+from rl.trainings import FAILURE, Plan, Training, searched, train_all, tune
 
 AXES = {
     "steps": "simulation steps",

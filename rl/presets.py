@@ -11,9 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 from diffsim.core.check import require_choice
-from diffsim.learn.methods import Options, Plan
+from diffsim.learn.methods import Options
 from diffsim.learn.recipes import recipe
 from diffsim.learn.setup import Setup
+from rl.trainings import Plan
 
 _Candidates = dict[str, tuple[dict[str, Any], ...]]
 _COPTER: _Candidates = {
@@ -49,7 +50,7 @@ _COPTER: _Candidates = {
         {"passes": 64, "learning_rate": 1e-3},
     ),
 }
-# measured with ``gradient_step_cost`` on the coarse bodies, as is the copter's 1.9
+# measured by benchmarks.envs on the coarse bodies, as is the copter's 1.9
 _SWIM_COST = 2.1
 _SWIM_QUALITY = {"horizons": (5, 10, 25, 50, 100), "episodes": 2, "directions": 32}
 _STARFISH: _Candidates = {

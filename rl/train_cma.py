@@ -11,7 +11,8 @@ from diffsim.core.script import interruptible
 
 from collections.abc import Sequence
 
-from diffsim.learn import CmaLearner, CmaOptions, Run, main_training
+from diffsim.learn import CmaLearner, CmaOptions, Run
+from rl.arguments import main_training
 
 QUICK = {"population": 4}
 

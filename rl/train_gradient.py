@@ -18,7 +18,9 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from diffsim.learn import GradientLearner, GradientOptions, main_training, open_loop
+from diffsim.learn import GradientLearner, GradientOptions
+from rl import open_loop
+from rl.arguments import main_training
 
 QUICK = {"batch": 8, "horizon": 0}
 

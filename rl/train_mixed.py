@@ -10,7 +10,8 @@ from diffsim.core.script import interruptible
 
 from collections.abc import Sequence
 
-from diffsim.learn import MixedLearner, MixedOptions, Run, main_training
+from diffsim.learn import MixedLearner, MixedOptions, Run
+from rl.arguments import main_training
 
 QUICK = {"batch": 8, "horizon": 0}
 

@@ -10,7 +10,8 @@ from diffsim.core.script import interruptible
 
 from collections.abc import Sequence
 
-from diffsim.learn import PpoLearner, PpoOptions, Run, main_training
+from diffsim.learn import PpoLearner, PpoOptions, Run
+from rl.arguments import main_training
 
 QUICK = {"envs": 8, "rollout": 10, "minibatch": 40, "epochs": 2}
 

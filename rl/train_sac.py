@@ -10,7 +10,8 @@ from diffsim.core.script import interruptible
 
 from collections.abc import Sequence
 
-from diffsim.learn import Run, SacLearner, SacOptions, main_training
+from diffsim.learn import Run, SacLearner, SacOptions
+from rl.arguments import main_training
 
 QUICK = {"envs": 8, "rollout": 10, "passes": 2, "minibatch": 40, "first": 80, "keep": 1_000}
 

@@ -10,7 +10,8 @@ from diffsim.core.script import interruptible
 
 from collections.abc import Sequence
 
-from diffsim.learn import Run, ShacLearner, ShacOptions, main_training
+from diffsim.learn import Run, ShacLearner, ShacOptions
+from rl.arguments import main_training
 
 QUICK = {"batch": 8, "window": 4, "critic_passes": 1}
 

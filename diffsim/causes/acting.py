@@ -173,6 +173,3 @@ class FilledLaw:
         more = {**self.numbers, **{n: float(v.detach()) for n, v in self.shapes.items()}}
         inner, given = self.expression.on_floats(*names, *more), tuple(more.values())
         return lambda *values: inner(*values, *given)
-
-
-__all__ = ["ByFormula", "FilledLaw"]

@@ -109,6 +109,3 @@ def all_rows() -> Iterator[tuple[str, Row]]:
     for domain in domains():
         for row in rows(domain).values():
             yield domain, row
-
-
-__all__ = ["all_rows", "domains", "rows", "rows_in_order"]

@@ -120,6 +120,3 @@ def _slack_in_words(unit: str, times: float, shown: str | None) -> Callable[[flo
 
 
 _WORDS = {"rate_limit": _limit_in_words, "slack": _slack_in_words}
-
-
-__all__ = ["CommandGroup", "cause_of_commands", "command_cause", "say_in_unit"]

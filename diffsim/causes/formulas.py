@@ -264,20 +264,3 @@ def fitted_shapes(shapes: Mapping[str, ShapeKeys], cause: str) -> dict[str, Shap
         for name, s in shapes.items()
         if s.sd is not None
     }
-
-
-__all__ = [
-    "MEAN",
-    "ORDER",
-    "RESERVED",
-    "Formula",
-    "Memory",
-    "MemoryKeys",
-    "ShapeKeys",
-    "constant_in",
-    "constants_of",
-    "facts_of",
-    "fitted_shapes",
-    "parse_formula",
-    "signals_of",
-]

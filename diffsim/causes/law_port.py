@@ -349,6 +349,3 @@ class _WatchedSignal:
         since = np.asarray(run.time_s, dtype=np.float64) - float(run.time_s[0])
         row = u.reshape(-1, u.shape[-1])[0].numpy()
         return torch.from_numpy(np.interp(since, grid.since_start.numpy(), row))
-
-
-__all__ = ["PortLaws", "WatchedForce"]

@@ -340,6 +340,3 @@ def _cause_of_part(row: Row, filled: Row, ending: str, plant: Plant) -> Effect |
     part = plant.parts[row.each][ending.removeprefix("_")]
     own = made(part, row.name + ending)
     return filled.effect(own, usual, system=system, ending=ending)
-
-
-__all__ = ["channel_pairs", "command_pairs", "is_offered", "list_causes", "numbers_added"]

@@ -27,10 +27,11 @@ from diffsim.causes.ports import (
     on_place,
     on_readings,
 )
-from diffsim.causes.row import ANY, Names, Row
+from diffsim.causes.row import ANY, Row
 from diffsim.causes.signals import MAPS
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
+from diffsim.core.schema import Names
 from diffsim.data.study import Study
 from diffsim.identify.effect import Apply, Effect
 
@@ -187,6 +188,3 @@ def _read(row: OwnRow, text: str, known: Sequence[str], scales: Mapping[str, flo
 def _by(formula: Formula, row: OwnRow) -> ByFormula:
     fitted = tuple(name for name, s in row.shapes.items() if s.sd is not None)
     return ByFormula(formula, fitted, len(row.components), row.said("kink"))
-
-
-__all__ = ["OwnRow", "own_causes"]

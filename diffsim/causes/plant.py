@@ -128,6 +128,3 @@ class Plant:
     def channel_names(self) -> tuple[str, ...]:
         """Names of the channels, in order."""
         return tuple(c.name for c in self.channels)
-
-
-__all__ = ["IN_TIME", "LATE_RECORD", "Place", "Plant", "Store"]

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.row import ANY, Row
-from diffsim.causes.scene import ForceLaw, LawFormula, Scene
+from diffsim.causes.scene import ForceLaw, Scene
 from diffsim.causes.sessions import Sessions
-from diffsim.causes.signals import JOINT, MAPS, Between, Grid, SignalMap, SizedMap
+from diffsim.causes.signals import JOINT, MAPS, Between, Grid, SizedMap
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
@@ -270,17 +270,3 @@ def on_place(row: Row, place: str) -> Apply:
 
 def _push(scene: Scene, size: Tensor, run: Run, *, place: str, formula: Expression) -> Any:
     return scene.with_force(place, ForceLaw(formula, size[..., 0]))
-
-
-__all__ = [
-    "ForceLaw",
-    "LawFormula",
-    "SignalChange",
-    "SignalMap",
-    "on_clock",
-    "on_commands",
-    "on_numbers",
-    "on_numbers_between",
-    "on_place",
-    "on_readings",
-]

@@ -139,16 +139,3 @@ def pace(effect: Effect, sample_s: float) -> Effect:
 def usual_sample(runs: Iterable[Run]) -> float:
     """Usual time between two samples of runs [s]; 0 where none has two."""
     return max((float(np.median(np.diff(r.time_s))) for r in runs if len(r.time_s) > 1), default=0)
-
-
-__all__ = [
-    "PLAY_START",
-    "SENSOR",
-    "Instrument",
-    "cause_of_readings",
-    "instrument_of",
-    "pace",
-    "usual_sample",
-    "with_ending",
-    "with_play_start",
-]

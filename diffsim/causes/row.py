@@ -16,15 +16,11 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from diffsim.causes.needs import NEEDS
 from diffsim.core.expression import parse_expression
-from diffsim.core.schema import Part, fill_in
+from diffsim.core.schema import Names, Part, fill_in
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.law import Shape
 
 Port = Literal["command", "reading", "clock", "number", "force", "law", "store", "scene"]
-
-
-def _wrap_in_tuple(given: Any) -> Any:
-    return (given,) if isinstance(given, str) else given
 
 
 def _for_any(given: Any) -> Any:
@@ -47,7 +43,6 @@ def with_size(words: str, size: float) -> str:
 #: Text that a size is filled into: `{:.2g} N lost in each drive`.
 SizeWords = Annotated[str, AfterValidator(_check_words)]
 ANY = "any"  # kind of system, where a row says nothing of one
-Names = Annotated[tuple[str, ...], BeforeValidator(_wrap_in_tuple)]
 #: What a row says of any kind of system, and of those where it is something else.
 NamesBySystem = Annotated[dict[str, Names], BeforeValidator(_for_any)]
 SizeBySystem = Annotated[dict[str, float | str], BeforeValidator(_for_any)]
@@ -311,6 +306,3 @@ def spell_plainly(name: str) -> str:
     """A name as the names of causes are written: lower case, digits, underscores."""
     kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name.lower())
     return kept.strip("_") or "x"
-
-
-__all__ = ["ANY", "Port", "Row", "number_in", "spell_plainly", "with_size"]

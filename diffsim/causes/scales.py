@@ -91,19 +91,9 @@ class Scales:
 
     @classmethod
     def kept_in(cls, study: Study) -> Scales | None:
-        """The record that a study's ``frame`` has; None: the study has no frame.
-
-        Raises:
-            ValueError: the frame is that of a model which was saved before version 0.2.
-        """
-        if not study.frame:
-            return None
-        if SCALES not in study.frame:
-            raise ValueError(
-                f"study {study.name}: the saved model has no {SCALES!r}, by which its sizes mean "
-                "what they mean; it is from before version 0.2: fit it again"
-            )
-        return cls.read(study.frame[SCALES])
+        """The record that a study's ``frame`` has; None: it has none."""
+        kept = study.frame.get(SCALES)
+        return None if kept is None else cls.read(kept)
 
     @classmethod
     def read(cls, saved: Mapping[str, Any]) -> Scales:
@@ -206,6 +196,3 @@ def _command_scale(runs: Sequence[Run], name: str) -> CommandScale:
     if not len(every):
         return CommandScale(0.0, 0.0, 0.0)
     return CommandScale(float(every.min()), float(every.max()), max(rates))
-
-
-__all__ = ["SCALES", "CommandScale", "Scales"]

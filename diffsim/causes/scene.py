@@ -327,15 +327,3 @@ def grid_at(times: Tensor) -> Grid:
     times = values_of(times)  # data: within ``torch.func`` as outside
     with on_constants():
         return Grid(times, torch.arange(len(times)), times.numpy())
-
-
-__all__ = [
-    "PLAY_START",
-    "Commands",
-    "ForceLaw",
-    "Instruments",
-    "LawFormula",
-    "Scene",
-    "grid_at",
-    "grid_of",
-]

@@ -46,6 +46,3 @@ class Sessions:
         """
         label = str(run.setup.get(self.fact, self.labels[0]))
         return self.labels.index(label) - 1 if label in self.labels[1:] else None
-
-
-__all__ = ["SESSIONS", "Sessions"]

@@ -1,8 +1,7 @@
 """What happens to signals on their way, commands and readings alike: the one home of such maps.
 
 Signals are (..., num_times), at the times of a grid that need not be evenly spaced. All changes are
-the identity at size 0. Many sizes at once, (K,), give (K, num_times). ``on_columns`` takes them to
-signals in columns.
+the identity at size 0. Many sizes at once, (K,), give (K, num_times).
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
 _SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
 _NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
 _SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
+MOST_STEPS = 1e9  # of a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +47,18 @@ class Grid:
         Args:
             seconds: (num_samples,) times of the samples [s].
             step: Longest step of the integrator [s].
+
+        Raises:
+            ValueError: steps without end.
         """
         gaps = np.diff(seconds)
-        counts = np.maximum(np.ceil(gaps / step - 1e-6), 1.0).astype(int)
+        needed = np.maximum(np.ceil(gaps / step - 1e-6), 1.0)
+        if not needed.sum() < MOST_STEPS:
+            raise ValueError(
+                f"{gaps.max():g} s lie between two samples: {needed.max():.3g} steps of {step:g} "
+                f"s, where a run may have {MOST_STEPS:g}"
+            )
+        counts = needed.astype(int)
         samples = np.concatenate([[0], np.cumsum(counts)])
         at = np.arange(samples[-1]) - np.repeat(samples[:-1], counts)
         parts = np.repeat(seconds[:-1], counts) + np.repeat(gaps, counts) * at / np.repeat(
@@ -107,18 +116,6 @@ def _space_evenly(num_times: int, dt: float) -> Grid:
 SignalMap = Callable[[Tensor, "Grid"], Tensor]
 #: (signal on the grid, grid, size () or (K,)) -> the same signal, changed
 SizedMap = Callable[[Tensor, "Grid", Tensor], Tensor]
-
-
-def on_columns(change: SizedMap, u: Tensor, dt: float, size: Tensor) -> Tensor:
-    """A map of signals in columns.
-
-    Args:
-        change: Function (signal, grid, size).
-        u: Signals every ``dt`` [s], (..., num_samples, width).
-        dt: Time between two samples [s].
-        size: () or of the leading axes of u.
-    """
-    return change(u.mT, Grid.even(u.shape[-2], dt), size[..., None]).mT
 
 
 def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: Grid) -> Tensor:
@@ -251,16 +248,6 @@ def held_lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
     share = time_constant[..., None] / steps * (1.0 - decay)
     share = torch.cat([share, share[..., -1:]], -1)
     return u + error * share
-
-
-def dead_band(u: Tensor, grid: Grid, half_width: Tensor) -> Tensor:
-    """Nothing below ``half_width``, () or (K,), and that much less above it."""
-    return u.sign() * (u.abs() - half_width[..., None]).clamp(min=0.0)
-
-
-def slack(u: Tensor, grid: Grid, length: Tensor) -> Tensor:
-    """Nothing until a positive signal exceeds ``length``, () or (K,), then that much less."""
-    return torch.where(u > 0.0, (u - length[..., None]).clamp(min=0.0), u)
 
 
 def in_steps(u: Tensor, grid: Grid, step: Tensor) -> Tensor:

@@ -107,6 +107,3 @@ def pairs(units: dict[str, str | None]) -> Iterator[tuple[str, str]]:
         names = [name for name, own in units.items() if own == unit]
         if len(names) <= MAX_PAIRED:
             yield from combinations(names, 2)
-
-
-__all__ = ["Member", "pairs", "tie", "ties"]

@@ -18,6 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", type=Path, help="folder of the measured data (else DIFFSIM_DATA)")
     parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="default: %(default)s")
     parser.add_argument("--quick", action="store_true", help="fewer steps, smaller meshes")
+    parser.add_argument(
+        "--all", action="store_true", help="compute stored answers again, too, and compare"
+    )
     parser.add_argument("--resume", action="store_true", help="go on with what --out holds")
     parser.add_argument("--threads", type=positive, default=os.cpu_count() or 1, metavar="N")
 
@@ -40,4 +43,5 @@ def command(args: argparse.Namespace) -> None:
         quick=args.quick,
         resume=args.resume,
         threads=args.threads,
+        anew=args.all,
     )

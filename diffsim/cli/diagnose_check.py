@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.causes.readings import PLAY_START
+from diffsim.causes.scene import PLAY_START
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
 from diffsim.data.columns_beside import outputs_of
 from diffsim.data.header_units import header_units
+from diffsim.data.record.clocks import TIMELESS
 from diffsim.data.run_files import BLOCK_OF
-from diffsim.data.shown import shown, shown_change
+from diffsim.data.shown import resolution_words, shown, shown_change
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_like import read_whole
@@ -191,7 +192,11 @@ def _of_model(study: Study) -> Iterator[Problem]:
                 continue
             yield Problem("error", f"model{key}" if message else where, what or line)
         return
-    yield from description.problems(study)
+    try:
+        yield from description.problems(study)
+    except ValueError as error:  # what only the numbers of a record show
+        yield Problem("error", "model", str(error))
+        return
     if study.model.get("system") in NAMES_ITS_COLUMNS:
         yield from _not_mentioned(study)
     if study.model.get("system") in ("ode", "bench"):
@@ -248,8 +253,7 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     shown = [p.name for p in base if not p.name.startswith(PLAY_START)]
     more = len(base) - len(shown)
     starts = f"; {PLAY_START}, {more} more, one per run: only beside a play" if more else ""
-    cut = setup.study or study
-    told = [f"{line}\n" for line in not_used(cut.left_out[len(study.left_out) :])]
+    told = [f"{line}\n" for line in done_by_setup(study, setup.study or study)]
     problems = [*trial_problems(study, setup), *model_problems(study, setup)]
     return problems, "".join(told) + (
         f"model: {len(shown)} base parameters ({_list_first(shown)}{starts}), "
@@ -276,6 +280,8 @@ def _summary(study: Study) -> Iterator[str]:
     yield ""
     rows = [_run_row(run) for run in sorted(study.runs, key=lambda r: r.order)]
     yield from _table(["run", "use", "group", "samples", "step", "from .. to", "facts"], rows)
+    if (study.model or {}).get("system") not in TIMELESS and (fine := resolution_words(study)):
+        yield fine
     yield ""
     yield from _describe_uses(study)
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
@@ -287,12 +293,19 @@ def _summary(study: Study) -> Iterator[str]:
         yield f"recorded beside: {_list_first(shown)}; what is left may depend on them"
     if outputs:
         yield f"outputs, told by channels: {_list_first(sorted(outputs))}; no cause acts by them"
-    yield from (f"done to the record: {sentence}" for sentence in study.mended)
-    yield from not_used(study.left_out)
+    yield from done_by_setup(replace(study, mended=(), left_out=()), study)
 
 
-def not_used(sentences: Sequence[str]) -> Iterator[str]:
-    """Lines on what of the recordings is not used, the first of them in full."""
+def done_by_setup(given: Study, used: Study) -> Iterator[str]:
+    """Lines on what was done to a record, and what of it is not used, the first of them in full.
+
+    Args:
+        given: Study before.
+        used: The same as a setup uses it.
+    """
+    mended = used.mended[len(given.mended) :]
+    yield from (f"done to the record: {sentence}" for sentence in mended)
+    sentences = used.left_out[len(given.left_out) :]
     for sentence in sentences[:MAX_LEFT_OUT]:
         yield f"not used: {sentence}"
     if (more := len(sentences) - MAX_LEFT_OUT) > 0:

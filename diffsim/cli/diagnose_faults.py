@@ -38,7 +38,7 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
             be read.
     """
     path = study_file(given)
-    study = load_study(path)
+    study = load_study(path, strict=False)
     if study.faults is None:
         raise ValueError(f"{path}: has no `faults`; see `faults` in docs/study_keys.md")
     for file in (f for files in new for f in files):
@@ -59,7 +59,7 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
             {"name": f"{label} {name}", "file": str(f.resolve()), "use": "test", "setup": setup}
             for name, f in zip(_run_names(files), files, strict=True)
         ]
-    return load_study(path, entries)
+    return load_study(path, entries, strict=False)
 
 
 def _run_names(files: Sequence[Path]) -> list[str]:
@@ -166,6 +166,3 @@ def _of_what(verdict: FaultVerdict) -> str:
     more = f" and {len(names) - MAX_RUNS} more" if len(names) > MAX_RUNS else ""
     facts = "".join(f"; {name} {value}" for name, value in verdict.facts.items())
     return f"{'runs' if len(names) > 1 else 'run'} {', '.join(names[:MAX_RUNS])}{more}{facts}"
-
-
-__all__ = ["judged", "lines", "new_labels", "with_new"]

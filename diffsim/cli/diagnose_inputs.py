@@ -41,7 +41,7 @@ def read_study(given: str) -> Study:
     Raises:
         FileNotFoundError: neither; the message offers the closest names.
     """
-    return load_study(study_file(given))
+    return load_study(study_file(given), strict=False)
 
 
 def _is_own(given: str) -> bool:

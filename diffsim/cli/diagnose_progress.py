@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from threading import Event, Thread
 
 from diffsim.core.progress import PERIOD_S, ProgressLines, show_progress
+from diffsim.diagnose.say.tables import FIRST_LOOK
 from diffsim.diagnose.search.fit import Progress
 
 
@@ -31,7 +32,11 @@ def progress_bar(title: str, *, quiet: bool = False) -> Iterator[Progress]:
             share = start + OF_THE_REST * (1.0 - start) * min(max(fraction, 0.0), 1.0)
             bar.n = max(bar.n, round(100 * share))
             text = f"{stage} {message}".strip()
-            if isinstance(bar, ProgressLines) and stage not in begun:
+            if stage == FIRST_LOOK:  # a line of its own, which stays
+                if stage not in begun:
+                    bar.write(message)
+                begun.add(stage)
+            elif isinstance(bar, ProgressLines) and stage not in begun:
                 begun.add(stage)
                 bar.say(text)
             else:

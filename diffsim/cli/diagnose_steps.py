@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.cli.arguments import DIAGNOSES
-from diffsim.cli.diagnose_check import certain_faults, check, not_used, require_ready
+from diffsim.cli.diagnose_check import certain_faults, check, done_by_setup, require_ready
 from diffsim.cli.diagnose_export import EXPORT_FILE, constants_of, notes_of, say_interval
 from diffsim.cli.diagnose_faults import judged, new_labels, with_new
 from diffsim.cli.diagnose_files import (
@@ -58,6 +58,7 @@ from diffsim.diagnose.say.headline import judged_headline
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
 from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.tables import FIRST_LOOK
 from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended
 from diffsim.identify.numerics import Numerics
 
@@ -107,7 +108,7 @@ def _inputs(
         accept_numerics=args.accept_numerics,
         with_bank=with_bank,
     )
-    for line in not_used(inputs.study.left_out[len(study.left_out) :]):
+    for line in done_by_setup(study, inputs.study):
         print(line)
     return inputs, args.out or Path(DIAGNOSES) / study.name
 
@@ -186,7 +187,14 @@ def _explain(args: argparse.Namespace) -> None:
             file=sys.stderr,
         )
     with progress_bar("diagnose") as progress:
-        report = diagnosed(inputs, progress=progress, cache=cache)
+
+        def told(stage: str, fraction: float, message: str) -> None:
+            progress(stage, fraction, message)
+            if stage == FIRST_LOOK and not (out / INPUTS_FILE).is_file():
+                look = {"study": study.name, "verdict": FIRST_LOOK, "headline": message}
+                write_json_atomic(out / REPORT_FILE, look)  # until the answer takes its place
+
+        report = diagnosed(inputs, progress=told, cache=cache)
     if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
 
@@ -285,16 +293,19 @@ def _extend(args: argparse.Namespace) -> None:
         print(f"{saved.path} names no effect: the extended model is the plain model")
     units = {c.name: c.unit for c in extension.model().base}
     for name in sizes:
-        unit = "" if units[name] == "-" else units[name]
-        value, sd = extension.fit.values[name], extension.fit.sd[name]
-        was = f"(was {saved.values[name]:.6g})" if name in saved.values else "(of a new run)"
-        print(f"{name:<32} {value:>12.6g} +- {sd:.2g} {unit} {was}")
+        unit = "" if units[name] == "-" else f" {units[name]}"
+        value, low, high = extension.ranges[name]
+        was = f"was {saved.values[name]:.6g}" if name in saved.values else "of a new run"
+        print(f"{name:<32} {value:>12.6g}{unit} ({low:.4g} to {high:.4g}; 90 % interval; {was})")
     before, after = extension.null.chi2, extension.fit.chi2
     print(f"chi2 of the runs fitted: {before:.6g} before, {after:.6g} extended")
-    if extension.gain is None:
+    if extension.gain is not None:
+        print(extension.gain.words)
+    elif extension.unseen is None:
         print("no test run, so no gain is known: a smaller training error proves nothing")
     else:
-        print(extension.gain.words)
+        for name, why in extension.unseen.failed.items():
+            print(f"run {name} could not be simulated, so no gain is quoted: {why}")
     print(f"wrote {path}")
 
 
@@ -436,6 +447,11 @@ def _next(args: argparse.Namespace) -> None:
     if saved is None:
         raise FileNotFoundError(
             f"{path}: no such report; make one with `diffsim diagnose explain {args.study}`"
+        )
+    if saved["verdict"] in (RECORD, FIRST_LOOK):
+        raise ValueError(
+            f"{path} holds no causes to choose from: {saved['headline']} Finish it with "
+            f"`diffsim diagnose explain {args.study}`"
         )
     if saved["verdict"] == DESCRIBED:  # its laws are causes of no library, but of the saved model
         study = read_extended(path.parent).framed(study)

@@ -39,7 +39,6 @@ from diffsim.identify.ranges import range_of_number
 from diffsim.systems.outside.joint_drive import DEFAULTS
 
 BAM, URDF, YAML = "bam", "urdf", "yaml"
-TARGETS = (MUJOCO, BAM, URDF, YAML)
 #: Constants of a drive that a target's own equations have; MuJoCo's callback has all
 _RIG = (
     "kp",
@@ -70,7 +69,7 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
     """Write the files of a target, and say what they carry and how they move.
 
     Args:
-        target: One of ``TARGETS``.
+        target: One of "mujoco", "bam", "urdf", "yaml".
         study: The study with all of its formulas.
         saved: Its answer.
         out: Folder to write to.

@@ -151,6 +151,15 @@ def number(unit: str) -> Any:
     return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit)), said]
 
 
+def standing_alone(key: str, *kinds: type) -> BeforeValidator:
+    """Reads what stands alone, such as a name, as a part that has this key and no other."""
+    return BeforeValidator(lambda given: {key: given} if isinstance(given, kinds) else given)
+
+
+#: Names, of which one may stand without a list.
+Names = Annotated[
+    tuple[str, ...], BeforeValidator(lambda given: (given,) if isinstance(given, str) else given)
+]
 _FIELD = re.compile(r"\{\{|\}\}|\{([^{}:!]*)(?::([^{}]*))?\}|[{}]")
 _FORMAT = re.compile(r"(?:.?[<>=^])?[-+ ]?0?\d{0,2},?(?:\.\d{1,2})?[a-zA-Z%]?")
 

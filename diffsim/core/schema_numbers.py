@@ -48,26 +48,3 @@ else:
     Seconds = number("s")
     Volts = number("V")
     Watts = number("W")
-
-__all__ = [
-    "Degrees",
-    "DegreesPerSecond",
-    "Hertz",
-    "KilogramSquareMeters",
-    "Kilograms",
-    "KilogramsPerCubicMeter",
-    "Meters",
-    "MetersPerSecond",
-    "MetersPerSquareSecond",
-    "MilliampHours",
-    "Newtons",
-    "Ohms",
-    "Pascals",
-    "PerSecond",
-    "Radians",
-    "RadiansPerSecond",
-    "Ratio",
-    "Seconds",
-    "Volts",
-    "Watts",
-]

@@ -27,13 +27,3 @@ NAMED_CODE = "is run as code where `--setup` names the same file"
 
 PathInside: TypeAlias = Annotated[str, PathWords("text", INSIDE)]
 FolderAnywhere: TypeAlias = Annotated[str, PathWords("text", ANYWHERE)]
-
-__all__ = [
-    "ANYWHERE",
-    "CODE",
-    "INSIDE",
-    "NAMED_CODE",
-    "FolderAnywhere",
-    "PathInside",
-    "PathWords",
-]

@@ -21,6 +21,3 @@ def open_standard_streams() -> None:
             mode = "w" if number else "r"
             # open as long as the process lasts
             setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
-
-
-__all__ = ["open_standard_streams"]

@@ -38,6 +38,3 @@ def refuse_document_type(path: Path) -> None:
     except expat.ExpatError as error:
         why = expat.ErrorString(error.code)
         raise ValueError(f"{path.name}, line {error.lineno}: not XML: {why}") from None
-
-
-__all__ = ["NO_DOCUMENT_TYPE", "refuse_document_type"]

@@ -362,6 +362,3 @@ def _noise(values: Sequence[Array]) -> float | None:
     step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
     level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))
     return float(f"{level:.2g}") if level > 0.0 else None
-
-
-__all__ = ["COLUMN_RULES"]

@@ -41,6 +41,11 @@ class Decode(Part):
     valid: tuple[Number, Number] | None = Field(
         None, description="Least and largest number that can be right; others were not measured"
     )
+    repeats: Literal["drop"] | None = Field(
+        None,
+        description="drop: numbers equal to the one before were not measured, as of a slow sensor "
+        "in rows of quick ones",
+    )
     sign_bit: int | None = Field(
         None,
         ge=1,
@@ -86,6 +91,8 @@ class Decode(Part):
             values[np.isclose(values, number, rtol=SAME, atol=0.0)] = np.nan
         if self.valid is not None:
             values[(values < self.valid[0]) | (values > self.valid[1])] = np.nan
+        if self.repeats is not None:
+            values[1:][np.diff(values) == 0.0] = np.nan
         one = self.step or 1.0
         if self.sign_bit is not None:
             values = from_sign_bit(values, self.sign_bit, one)
@@ -103,6 +110,7 @@ class Decode(Part):
         said = {
             "missing": "{} taken for nothing measured",
             "valid": "numbers outside of {} left out",
+            "repeats": "repeated numbers taken for nothing measured",
             "sign_bit": "bit {} taken for the sign",
             "signed": "read as a two's complement of {} bits",
             "wrap": "unwrapped at {:g}",

@@ -364,6 +364,3 @@ def _are_repeats(
         if not len(apart) or float(np.sqrt(np.mean(apart**2))) > _SAME * full:
             return False
     return True
-
-
-__all__ = ["RULES", "guess_study"]

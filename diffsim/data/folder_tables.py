@@ -142,6 +142,3 @@ def _parts(folder: Path, path: Path) -> Iterator[FoundTable]:
         bare = FoundTable(folder, path, part, TableLayout(1, 2, ()), len(parts))
         layout = TableLayout(1, 2, tuple(column_of(name) for name in bare.table.header))
         yield FoundTable(folder, path, part, layout, len(parts))
-
-
-__all__ = ["FoundTable", "find_tables"]

@@ -262,6 +262,3 @@ def _names(groups: Sequence[Group]) -> tuple[str, ...]:
     if len(set(short)) == len(short):
         return tuple(short)
     return tuple(f"{place.name}_{name}" for place, name in groups)
-
-
-__all__ = ["Kind", "join_files"]

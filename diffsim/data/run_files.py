@@ -37,7 +37,7 @@ from diffsim.data.run_samples import (
     without_gaps,
     zero_of,
 )
-from diffsim.data.stamps import Stamps, mended, of_further, refuse_stamps
+from diffsim.data.stamps import Stamps, mended, of_further, stamp_words
 from diffsim.data.study import Column, Run
 from diffsim.data.study_schema import (
     MOST_BLOCKS,
@@ -54,6 +54,8 @@ from diffsim.data.table import Rows, Table
 Array = NDArray[np.float64]
 _WITH_HEADER = TableFormat()
 _TIME = "time_s"  # column of the clock where none is stated
+FEWEST_STAMPS = 2  # of a run
+WITHOUT_STAMPS = "rows whose stamps are missing, equal to others or go back left out"
 BLOCK_OF = "block_of"  # fact of a run that is a piece of another: that one's name
 
 
@@ -79,16 +81,21 @@ class RunReader:
         study: The study file.
         root: Folder of the run files, which no file of the study leaves.
         given: Files that the caller named, and not the study: they may lie anywhere.
+        strict: Whether stamps that cannot be right are a problem; else their rows are left out.
 
     Attributes:
         problems: What is wrong, one line each.
         left_out: What is not used, one line each.
         mended: What was done to the record, with the names of the runs.
+        stamps: Runs whose stamps cannot be right, and why.
         columns: What the runs hold beside channels and commands.
     """
 
-    def __init__(self, study: StudyFile, root: Path, given: Collection[Path] = ()):
-        self.study, self.root, self.given = study, root, given
+    def __init__(
+        self, study: StudyFile, root: Path, given: Collection[Path] = (), *, strict: bool = True
+    ):
+        self.study, self.root, self.given, self.strict = study, root, given, strict
+        self.stamps: list[tuple[str, str]] = []
         self.problems: list[str] = []
         self.mended: dict[str, list[str]] = {}
         every = (*study.channels, *study.commands)
@@ -188,7 +195,7 @@ class RunReader:
         entry = case.entry
         own = self._seconds(entry, tables[0])
         clocks = [own, *(self._seconds_beside(entry, t, tables[0], own) for t in tables[1:])]
-        rows, recorded, clocks = self._mend_clocks(entry, tables, rows, clocks)
+        rows, recorded, clocks = self._mend_clocks(name, entry, tables, rows, clocks)
         samples = RunSamples(tables, clocks, rows, recorded)
         facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
         whole = samples.with_facts(facts).at(recorded)
@@ -236,29 +243,40 @@ class RunReader:
         return run if entry.every == 1 or not entry.average else averaged(run, entry.every)
 
     def _mend_clocks(
-        self, entry: RunEntry, tables: Sequence[Table], rows: Rows, clocks: list[Array]
+        self, name: str, entry: RunEntry, tables: Sequence[Table], rows: Rows, given: list[Array]
     ) -> tuple[Rows, Array, list[Array]]:
         """Rows of a run in order, their stamps, and the clocks of all tables, mended as stated.
 
         Raises:
-            ValueError: stamps are missing or do not increase.
+            ValueError: stamps are missing or do not increase, and none but these are read.
         """
-        recorded, stamps, equal = clocks[0][rows], entry.stamps, entry.duplicates
+        clocks, recorded = given, given[0][rows]
+        stamps, equal, kept = entry.stamps, entry.duplicates, rows
         if stamps is not None or equal is not None:
-            kept, recorded = mended(
+            order, recorded = mended(
                 recorded, stamps or Stamps(), None if equal == "mean" else equal
             )
-            rows = rows[kept]
-            clocks = [clocks[0], *(of_further(c, stamps or Stamps(), equal) for c in clocks[1:])]
+            kept = rows[order]
+            clocks = [given[0], *(of_further(c, stamps or Stamps(), equal) for c in given[1:])]
         new = np.append(True, np.diff(recorded) != 0.0) if equal == "mean" else slice(None)
-        now, lines = recorded[new], [tables[0].lines[row] for row in rows[new]]
+        now, lines = recorded[new], [tables[0].lines[row] for row in kept[new]]
         checked = [(tables[0], lines, now, not (np.diff(now) > 0.0).all() or np.isnan(now).any())]
         for table, clock in zip(tables[1:], clocks[1:], strict=True):
             checked.append((table, table.lines, clock, np.isnan(clock).any()))
-        for table, lines, clock, is_wrong in checked:
-            if is_wrong:
-                refuse_stamps(table.path, lines, clock, self._clock(entry, table).column or _TIME)
-        return rows, recorded, clocks
+        wrong = [
+            str(stamp_words(table.path, lines, clock, self._clock(entry, table).column or _TIME))
+            for table, lines, clock, is_wrong in checked
+            if is_wrong
+        ]
+        if not wrong:
+            return kept, recorded, clocks
+        left_out = {"stamps": (stamps or Stamps()).leaving_out(), "duplicates": equal or "first"}
+        further = entry.model_copy(update=left_out)
+        if self.strict or further == entry or np.isfinite(given[0][rows]).sum() < FEWEST_STAMPS:
+            raise ValueError(wrong[0])
+        self.stamps += [(name, said) for said in wrong]
+        self.mended.setdefault(WITHOUT_STAMPS, []).append(name)
+        return self._mend_clocks(name, further, tables, rows, given)
 
     def _tell_mended(self, name: str, entry: RunEntry) -> None:
         """What was done to the record of a run."""

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 
 from diffsim.core.expression import parse_expression
 from diffsim.core.units import factor
-from diffsim.data.study import Channel, Command
+from diffsim.data.steps import step_of
+from diffsim.data.study import Channel, Command, Study
 
 Array = NDArray[np.float64]
+MOST_STEPS = 3  # of channels that are said
 
 
 def shown(of: Channel | Command, values: Array) -> Array:
@@ -53,3 +55,23 @@ def shown_step(of: Channel, size: float) -> str:
     """A step of a reading with its unit, where no value is known at which it was taken."""
     unit = of.unit if of.shown_formula else of.shown_unit or of.unit
     return f"{size * factor(of.unit, unit):.3g}{'' if unit == '-' else f' {unit}'}"
+
+
+def resolution_words(study: Study) -> str:
+    """How fine the record is, which is said where a delay is named.
+
+    Args:
+        study: Study whose fitted runs are asked; all where none is.
+    """
+    runs = study.fit_runs or study.runs
+    rows_s = np.concatenate([np.diff(run.time_s) for run in runs] or [np.empty(0)])
+    if not len(rows_s):
+        return ""
+    steps = []
+    for channel, values in zip(
+        study.channels, np.concatenate([r.measured for r in runs]).T, strict=True
+    ):
+        if (step := step_of(values)) is not None and step > (channel.sd or 0.0):
+            steps.append(f", one step of {channel.name} {shown_step(channel, step)}")
+    row_ms = 1e3 * float(np.median(rows_s))
+    return f"One row of the record is {row_ms:.3g} ms{''.join(steps[:MOST_STEPS])}."

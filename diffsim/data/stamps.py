@@ -62,6 +62,11 @@ class Stamps(Part):
         ]
         return ", ".join(str(s) for s in said if s)
 
+    def leaving_out(self) -> Stamps:
+        """The same, rows that have no stamp of their own left out where nothing else is stated."""
+        kept = {"missing": self.missing or "drop", "backward": self.backward or "drop"}
+        return self.model_copy(update=kept)
+
 
 Duplicates = Literal["first", "last", "mean", "spread"]
 
@@ -199,18 +204,16 @@ def stamp_fault(now: Array) -> tuple[int, str, str] | None:
     )
 
 
-def refuse_stamps(path: object, lines: list[int], now: Array, column: str) -> None:
-    """Refuse rows whose stamps do not increase, with the row at which they do not.
+def stamp_words(path: object, lines: list[int], now: Array, column: str) -> str | None:
+    """Why the stamps of rows cannot be right, at which row, and what mends it; None: they can.
 
     Args:
         path: File, for the message.
         lines: Line of each row in it.
         now: Their stamps, (num_rows,) [s].
         column: Column of the clock.
-
-    Raises:
-        ValueError: a stamp is missing, equal to the one before, or goes back.
     """
-    if (fault := stamp_fault(now)) is not None:
-        at, why, remedy = fault
-        raise ValueError(f"{path}, row {lines[at]}, column {column}: {why}; {remedy}")
+    if (fault := stamp_fault(now)) is None:
+        return None
+    at, why, remedy = fault
+    return f"{path}, row {lines[at]}, column {column}: {why}; {remedy}"

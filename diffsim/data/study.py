@@ -158,6 +158,7 @@ class Study:
         faults: How groups of runs are judged for faults; None: they are not.
         columns: What was recorded beside channels and commands: it may explain what is left.
         mended: What was done to the record before anything was read from it, a sentence each.
+        stamps: Runs by name of which rows were left out, as their stamps cannot be right, and why.
     """
 
     name: str
@@ -177,6 +178,7 @@ class Study:
     faults: FaultKeys | None = None
     columns: tuple[Column, ...] = ()
     mended: tuple[str, ...] = ()
+    stamps: tuple[tuple[str, str], ...] = ()
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.core.check import LARGEST
 from diffsim.core.units import factor, to_si
 from diffsim.data.record import record_findings
 from diffsim.data.shared_rows import SHARED_BITS, bits_of, shared_stretches
@@ -26,10 +27,16 @@ BLOCK_OF = "block_of"  # fact of a run that is a declared piece of another
 COPIED = 0.5  # of the shorter of two runs
 LATE = 1e6  # s: a clock that starts here counts from some other epoch than the run
 MANY_SAMPLES = 100_000  # of all runs and channels; what is simulated at each costs time
+THINS = ("ode",)  # systems that leave out rows themselves
+TOO_LARGE = (
+    f"{{}} has values beyond {LARGEST:g}, of which no squares can be taken: `decode: {{{{valid: "
+    "[LOW, HIGH]}}` leaves them out"
+)
 MAX_STEP = 1.5  # of the median step; a longer one is a gap in the clock
 MAX_MISSING = 0.2  # share of a channel's samples
 _SUFFIXES = ("mm", "cm", "um", "ms", "us", "deg", "rpm", "mbar", "kPa", "mV", "mA", "mN", "Pa",
              "rad", "Nm", "N", "rad_s", "m_s", "m_s2")  # fmt: skip
+MAX_SCATTER = 4.0  # times the stated sd and that of other runs: at most 2.7 in 27 published sets
 MAX_COMMAND_SCATTER = 0.02  # rms, of the command's range; repeats of one group must agree to this
 
 
@@ -104,7 +111,7 @@ def _check_plan(study: Study) -> Iterator[Problem]:
         yield Problem("warning", "study", f"still to be stated: {sentence}")
     yield from _find_unfilled("model", study.model)
     size = sum(run.measured.size for run in study.runs if run.use != "test")
-    if size > MANY_SAMPLES:
+    if size > MANY_SAMPLES and (study.model or {}).get("system") not in THINS:
         longest = max(study.runs, key=lambda run: len(run.time_s))
         yield Problem(
             "warning",
@@ -157,6 +164,7 @@ def _check_channels(study: Study) -> Iterator[Problem]:
                 + _jitter(study, channel),
             )
         yield from _steps(study, channel)
+        yield from _shaken(study, channel)
 
 
 def _steps(study: Study, channel: Channel) -> Iterator[Problem]:
@@ -174,18 +182,43 @@ def _steps(study: Study, channel: Channel) -> Iterator[Problem]:
         )
 
 
+def _shaken(study: Study, channel: Channel) -> Iterator[Problem]:
+    """Runs that scatter far more than the stated noise and than the others: they hide causes."""
+    levels = _scatter_by_run(study, channel, 4) if channel.sd else {}
+    usual = max(channel.sd or 0.0, float(np.median([*levels.values(), 0.0])))
+    alike = sorted(
+        (n for n, v in levels.items() if v > MAX_SCATTER * usual), key=levels.__getitem__
+    )
+    if alike and channel.sd:
+        *others, most = alike
+        more = f" (likewise {', '.join(others)})" if others else ""
+        yield Problem(
+            "note",
+            f"channel {channel.name}",
+            f"from sample to sample run {most} scatters by {shown_step(channel, levels[most])}, "
+            f"{levels[most] / channel.sd:.2g} times the stated sd{more}: state it as it is, or "
+            f"leave it out of such runs (columns: {{{channel.name}: null}})",
+        )
+
+
 def _jitter(study: Study, channel: Channel) -> str:
     """Scatter from sample to sample, as a hint for the sd."""
-    at = study.channels.index(channel)
-    levels = []
-    for run in study.runs:
-        steps = np.diff(run.measured[:, at], n=2) if run.measured.shape[1] > at else np.empty(0)
-        if np.isfinite(steps).sum() >= MIN_SAMPLES:
-            levels.append(float(scatter(steps, 2)))
+    levels = list(_scatter_by_run(study, channel, 2).values())
     if not levels or not max(levels) > 0.0:
         return ""
     size = shown_step(channel, float(np.median(levels)))
     return f" (from sample to sample it scatters by {size})"
+
+
+def _scatter_by_run(study: Study, channel: Channel, order: int) -> dict[str, float]:
+    """Scatter of a channel behind differences of an order, by name of runs that are long enough."""
+    at, found = study.channels.index(channel), dict[str, float]()
+    for run in study.runs:
+        if run.measured.shape[1] > at:
+            steps = np.diff(run.measured[:, at], n=order)
+            if np.isfinite(steps).sum() >= MIN_SAMPLES:
+                found[run.name] = float(scatter(steps, order))
+    return found
 
 
 def _said_unit(channel: Channel) -> str | None:
@@ -231,8 +264,8 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
         return
     for channel, values in zip(study.channels, run.measured.T, strict=True):
         missing = float(np.isnan(values).mean())
-        if np.isinf(values).any():
-            yield Problem("error", where, f"{channel.name} has infinite values")
+        if (np.abs(values) > LARGEST).any():
+            yield Problem("error", where, TOO_LARGE.format(f"channel {channel.name}"))
         elif MAX_MISSING < missing < 1.0:  # what a run did not record at all is no fault
             yield Problem(
                 "warning", where, f"{channel.name} is missing in {missing:.0%} of samples"
@@ -248,6 +281,8 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
             yield Problem(
                 "error", where, f"command {name} must have shape ({n},), got {values.shape}"
             )
+        elif (np.abs(values) > LARGEST).any():
+            yield Problem("error", where, TOO_LARGE.format(f"command {name}"))
         elif not np.isfinite(values).all():
             unknown = int((~np.isfinite(values)).sum())
             share = f"{unknown / n:.0%}" if unknown >= 0.005 * n else f"{unknown} of {n}"

@@ -31,8 +31,8 @@ from typing import Any
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import read_part
 from diffsim.core.units import to_si
+from diffsim.data.datasets import find_dataset
 from diffsim.data.formats import split_part
-from diffsim.data.recording import find_dataset
 from diffsim.data.run_files import RunReader
 from diffsim.data.study import Channel, Command, Study
 from diffsim.data.study_like import read_whole
@@ -58,13 +58,17 @@ _KINDS = {
 }
 
 
-def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) -> Study:
+def load_study(
+    path: str | Path, more_runs: Sequence[Mapping[str, Any]] = (), *, strict: bool = True
+) -> Study:
     """Read a study from ``study.yaml`` and its CSV files.
 
     Args:
         path: ``study.yaml`` (any YAML file), or the folder that holds it.
         more_runs: Further entries of ``runs:``, as the file would hold them; theirs may name files
             anywhere, the study's own only those in its folder.
+        strict: Whether stamps that are missing, equal or go back are refused; else their rows are
+            left out, and ``check_study`` has an error for them.
 
     Returns:
         The study in SI units; what it lacks for a diagnosis says
@@ -85,7 +89,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
     stated = _parse_study(path, content)
     root = _root(path, stated)
     given = [Path(run["file"]) for run in more_runs if "file" in run]
-    reader = RunReader(stated, root, given)
+    reader = RunReader(stated, root, given, strict=strict)
     try:
         runs = reader.runs()
     except MemoryError as error:
@@ -112,6 +116,7 @@ def load_study(path: str | Path, more_runs: Sequence[Mapping[str, Any]] = ()) ->
             f"{said} ({_list_first([f'run {name}' for name in names])})"
             for said, names in reader.mended.items()
         ),
+        stamps=tuple(reader.stamps),
     )
 
 

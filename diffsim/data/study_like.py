@@ -94,6 +94,3 @@ def _has_names(given: Any) -> bool:
         and not isinstance(given, str)
         and all(isinstance(entry, Mapping) and "name" in entry for entry in given)
     )
-
-
-__all__ = ["READY", "joined", "read_whole", "ready_rigs"]

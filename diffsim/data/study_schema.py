@@ -19,7 +19,7 @@ from pydantic import (
 
 from diffsim.core.expression import parse_expression
 from diffsim.core.inside import require_file_name
-from diffsim.core.schema import KindWords, Part
+from diffsim.core.schema import KindWords, Part, standing_alone
 from diffsim.core.schema_paths import FolderAnywhere, PathInside
 from diffsim.core.units import to_si
 from diffsim.data.decode import Decode
@@ -44,10 +44,6 @@ from diffsim.data.study_types import (
     ZeroTime,
     in_own_unit,
 )
-
-
-def _wrap_name(given: Any) -> Any:
-    return {"name": given} if isinstance(given, str) else given
 
 
 def _wrap_in_list(given: Any) -> Any:
@@ -459,7 +455,7 @@ class StudyFile(Part):
         "[{header_line: 0, columns: [time]}, {header_line: 0, columns: [x, y]}]",
     )
     channels: tuple[ChannelEntry, ...] = Field(description="What was measured")
-    commands: tuple[Annotated[CommandEntry, BeforeValidator(_wrap_name)], ...] = Field(
+    commands: tuple[Annotated[CommandEntry, standing_alone("name", str)], ...] = Field(
         (), description="What was commanded: a name, or a mapping"
     )
     defaults: RunKeys = Field(RunKeys(), description="Keys that hold for all runs")

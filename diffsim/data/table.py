@@ -210,19 +210,6 @@ def time_column(path: Path, header: list[str]) -> int:
     return header.index("time_s")
 
 
-def parse_time(path: Path, line: int, column: str, cell: str, before: float | None) -> float:
-    """A time [s], later than the one before."""
-    now = parse_number(path, line, column, cell)
-    if math.isnan(now):
-        raise ValueError(f"{path}, row {line}, column {column}: time is missing")
-    if before is not None and now <= before:
-        raise ValueError(
-            f"{path}, row {line}, column {column}: time must increase, got "
-            f"{now:g} s after {before:g} s; remove repeated rows or sort the file"
-        )
-    return now
-
-
 def parse_number(
     path: Path, line: int, column: str, cell: str, *, missing: str = "nothing was measured"
 ) -> float:
@@ -457,7 +444,7 @@ def _all_numbers_of(
         for number, line in enumerate(lines, before + 1):
             if number % ROWS_SHOWN == 0:
                 say_stage(f"reading {path.name}, row {number}")
-            if not line.isspace():
+            if line.strip():
                 numbers.append(number)
                 yield line
 

@@ -149,21 +149,6 @@ def track_video(
     )
 
 
-def frame_size(path: str | Path) -> tuple[int, int]:
-    """Width and height of a video [px]; raises as ``track_video``."""
-    cv2 = opencv()
-    video = cv2.VideoCapture(str(path))
-    try:
-        size = tuple(
-            int(video.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-        )
-    finally:
-        video.release()
-    if min(size) < 1:
-        raise TrackingError(f"{path} is no video that OpenCV can read")
-    return size[0], size[1]
-
-
 @dataclass
 class _Region:
     """Pixels that touch: (n, 2) as u, v."""

@@ -36,6 +36,7 @@ from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of,
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
 from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, screen
 from diffsim.diagnose.search.fit import (
@@ -368,6 +369,9 @@ def _answer(
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         screened = screen(checks.center.evidence)
         return _Answer(report_of(null, checks, Judgment(decision), screened, seed, bank))
+    at = checks.center.evidence
+    seen = first_look(screen(at), at.problem.effects, null.fit.chi2)
+    null.case.progress(FIRST_LOOK, 0.27, seen)
     null = replace(null, case=replace(null.case, searching=model.simulations.steps))
     search, renewal = _renew_correction(search_rounds(null, simulations))
     checks, null = checks.joined(renewal), search.null

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +22,28 @@ from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_of
 from diffsim.diagnose.judge.data_sheet import words_of
-from diffsim.diagnose.judge.gain import Gain, gain
+from diffsim.diagnose.judge.frozen import content_of, noise_of
+from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.own_values import unmet_by
 from diffsim.diagnose.judge.ranges import ranges_of_fit
 from diffsim.diagnose.judge.records import CERTAIN, EFFECT, UNJUDGED
+from diffsim.diagnose.judge.unseen import Unseen, on_unseen, spans_of
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun, narrowing, next_run
 from diffsim.diagnose.say.report import fit_to_dict, save_model
 from diffsim.diagnose.say.wording import MOST_LISTED
-from diffsim.diagnose.search.fit import Case, null_fit
+from diffsim.diagnose.search.fit import Case, Null, null_fit
+from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit
 from diffsim.identify import fit as fit_runs
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of, effect_coordinates
+from diffsim.identify.effort import FIT_NATS
 from diffsim.identify.extended import ExtendedModel, extended_model
+from diffsim.identify.fitting import summary
+from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics
+from diffsim.identify.ranges import Range
 
 Array = NDArray[np.float64]
 CORRELATED = 0.8
@@ -97,7 +105,10 @@ def fit_null(inputs: Inputs, numerics: Numerics | None = None) -> NullFit:
         inputs: Study and setup.
         numerics: Refined numerical settings; None: the model's own.
     """
-    null = null_fit(_case(inputs, numerics))
+    return _plain(null_fit(_case(inputs, numerics)))
+
+
+def _plain(null: Null) -> NullFit:
     return NullFit(null.case.study, null.noise, null.fit, null.num_spikes, null.num_misread)
 
 
@@ -108,8 +119,10 @@ class Extension:
     Attributes:
         study: Study that the model was fitted to.
         null, fit: Fits without and with the effects, to the same runs with the same noise.
-        gain: Gain on test runs; None without any.
+        unseen: Errors and gain on test runs; None without any.
         verdict: Verdict of the diagnosis that made the model.
+        ranges: 90 % intervals by name, no narrower than the model's own where the same runs were
+            fitted: what the choice among causes leaves open is in them.
         band: What bands of unseen runs are made from; None: nothing tells of them.
         start: Values that the fit began at, by name.
     """
@@ -117,10 +130,16 @@ class Extension:
     study: Study
     null: Fit
     fit: Fit
-    gain: Gain | None
+    unseen: Unseen | None
     verdict: str
+    ranges: Mapping[str, Range]
     band: Band | None = None
     start: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def gain(self) -> Gain | None:
+        """Gain on test runs, as ``explain`` states it; None without, or where one has failed."""
+        return None if self.unseen is None else self.unseen.gain
 
     def model(self) -> ExtendedModel:
         """The extended model at the refitted values."""
@@ -144,7 +163,7 @@ class Extension:
             study=self.study,
             verdict=self.verdict,
             band=self.band,
-            ranges=ranges_of_fit(self.fit, self.study.fit_runs),
+            ranges=self.ranges,
         )
 
 
@@ -152,20 +171,80 @@ class Extension:
 def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     """Refit a saved model's parameters and sizes jointly on the runs for fitting.
 
-    The priors are those of the setup, not the saved posterior: the same runs must not count twice.
+    It begins where the diagnosis ended, under the noise and the numerical settings of that, and
+    does not end above it. The priors are those of the setup, not the saved posterior: the same runs
+    must not count twice.
+
+    Args:
+        inputs: Study and setup.
+        saved: Content of the model's file.
 
     Raises:
         ValueError: the setup does not have an effect of the saved model.
     """
     effects = effects_of(saved, inputs.setup.effects)
-    null = fit_null(inputs, saved.numerics)
+    null = _null_beside(inputs, saved)
     start = _start_of(saved)
-    refitted = refit(null, effects, inputs, start)
-    runs = inputs.study.test_runs
-    gained = gain(runs, null.fit, refitted, seed=inputs.seed) if runs and effects else None
-    select = null.study.select_runs
-    band = band_of(refitted, null.study.channels, null.noise.sd, select, plain=null.fit)
-    return Extension(null.study, null.fit, refitted, gained, saved.verdict, band, start)
+    refitted = _not_above(refit(null, effects, inputs, start), _begin(null, effects, start))
+    study, sd, runs = null.study, null.noise.sd, inputs.study.test_runs
+    unseen = None
+    if runs and effects:
+        spans = spans_of(study.fit_runs, study.channels, study.commands)
+        which = (null.fit, refitted, runs, study.channels, sd, spans)
+        unmet = unmet_by(refitted.problem)
+        unseen = on_unseen(*which, seed=inputs.seed, commands=study.commands, unmet=unmet)
+    return Extension(
+        study,
+        null.fit,
+        refitted,
+        unseen,
+        saved.verdict,
+        _no_narrower(ranges_of_fit(refitted, study.fit_runs), saved, study.fit_runs),
+        band_of(refitted, study.channels, sd, study.select_runs, plain=null.fit),
+        start,
+    )
+
+
+def _null_beside(inputs: Inputs, saved: SavedModel) -> NullFit:
+    """The plain model under the noise of a saved file, no worse than in the file."""
+    null = null_fit(_case(inputs, saved.numerics))
+    known = saved.facts.get("noise", {})
+    if all(channel.name in known for channel in null.case.study.channels):
+        whitener = noise_of(saved, null.case.study)
+        if not whitener.is_like(null.noise.whitener):
+            null = null.under(replace(null.noise, whitener=whitener, sd=whitener.sd))
+    if saved.plain:
+        problem = null.fit.problem
+        x = np.clip(_begin(_plain(null), (), saved.plain), *problem.bounds)
+        fit, at = gauss_newton(problem, linearization_at(problem, x))
+        if fit.chi2 + fit.prior < null.fit.chi2 + null.fit.prior - 2.0 * FIT_NATS:
+            null = replace(null, fit=fit, at=at)
+    return _plain(null)
+
+
+def _not_above(fit: Fit, start: Array) -> Fit:
+    """A fit, or its start where that has the lower misfit: along a valley priors may pull it on."""
+    x = np.clip(start, *fit.problem.bounds)
+    residual, slopes = fit.problem.linearize(x)
+    if float(residual @ residual) >= fit.chi2:
+        return fit
+    message = "no lower misfit than at the start"
+    return summary(fit.problem, x, residual, slopes, "converged", message, fit.num_evaluations)
+
+
+def _no_narrower(
+    found: Mapping[str, Range], saved: SavedModel, runs: Sequence[Run]
+) -> dict[str, Range]:
+    """Intervals of a fit; of the runs that a file was fitted to they hold those of the file."""
+    seen = saved.facts.get("seen_runs", {}).values()
+    fitted = {entry["content"] for entry in seen if entry["use"] == "fit"}
+    if fitted != {content_of(run) for run in runs}:
+        return dict(found)
+    known = {name: saved.ranges.get(name, own) for name, own in found.items()}
+    return {
+        name: Range(own.value, min(own.low, known[name].low), max(own.high, known[name].high))
+        for name, own in found.items()
+    }
 
 
 def _start_of(saved: SavedModel) -> Mapping[str, float]:
@@ -348,25 +427,30 @@ def refit(
     if not effects:
         return null.fit
     problem = null.fit.problem
-    start = [
-        p.coordinate_of(values[p.name]) if p.name in values else x
-        for p, x in zip(problem.model.base, null.fit.x, strict=True)
-    ]
-    for effect in effects:
-        scale = PRIOR_WIDTH * effect.typical
-        sizes = np.array([values.get(name, 0.0) for name in effect_coordinates([effect])])
-        start += coordinate_of(sizes / scale).tolist()
     return fit_runs(
         problem.model,
         problem.runs,
         null.study.channels,
         effects=effects,
-        start=np.array(start),
+        start=_begin(null, effects, values),
         whitener=problem.whitener,
         jacobian=problem.jacobian,
         numerics=problem.numerics,
         workers=inputs.setup.settings.workers,
     )
+
+
+def _begin(null: NullFit, effects: Sequence[Effect], values: Mapping[str, float]) -> Array:
+    """Standardized coordinates of values; what is not among them is that of the null fit, or 0."""
+    start = [
+        p.coordinate_of(values[p.name]) if p.name in values else x
+        for p, x in zip(null.fit.problem.model.base, null.fit.x, strict=True)
+    ]
+    for effect in effects:
+        scale = PRIOR_WIDTH * effect.typical
+        sizes = np.array([values.get(name, 0.0) for name in effect_coordinates([effect])])
+        start += coordinate_of(sizes / scale).tolist()
+    return np.array(start)
 
 
 def _case(inputs: Inputs, numerics: Numerics | None) -> Case:

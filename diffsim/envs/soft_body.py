@@ -326,6 +326,3 @@ def _made_again(
     made = SoftBody(folder=folder, source=source, **keys)
     made.name, made.max_steps = name, max_steps
     return made
-
-
-__all__ = ["SoftBody"]

@@ -9,13 +9,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.schema import FinitePart, Part
+from diffsim.core.schema import FinitePart, Names, Part
 from diffsim.core.schema_numbers import Hertz, Meters, MetersPerSecond, Radians, Seconds
 from diffsim.core.schema_paths import PathInside
 from diffsim.envs.rewards import RewardTerm
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.places import Point
-from diffsim.systems.soft_body.readings import Names
 
 Observed = Literal["velocities", "places", "lying", "goal"]
 

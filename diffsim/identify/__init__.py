@@ -7,7 +7,6 @@ from diffsim.identify.fitting import Fit, fit
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter, Scene, SimModel
 from diffsim.identify.model_file import save_extended
-from diffsim.identify.multi_start import descend, random_starts
 from diffsim.identify.numerics import NumericalEffect, Numerics, coarse
 from diffsim.identify.problem import Problem
 from diffsim.identify.setup import DiagnosisSetup
@@ -36,10 +35,8 @@ __all__ = [
     "WhiteNoise",
     "Whitener",
     "coarse",
-    "descend",
     "extended_model",
     "fit",
-    "random_starts",
     "save_extended",
     "smooth_covariance",
 ]

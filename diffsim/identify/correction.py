@@ -130,6 +130,3 @@ class Correction:
 def _factors(numerics: Numerics | None) -> tuple[float, float, float]:
     factors = numerics or Numerics()
     return factors.time_step, factors.mesh, factors.tolerance
-
-
-__all__ = ["Correction", "Finer"]

@@ -207,22 +207,3 @@ def reading_entries(study: Study) -> tuple[Entry, ...]:
         usual = float(np.nanstd(np.concatenate(column))) or 1.0
         out.append(Entry("reading", channel.name, channel.unit, usual, k))
     return tuple(out)
-
-
-__all__ = [
-    "FEWEST_VALUES",
-    "LASTING",
-    "LAWS",
-    "SIZE",
-    "VALUE",
-    "Entry",
-    "HiddenState",
-    "Law",
-    "Memory",
-    "Shape",
-    "Variable",
-    "Where",
-    "numbers_of",
-    "put_variable",
-    "reading_entries",
-]

@@ -45,6 +45,3 @@ class MovingShape:
             nodes_m=nodes.reshape(len(places_m), -1, 3),
             closed=True,
         )
-
-
-__all__ = ["MovingShape"]

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from diffsim.learn.cma_es import CmaLearner, CmaOptions
     from diffsim.learn.gradient import GradientLearner, GradientOptions
     from diffsim.learn.kept_files import trained_names
-    from diffsim.learn.methods import METHODS, Plan, make_learner
+    from diffsim.learn.methods import METHODS, make_learner
     from diffsim.learn.mixed import MixedLearner, MixedOptions
-    from diffsim.learn.options import main_training
     from diffsim.learn.ppo import PpoLearner, PpoOptions
     from diffsim.learn.recipes import RECIPES, Recipe, recipe
     from diffsim.learn.run import Learner, Run, read_rows, train
@@ -40,7 +39,6 @@ _WHERE = {
     "METHODS": "methods",
     "MixedLearner": "mixed",
     "MixedOptions": "mixed",
-    "Plan": "methods",
     "PpoLearner": "ppo",
     "PpoOptions": "ppo",
     "RECIPES": "recipes",
@@ -57,7 +55,6 @@ _WHERE = {
     "TqcOptions": "tqc",
     "Trained": "trained",
     "load_trained": "trained",
-    "main_training": "options",
     "make_learner": "methods",
     "open_loop": "open_loop",
     "read_rows": "run",
@@ -79,7 +76,6 @@ __all__ = [
     "Learner",
     "MixedLearner",
     "MixedOptions",
-    "Plan",
     "PpoLearner",
     "PpoOptions",
     "Recipe",
@@ -95,7 +91,6 @@ __all__ = [
     "TqcOptions",
     "Trained",
     "load_trained",
-    "main_training",
     "make_learner",
     "open_loop",
     "read_rows",

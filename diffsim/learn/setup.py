@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -37,7 +36,7 @@ class Setup:
         steps: Budget of simulation steps.
         evaluate_every: Simulation steps between two ratings.
         evaluation_episodes: Whose mean reward is the rating; the same ones for every method.
-        step_cost: What a step with its gradient costs, in steps without (``gradient_step_cost``).
+        step_cost: What a step with its gradient costs, in steps without, by ``benchmarks.envs``.
         warm_up: Control steps of random commands from which observations are first normalized.
         output_gain: Gain of the first network's last layer, for every method. A small one makes a
             controller that hardly moves, which is where a copter hovers and a swimmer learns
@@ -186,19 +185,3 @@ def untrained_reward(setup: Setup, networks: int = 16) -> float:
         for k in range(networks)
     ]
     return float(np.nanmean(ratings))
-
-
-def gradient_step_cost(setup: Setup, *, batch: int, steps: int = 20, repeats: int = 3) -> float:
-    """CPU time of a step and its gradient over that of a step alone: its forward-equivalents."""
-    task = setup.make_task()
-    controller = dataclasses.replace(setup, seed=0).first_controller(task)
-    start = task.start(batch, np.random.default_rng(0))
-    ratios = []
-    for _ in range(repeats):
-        t0 = time.process_time()
-        with torch.no_grad():
-            rollout_task(task, controller, start, steps)
-        t1 = time.process_time()
-        rollout_task(task, controller, start, steps).rewards.mean().backward()
-        ratios.append((time.process_time() - t1) / (t1 - t0))
-    return float(np.median(ratios))

@@ -26,7 +26,6 @@ from diffsim.ode import _ops
 from diffsim.ode.tape import make_tape
 
 TIME = "t"
-INTERPOLATIONS = ("linear", "held")
 
 
 @checked

@@ -11,6 +11,7 @@ from diffsim.contact import ContactPlanes, Obstacle, detect
 from diffsim.soft import _ops_contact
 from diffsim.soft._arrays import ContactArrays
 from diffsim.soft.inputs import flat
+from diffsim.soft.options import SolverOptions
 from diffsim.soft.problem import StepProblem
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
@@ -42,10 +43,15 @@ def enters(body: Solid, planes: ContactPlanes, x: Tensor) -> bool:
 
 
 def solve_in_contact(
-    body: Solid, planes: ContactPlanes, state: State, problem: StepProblem
+    body: Solid,
+    planes: ContactPlanes,
+    state: State,
+    problem: StepProblem,
+    solver: SolverOptions | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The solution of a problem with half spaces; also the contact force on every node [N]."""
-    if body.solver.method == "quasi_newton":
+    solver = body.solver if solver is None else solver
+    if solver.method == "quasi_newton":
         raise ValueError(
             "solver method 'quasi_newton' does not handle obstacles; use 'auto', 'newton_pcg' "
             "(constant factor) or 'newton_cholesky'"
@@ -66,8 +72,8 @@ def solve_in_contact(
         *contacts.tensors(),
         nodes,
         handle=body.handle,
-        cache_columns=body.solver.cache_columns,
-        **body.solver.arguments(),
+        cache_columns=solver.cache_columns,
+        **solver.arguments(),
     )
     nodal = torch.zeros(shape, dtype=torch.float64)
     return x.reshape(shape), nodal.index_add(-2, nodes, force.reshape(vector))

@@ -183,7 +183,8 @@ def energy_terms(loads: Loads, frame: DampingFrame | None = None) -> dict[str, T
     prepared, muscles = loads.prepared, loads.prepared.body.muscles
     stiffness = prepared.fiber_stiffness
     if stiffness is None:
-        fibers = muscles.fibers(prepared.physics.fiber_stiffness, loads.activation)
+        physics = prepared.physics
+        fibers = muscles.fibers(physics.fiber_stiffness, loads.activation, physics.fiber_weights)
         stiffness, stretch = prepared.of_members(fibers.stiffness), fibers.stretch
     else:
         stretch = muscles.stretch_of_fibers(loads.activation)

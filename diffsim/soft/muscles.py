@@ -42,6 +42,8 @@ class Muscle:
         kind: What the activation means: ``length``, ``contraction`` or ``tendon``.
         weights: Factor on ``stiffness`` of each fiber, (num_fibers,) > 0; None: ones. With weights
             in 1/m^2 the stiffness is a force, see :class:`~diffsim.soft.Tendon`.
+        is_cable: Whether ``weights`` are the length of each fiber over its element's volume: they
+            then follow a rest shape that ``body.physics(x_rest=...)`` gives. False: they stay.
     """
 
     elements: Tensor
@@ -49,6 +51,7 @@ class Muscle:
     stiffness: float
     kind: str = "length"
     weights: Tensor | None = None
+    is_cable: bool = False
 
     def __post_init__(self) -> None:
         elements = require(
@@ -128,14 +131,17 @@ class MuscleSet:
         self.pull_only = torch.tensor([m.kind == "tendon" for m in muscles], dtype=torch.float64)[
             self.owner
         ]
-        self.has_lengths = bool((self.weights != 1.0).any())  # of tendons
+        self.is_cable = torch.tensor([bool(m.is_cable) for m in muscles])[self.owner]
+        self.has_cables = any(m.is_cable for m in muscles)
         self.has_contraction = any(m.kind == "contraction" for m in muscles)
         self.rest_activation = torch.tensor(
             [m.rest_activation for m in muscles], dtype=torch.float64
         )
 
-    def fibers(self, stiffness: Tensor, activation: Tensor) -> FiberValues:
-        """Stiffness and target stretch of the fibers.
+    def fibers(
+        self, stiffness: Tensor, activation: Tensor, weights: Tensor | None = None
+    ) -> FiberValues:
+        """Stiffness and target stretch of the fibers; weights as for :meth:`of_fibers`.
 
         A contraction muscle is the length muscle of stiffness w (1 - r)^2 and target 0; its
         stiffness would differ within a batch, so such muscles take one activation for all of it.
@@ -149,16 +155,23 @@ class MuscleSet:
             stiffness = stiffness * slack
             activation = torch.where(self.contraction, torch.zeros_like(activation), activation)
         return FiberValues(
-            stiffness=self.of_fibers(stiffness), stretch=self.stretch_of_fibers(activation)
+            stiffness=self.of_fibers(stiffness, weights), stretch=self.stretch_of_fibers(activation)
         )
 
     def stretch_of_fibers(self, activation: Tensor) -> Tensor:
         """Target stretch of each fiber, (..., num_fibers), where no muscle is a contraction [-]."""
         return activation[..., self.owner] if self.num_muscles else activation
 
-    def of_fibers(self, stiffness: Tensor) -> Tensor:
-        """Stiffness of each fiber, (..., num_fibers), from that of the muscles [Pa]."""
-        return stiffness[..., self.owner] * self.weights if self.num_muscles else stiffness
+    def of_fibers(self, stiffness: Tensor, weights: Tensor | None = None) -> Tensor:
+        """Stiffness of each fiber, (..., num_fibers), from that of the muscles [Pa].
+
+        Args:
+            stiffness: (..., num_muscles) [Pa].
+            weights: In place of the fibers' own, (..., num_fibers); None: those.
+        """
+        if not self.num_muscles:
+            return stiffness
+        return stiffness[..., self.owner] * (self.weights if weights is None else weights)
 
 
 def _shared_activation(activation: Tensor, which: Tensor) -> Tensor:

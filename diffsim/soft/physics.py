@@ -34,6 +34,8 @@ class Physics:
         fiber_stiffness: Stiffness of each muscle, (num_muscles,) [Pa].
         x_rest: Rest shape in place of the mesh's, (num_nodes, 3) [m]; None: the mesh's.
         tables: What kernels know of it, see :mod:`diffsim.soft.rest_shape`; None: of the mesh.
+        fiber_weights: Factors of the fibers' stiffness that it gives, (num_fibers,); None: those
+            of the muscles.
     """
 
     material: str
@@ -46,6 +48,7 @@ class Physics:
     fiber_stiffness: Tensor
     x_rest: Tensor | None = None
     tables: Tensor | None = None
+    fiber_weights: Tensor | None = None
 
     @property
     def batch(self) -> int | None:

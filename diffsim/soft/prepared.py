@@ -100,7 +100,7 @@ class PreparedBody:
         self.weights = physics.weights.contiguous()
         self.fiber_stiffness = None
         if not muscles.has_contraction:
-            stiffness = muscles.of_fibers(physics.fiber_stiffness)
+            stiffness = muscles.of_fibers(physics.fiber_stiffness, physics.fiber_weights)
             self.fiber_stiffness = self.of_members(stiffness)
         self.no_pressure = torch.zeros(body.chambers.num_chambers, dtype=torch.float64)
         self.x_rest = body.x_rest if physics.x_rest is None else physics.x_rest
@@ -134,11 +134,6 @@ class PreparedBody:
             iterate: Whether it is asked for where the body's own steps are linearly implicit.
         """
         tensors = arrays.tensors()
-        if self.is_linear and not iterate and self.tables.numel():
-            raise ValueError(
-                f"method={LINEAR!r} does not take physics(x_rest=...), whose gradient it lacks; use"
-                " method='auto', or make the body of a mesh with other positions"
-            )
         if iterate and self.is_linear:
             iterating = replace(self.body.solver, method="auto")
             return _ops_step.soft_step(*tensors, **self._arguments | iterating.arguments())[0]

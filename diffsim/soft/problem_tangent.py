@@ -71,7 +71,8 @@ class Changing:
             rates["tables"] = physics.tables
         muscles = prepared.body.muscles
         if muscles.num_muscles and not muscles.has_contraction:
-            rates["fiber_stiffness"] = muscles.of_fibers(physics.fiber_stiffness)
+            d_stiffness = physics.fiber_stiffness
+            rates["fiber_stiffness"] = self.of_fibers(own.fiber_stiffness, d_stiffness)
         self.rates = _contiguous(rates)
         body = prepared.body
         self._terms = {
@@ -82,6 +83,13 @@ class Changing:
     def terms(self, rates: Rates) -> ChangingTerms:
         """The terms of a stage with these constants."""
         return self._terms[rates]
+
+    def of_fibers(self, stiffness: Tensor, d_stiffness: Tensor) -> Tensor:
+        """Directions of the fibers' stiffness, (K, num_fibers), from that of the muscles,
+        (num_muscles,), and its directions, (K, num_muscles)."""
+        muscles, d_weights = self.prepared.body.muscles, self.physics.fiber_weights
+        moved = muscles.of_fibers(d_stiffness, self.prepared.physics.fiber_weights)
+        return moved if d_weights is None else moved + muscles.of_fibers(stiffness, d_weights)
 
 
 def solve_along(
@@ -160,8 +168,10 @@ def _fiber_rates(
     slack = 1.0 - problem.loads.activation
     stiffness = problem.loads.physics.fiber_stiffness
     contracted = slack**2 * d_stiffness - 2.0 * slack * stiffness * d_activation
+    d_stiffness = torch.where(which, contracted, d_stiffness)
+    stiffness = torch.where(which, slack**2 * stiffness, stiffness)
     return {
-        "fiber_stiffness": muscles.of_fibers(torch.where(which, contracted, d_stiffness)),
+        "fiber_stiffness": changing.of_fibers(stiffness, d_stiffness),
         "activation": muscles.stretch_of_fibers(d_activation.masked_fill(which, 0.0)),
     }
 

@@ -3,7 +3,8 @@
 What kernels know of a shape are its *tables*: the shape gradients and weights of all elements, and
 the directions of the fibers, which are drawn on the material and turn with it. They are parameters
 as a stiffness is (csrc/kernels/soft/shape_derivatives.h); how they follow from the positions is
-said in PyTorch's own operations, once for both modes of differentiation.
+said in PyTorch's own operations, once for both modes of differentiation. So is how the stiffness of
+a tendon's pieces follows, which is of their lengths and of the volumes around them.
 """
 
 from __future__ import annotations
@@ -33,12 +34,15 @@ class RestShape(NamedTuple):
         nodal: Volume of each node, (num_nodes,) [m^3].
         tables: Of all elements, then the directions of all fibers, (num_tables,); empty: those of
             the mesh.
+        fiber_weights: Of all fibers in place of their own, (num_fibers,), see ``Muscle``; None:
+            those.
     """
 
     x_rest: Tensor
     shares: Tensor
     nodal: Tensor
     tables: Tensor
+    fiber_weights: Tensor | None
 
 
 def moved_shape(
@@ -51,37 +55,47 @@ def moved_shape(
             the middle.
     """
     x_rest = require("x_rest", x_rest, (mesh.num_nodes, 3))
-    if muscles.has_lengths:
-        raise ValueError(
-            "x_rest is not taken by a body with tendons (weighted fibers): the stiffness of their "
-            "pieces is of the lengths that they have in the mesh; make the body of a mesh with "
-            "other positions"
-        )
     if not torch.compiler.is_compiling():
         with on_constants():
             _require_upright(mesh, element, values_of(x_rest))
     tables = moved_tables(mesh, element, x_rest)
     shares = nodal_shares(mesh, x_rest)
-    directions = _carried_directions(mesh, muscles, x_rest)
+    directions, fiber_weights = _carried_fibers(mesh, muscles, x_rest, shares)
     return RestShape(
         x_rest=x_rest,
         shares=shares,
         nodal=lump(mesh, shares),
         tables=torch.cat([tables.by_element().flatten(), directions.flatten()]),
+        fiber_weights=fiber_weights,
     )
 
 
-def _carried_directions(mesh: HexMesh | TetMesh, muscles: MuscleSet, x_rest: Tensor) -> Tensor:
-    """Directions of the fibers, (num_fibers, 3): those of the mesh carried along by the mean
-    deformation of their elements from there to x_rest."""
+def _carried_fibers(
+    mesh: HexMesh | TetMesh, muscles: MuscleSet, x_rest: Tensor, shares: Tensor
+) -> tuple[Tensor, Tensor | None]:
+    """Fibers that the deformation from the mesh to x_rest carries along.
+
+    Returns:
+        Directions by the mean deformation of their elements, (num_fibers, 3), and weights,
+        (num_fibers,): those of cables by length over volume. None where there are no cables.
+    """
     if not len(muscles.elements):
-        return muscles.directions
+        return muscles.directions, None
     with on_constants():
         grad, weight = shape_tables(mesh, mesh.x_rest, muscles.elements)
-        mean = torch.einsum("fq,fqai->fai", weight / weight.sum(1, keepdim=True), grad)
-        along = torch.einsum("fai,fi->fa", mean, muscles.directions)
-    carried = torch.einsum("fa,fai->fi", along, x_rest[mesh.elements[muscles.elements]])
-    return carried / carried.norm(dim=1, keepdim=True)
+        along = torch.einsum("fqai,fi->fqa", grad, muscles.directions)
+        volume = weight.sum(1)
+        share = weight / volume[:, None]
+    lines = torch.einsum("fqa,fai->fqi", along, x_rest[mesh.elements[muscles.elements]])
+    carried = torch.einsum("fq,fqi->fi", share, lines)
+    directions = carried / carried.norm(dim=1, keepdim=True)
+    if not muscles.has_cables:
+        return directions, None
+    longer = (share * lines.norm(dim=2)).sum(1)  # as Tendon.stretch has it
+    larger = shares.sum(1)[muscles.elements] / volume
+    return directions, torch.where(
+        muscles.is_cable, muscles.weights * longer / larger, muscles.weights
+    )
 
 
 def _require_upright(mesh: HexMesh | TetMesh, element: str, x_rest: Tensor) -> None:

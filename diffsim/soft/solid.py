@@ -168,7 +168,8 @@ class Solid(Float64Module):
 
         Args:
             x_rest: Rest shape in place of the mesh's, (num_nodes, 3) [m]: masses, muscles'
-                directions and the prescribed positions at rest follow it. One for a whole batch.
+                directions, tendons' lengths and the prescribed positions at rest follow it. One
+                for a whole batch.
             batch: Number of members of a batch of states. Then each override may lead with a batch
                 axis: one number per member is (batch,) or (batch, 1), a number per member and
                 element (batch, num_elements). None: one set for all.
@@ -203,7 +204,9 @@ class Solid(Float64Module):
         )
         if shape is None:
             return made
-        return replace(made, x_rest=shape.x_rest, tables=shape.tables)
+        return replace(
+            made, x_rest=shape.x_rest, tables=shape.tables, fiber_weights=shape.fiber_weights
+        )
 
     def _shape(self, x_rest: Tensor, members: int | None) -> RestShape:
         """A rest shape in place of the mesh's."""

@@ -94,6 +94,7 @@ class Tendon(Float64Module):
             stiffness=self.axial_stiffness,
             kind="tendon" if self.slack else "length",
             weights=length / element_volumes(mesh)[elements],
+            is_cable=True,
         )
         shape = shape_gradients(mesh)
         rows = shape.class_idx[elements]
@@ -108,9 +109,19 @@ class Tendon(Float64Module):
         self.register_buffer("_share", weight / weight.sum(1, keepdim=True), persistent=False)
 
     @checked
-    def activation(self, length_command: Tensor | float) -> Tensor:
-        """a = commanded length / rest length, any shape [-]. Gradient: length_command [m]."""
-        return torch.as_tensor(length_command, dtype=torch.float64) / self.rest_length
+    def activation(self, length_command: Tensor | float, x_rest: Tensor | None = None) -> Tensor:
+        """a = commanded length / rest length.
+
+        Args:
+            length_command: Any shape [m].
+            x_rest: Rest shape in place of the mesh's, (num_nodes, 3) [m], as
+                ``body.physics(x_rest=...)`` takes it; None: the mesh's.
+
+        Returns:
+            a, shape of the command [-]. Gradients: length_command, x_rest.
+        """
+        rest = self.rest_length if x_rest is None else self.length(x_rest)
+        return torch.as_tensor(length_command, dtype=torch.float64) / rest
 
     @checked(x=("...", 3))
     def stretch(self, x: Tensor) -> Tensor:
@@ -132,7 +143,11 @@ class Tendon(Float64Module):
 
     @checked
     def tension(
-        self, x: Tensor, activation: Tensor | float, axial_stiffness: Tensor | None = None
+        self,
+        x: Tensor,
+        activation: Tensor | float,
+        axial_stiffness: Tensor | None = None,
+        x_rest: Tensor | None = None,
     ) -> Tensor:
         """Tension of each piece, EA (s_e - a); negative: it pushes (without ``slack``).
 
@@ -142,12 +157,16 @@ class Tendon(Float64Module):
             x: Positions, (..., num_nodes, 3) [m].
             activation: a, broadcastable to the batch axes (...) [-].
             axial_stiffness: EA instead of the tendon's own, scalar [N].
+            x_rest: Rest shape in place of the mesh's, (num_nodes, 3) [m]; None: the mesh's.
 
         Returns:
-            (..., num_pieces) [N]. Gradients: x, activation, axial_stiffness.
+            (..., num_pieces) [N]. Gradients: x, activation, axial_stiffness, x_rest.
         """
         a = torch.as_tensor(activation, dtype=torch.float64)
-        strain = self.stretch(x) - a[..., None]
+        stretch = self.stretch(x)
+        if x_rest is not None:
+            stretch = stretch / self.stretch(x_rest)
+        strain = stretch - a[..., None]
         if self.muscle.kind != "length":
             strain = strain.clamp(min=0.0)
         return (self.axial_stiffness if axial_stiffness is None else axial_stiffness) * strain

@@ -23,7 +23,7 @@ from diffsim.causes.scales import SCALES
 from diffsim.causes.sessions import SESSIONS
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
-from diffsim.core.schema import KindWords, Part, number
+from diffsim.core.schema import KindWords, Part
 from diffsim.core.units import after_number, in_unit
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -476,18 +476,3 @@ def _require_known(where: str, name: str, known: Sequence[str]) -> None:
         raise ValueError(
             f"{where}: no cause {name!r}{did_you_mean(name, known)}; known: {', '.join(known)}"
         )
-
-
-__all__ = [
-    "BaseParameters",
-    "Description",
-    "EffectChoice",
-    "Effort",
-    "Part",
-    "Quantity",
-    "chosen_effects",
-    "fact_in",
-    "number",
-    "quantity",
-    "settings_with",
-]

@@ -57,28 +57,3 @@ else:
 
 # anywhere in the play, as likely; it matters only while there is one
 START_IN_PLAY = Quantity(value=0.0, sd=0.6, lower=-1.0, upper=1.0, per="run")
-
-__all__ = [
-    "START_IN_PLAY",
-    "Acceleration",
-    "Angle",
-    "Density",
-    "Force",
-    "Frequency",
-    "Inertia",
-    "Length",
-    "Mass",
-    "Pixels",
-    "Plain",
-    "PositiveDensity",
-    "PositiveInertia",
-    "PositiveLength",
-    "PositiveMass",
-    "PositivePressure",
-    "Pressure",
-    "Rate",
-    "Resistance",
-    "Speed",
-    "Time",
-    "Viscosity",
-]

@@ -265,6 +265,3 @@ def _screen_row(row: ScreenRow) -> list[str]:
         figure(row.nats),
         figure(row.wave_number) if row.wave_number else "–",
     ]
-
-
-__all__ = ["law_over_variable", "laws_section"]

@@ -167,6 +167,3 @@ def _scatter(report: FaultReport) -> page.Section:
 
 def _ends(interval: Any) -> str:
     return f"{figure(interval.low)} to {figure(interval.high)}"
-
-
-__all__ = ["faults_page", "write_faults"]

@@ -1,4 +1,4 @@
-"""Figures of simulated flights: motor outputs (thesis Fig. 3-9), battery (Fig. 3-10)."""
+"""Figures of simulated flights: motor outputs (thesis Fig. 3-9)."""
 
 from __future__ import annotations
 
@@ -58,22 +58,6 @@ def _motor_panel(ax: Axes, title: str, log: FlightLog) -> None:
     ax.axhline(clamp, color=COLORS["bad"], lw=0.8, ls="--")
     ax.set_ylim(1250.0, clamp + 70.0)
     ax.set_title(title, loc="left", fontsize=10, color=INK)
-
-
-def battery_curves(curves: Sequence[tuple[str, Array, Array, Array]]) -> Figure:
-    """Voltage and current over time.
-
-    Args:
-        curves: (label, time (T,) [s], voltage (T,) [V], current (T,) [A]).
-    """
-    figure, (left, right) = new_figure(1, 2, width=10.0, height=3.4)
-    for ax, index, ylabel in ((left, 2, "voltage [V]"), (right, 3, "current [A]")):
-        for curve, color in zip(curves, CYCLE, strict=False):
-            ax.plot(curve[1], curve[index], color=color, lw=1.2, label=curve[0])
-        ax.set_xlabel("time [s]", color=SOFT)
-        ax.set_ylabel(ylabel, color=SOFT)
-    left.legend(frameon=False, fontsize=8.5, labelcolor=INK)
-    return figure
 
 
 def save_png(figure: Figure, path: str | Path) -> Path:

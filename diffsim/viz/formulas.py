@@ -83,6 +83,3 @@ def _in_brackets(words: str) -> str:
 def _upright(words: str) -> str:
     escaped = words.replace("_", r"\_").replace(" ", r"\ ")
     return rf"\mathrm{{{escaped}}}"
-
-
-__all__ = ["WrittenFormula", "write_formula"]

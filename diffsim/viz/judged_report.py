@@ -145,6 +145,3 @@ def _sizes(saved: SavedModel) -> page.Section:
         emphasis=list(range(len(saved.components))),
     )
     return page.Section(title="What was judged", content=[table])
-
-
-__all__ = ["judgment_page", "write_judgment"]

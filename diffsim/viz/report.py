@@ -139,6 +139,7 @@ class Report:
         title, subtitle: What was compared with what.
         verdict: The answer in a few sentences with numbers and units.
         banner: A warning across the page, such as "virtual data"; None for none.
+        opening: Pictures between the answer and the key figures.
         numbers: Key figures, shown large.
         sections: Sections below the key figures.
         held_fixed: (what, value) pairs that were not fitted.
@@ -149,6 +150,7 @@ class Report:
     subtitle: str
     verdict: Sequence[str]
     banner: str | None = None
+    opening: Sequence[Item] = ()
     numbers: Sequence[Number] = ()
     sections: Sequence[Section] = ()
     held_fixed: Sequence[tuple[str, str]] = ()

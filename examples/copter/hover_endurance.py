@@ -167,10 +167,20 @@ def main(seconds: int = 300, seed: int = 0, out: str | None = None) -> dict[str,
 
 
 def _draw(both: Sequence[tuple[str, Hovering]], out: str) -> None:
-    from diffsim.viz.flight_figures import battery_curves, save_png
+    """Voltage and current over time (thesis Fig. 3-10)."""
+    from diffsim.viz.figures import CYCLE, INK, SOFT, new_figure
+    from diffsim.viz.flight_figures import save_png
 
-    curves = [(name, h.time, h.voltage, h.current) for name, h in both]
-    save_png(battery_curves(curves), Path(out) / "battery.png")
+    figure, axes = new_figure(1, 2, width=10.0, height=3.4)
+    for ax, values, ylabel in zip(
+        axes, ("voltage", "current"), ("voltage [V]", "current [A]"), strict=True
+    ):
+        for (name, hovering), color in zip(both, CYCLE, strict=False):
+            ax.plot(hovering.time, getattr(hovering, values), color=color, lw=1.2, label=name)
+        ax.set_xlabel("time [s]", color=SOFT)
+        ax.set_ylabel(ylabel, color=SOFT)
+    axes[0].legend(frameon=False, fontsize=8.5, labelcolor=INK)
+    save_png(figure, Path(out) / "battery.png")
 
 
 if __name__ == "__main__":

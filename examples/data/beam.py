@@ -55,7 +55,8 @@ from scipy.spatial.transform import Rotation
 
 from diffsim.core.inside import inside
 from diffsim.core.yaml_text import read_yaml_file
-from diffsim.data import Recording, load_csv, signal
+from examples.data import vibration
+from labs.markers import Recording, load_csv
 
 Array = NDArray[np.float64]
 
@@ -217,7 +218,7 @@ def detect_release(time_s: Array, displacement_m: Array) -> tuple[int, float]:
     settled = displacement_m[-100:].mean(axis=0)
     size = float(np.linalg.norm(settled))
     along = displacement_m @ (settled / size)
-    frame, crossing = signal.first_crossing(time_s, along, RELEASE_SHARE * size)
+    frame, crossing = vibration.first_crossing(time_s, along, RELEASE_SHARE * size)
     return frame, crossing - float(np.sqrt(2.0 * RELEASE_SHARE * size / 9.81))
 
 

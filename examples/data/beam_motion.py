@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import signal
+from diffsim.data.signal import noise_std
+from examples.data import vibration
 from examples.data.beam import BeamStudy, BeamTrial
 
 COMPARE_S = 2.0  # the window of all comparisons: by then the swing is below 1 % of its start
@@ -38,9 +39,9 @@ def ring_down(trial: BeamTrial, until_s: float = COMPARE_S) -> tuple[np.ndarray,
 
 def _trial(trial: BeamTrial) -> dict[str, Any]:
     time_s, tip = trial.after_release()
-    decay = signal.fit_decay(*ring_down(trial))
-    turns = signal.swings(*ring_down(trial))
-    level = signal.settled_level(time_s, tip[:, 2])
+    decay = vibration.fit_decay(*ring_down(trial))
+    turns = vibration.swings(*ring_down(trial))
+    level = vibration.settled_level(time_s, tip[:, 2])
     quiet = tip[time_s > time_s[-1] - 1.5]
     clamp = trial.clamp_displacement_m[trial.time_s > 0]
     return {
@@ -61,7 +62,7 @@ def _trial(trial: BeamTrial) -> dict[str, Any]:
         "lowest_m": float(tip[:, 2].min()),
         "lateral_peak_m": float(np.abs(tip[:, 1] - tip[-100:, 1].mean()).max()),
         "tip_rotation_deg": trial.tip_rotation_deg(),
-        "noise_m": [signal.noise_std(quiet[:, axis]) for axis in range(3)],
+        "noise_m": [noise_std(quiet[:, axis]) for axis in range(3)],
         "clamp_peak_m": np.nanmax(np.abs(clamp), axis=0) if np.isfinite(clamp).any() else None,
         "by_amplitude": [
             {
@@ -70,13 +71,13 @@ def _trial(trial: BeamTrial) -> dict[str, Any]:
                 "frequency_Hz": fit.frequency_Hz,
                 "damping_ratio": fit.damping_ratio,
             }
-            for begin, fit in signal.decay_by_window(*ring_down(trial, 3.0))
+            for begin, fit in vibration.decay_by_window(*ring_down(trial, 3.0))
         ],
     }
 
 
 def _repeat(a: BeamTrial, b: BeamTrial) -> dict[str, Any]:
-    floor = signal.repeat_floor(a.after_release(), b.after_release(), until_s=COMPARE_S)
+    floor = vibration.repeat_floor(a.after_release(), b.after_release(), until_s=COMPARE_S)
     return {
         "pair": [a.name, b.name],
         "window_s": [0.0, float(floor.time_s[-1])],

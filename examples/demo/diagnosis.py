@@ -29,7 +29,10 @@ NOT_RUN = "The diagnosis of these recordings was switched off: Plan(diagnosis_ef
 
 
 def describe(
-    study: BeamStudy, plan: Plan, out: Path, tell: Callable[[str], None] = lambda doing: None
+    study: BeamStudy,
+    plan: Plan,
+    out: Path,
+    tell: Callable[[str, float], None] = lambda doing, share: None,
 ) -> dict[str, Any]:
     """Diagnose the recordings; finished figures and tables, so that the page can be made again.
 
@@ -37,7 +40,7 @@ def describe(
         study: Measured recordings; of virtual ones only why they are skipped is said.
         plan: Its candidate causes.
         out: Folder for ``study.yaml``, the study that is diagnosed.
-        tell: Receives what is being done.
+        tell: Receives what is being done, and which share of all is done.
     """
     if study.is_virtual:
         return {"skipped": SKIPPED}
@@ -54,7 +57,7 @@ def describe(
         seed=0,
         unknowns=given.unknowns,
         settings=given.settings,
-        progress=lambda stage, fraction, doing: tell(f"{stage}, {doing}"),
+        progress=lambda stage, fraction, doing: tell(f"{stage}, {doing}", fraction),
     )
     return {
         "verdict": found.verdict,

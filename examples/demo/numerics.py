@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.data import signal
+from examples.data import vibration
 from examples.data.beam import BeamGeometry
 from examples.data.beam_motion import RING_DOWN_START_S
 from examples.demo.beam import Beam
@@ -48,7 +48,7 @@ def num_steps(plan: Plan) -> int:
 def motion(time_s: np.ndarray, z: np.ndarray) -> dict[str, Any]:
     """Frequency and damping ratio of a simulated ring-down, as the measured ones are found."""
     free = time_s >= RING_DOWN_START_S
-    decay = signal.fit_decay(time_s[free], z[free], drift="none")
+    decay = vibration.fit_decay(time_s[free], z[free], drift="none")
     return {"frequency_Hz": decay.frequency_Hz, "damping_ratio": decay.damping_ratio}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from diffsim.viz import figures
 from diffsim.viz import report as rp
 from examples.data.beam import BeamStudy
 from examples.demo import (
@@ -25,17 +26,28 @@ def report(
     models: Sequence[Rung],
     plan: Plan,
     banner: str | None,
+    picture: bytes,
 ) -> rp.Report:
-    """Everything on the page."""
+    """Everything on the page; ``picture`` is the PNG of the beam."""
     kind = "virtual" if study.is_virtual else "measured"
     return rp.Report(
         title=f"Silicone beam: simulated against {kind}",
         subtitle="A clamped bar of 100 x 30 x 30 mm, held straight, released; without and with a "
         f"weight at its tip; {len(study.trials)} recordings, compared over 2 s.",
-        verdict=results["verdict"],
+        verdict=results["opening"],
         banner=banner,
+        opening=[
+            rp.Picture(
+                uri=figures.uri_of(picture, "png"),
+                caption="The tip after release: measured, simulated as is usual, and identified.",
+            )
+        ],
         numbers=_numbers(study, results),
         sections=[
+            rp.Section(
+                title="In numbers",
+                text=[*results["verdict"], *results["hidden"], *results["stored"]],
+            ),
             page_ladder.section(study, results, models),
             *page_moving.section(study, results, models),
             page_causes.damping(study, results),

@@ -11,7 +11,7 @@ from diffsim.viz.figures import COLORS, INK, SOFT
 from diffsim.viz.report import Picture, Section, Table
 from examples.data.beam import BeamStudy
 from examples.data.beam_motion import COMPARE_S, moving_tip_mass
-from examples.demo import verdict
+from examples.demo import panels, verdict
 from examples.demo.numerics import euler_damping_ratio
 
 INTEGRATOR_NAMES = {
@@ -91,14 +91,14 @@ def weight(study: BeamStudy, results: dict[str, Any]) -> Section:
     fast, slow = (verdict.mean(results, case, "frequency_Hz") for case in (light, loaded))
     runs = {name: results["simulated"][name][loaded] for name in ("identified", "mass", "joint")}
     time_s, tip = trial.after_release(COMPARE_S)
-    curves = [figures.Curve(x=time_s, y=tip[:, 2], label=trial.name, role="measured")]
+    curves = [panels.Curve(x=time_s, y=tip[:, 2], label=trial.name, role="measured")]
     for name, words, role in (
         ("identified", "constant force", "published"),
         ("mass", "mass, nothing refitted", "fitted"),
         ("joint", "mass, damping fitted on both cases", "third"),
     ):
         curves.append(
-            figures.Curve(
+            panels.Curve(
                 x=np.asarray(runs[name]["time_s"]),
                 y=np.asarray(runs[name]["tip_m"])[:, 2],
                 label=f"{words}: {runs[name]['frequency_Hz']:.1f} Hz",
@@ -123,7 +123,7 @@ def weight(study: BeamStudy, results: dict[str, Any]) -> Section:
         content=[
             Picture(
                 uri=figures.data_uri(
-                    figures.trajectories(
+                    panels.trajectories(
                         [(f"{trial.name}, weight of {1e3 * kg:.0f} g", curves)],
                         ylabel="tip height [mm]",
                     )

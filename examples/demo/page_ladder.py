@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.data import signal
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
+from examples.data import vibration
 from examples.data.beam import BeamStudy, BeamTrial
 from examples.data.beam_motion import COMPARE_S, RING_DOWN_START_S
-from examples.demo import verdict
+from examples.demo import panels, verdict
 from examples.demo.ladder import Rung, run_of
 from examples.demo.page_measured import case_title
 from examples.demo.tip_window import window
@@ -29,7 +29,7 @@ def section(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -
         study.repeats()[case][1] for case in verdict.cases(study)
     ]  # the repeats no fit has seen
 
-    def curves(trial: BeamTrial, make: Any, measured: bool = True) -> list[figures.Curve]:
+    def curves(trial: BeamTrial, make: Any, measured: bool = True) -> list[panels.Curve]:
         shown = SHOWN[trial.tip_load_mass_kg > 0]
         first = [make(trial.name, "measured", *trial.after_release(COMPARE_S))] if measured else []
         runs = [(by_name[name], run_of(results["simulated"], by_name[name], trial.case))
@@ -39,18 +39,18 @@ def section(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -
                  np.asarray(run["tip_m"])) for rung, run in runs
         ]  # fmt: skip
 
-    def height(label: str, role: str, time_s: np.ndarray, tip: np.ndarray) -> figures.Curve:
-        return figures.Curve(x=time_s, y=tip[:, 2], label=label, role=role)
+    def height(label: str, role: str, time_s: np.ndarray, tip: np.ndarray) -> panels.Curve:
+        return panels.Curve(x=time_s, y=tip[:, 2], label=label, role=role)
 
-    def spectrum(label: str, role: str, time_s: np.ndarray, tip: np.ndarray) -> figures.Curve:
+    def spectrum(label: str, role: str, time_s: np.ndarray, tip: np.ndarray) -> panels.Curve:
         grid = np.arange(0.0, COMPARE_S - 1e-9, 0.01)
-        f, amplitude = signal.amplitude_spectrum(grid, np.interp(grid, time_s, tip[:, 2]))
-        return figures.Curve(x=f, y=amplitude, label=label, role=role)
+        f, amplitude = vibration.amplitude_spectrum(grid, np.interp(grid, time_s, tip[:, 2]))
+        return panels.Curve(x=f, y=amplitude, label=label, role=role)
 
-    def decay(label: str, role: str, time_s: np.ndarray, tip: np.ndarray) -> figures.Curve:
+    def decay(label: str, role: str, time_s: np.ndarray, tip: np.ndarray) -> panels.Curve:
         free = time_s >= RING_DOWN_START_S
-        turns = signal.swings(time_s[free], tip[free, 2], smallest=0.005)
-        return figures.Curve(
+        turns = vibration.swings(time_s[free], tip[free, 2], smallest=0.005)
+        return panels.Curve(
             x=turns.time_s[:-1], y=turns.height, label=label, role=role, points=True
         )
 
@@ -63,14 +63,14 @@ def section(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -
         ],
         content=[
             _picture(
-                figures.trajectories(
+                panels.trajectories(
                     [(title[t.name], curves(t, height)) for t in trials], ylabel="tip height [mm]"
                 ),
                 "Tip height from the held place. Published practice dies out within two swings; "
                 "with the weight it also swings at the wrong frequency.",
             ),
             _picture(
-                figures.residuals(
+                panels.residuals(
                     [
                         (title[t.name], _residuals(results, by_name, t), _floor(study, t.case))
                         for t in trials
@@ -83,7 +83,7 @@ def section(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -
             _picture(_bars(study, results, models), _BARS),
             _table(study, results, models),
             _picture(
-                figures.spectra(
+                panels.spectra(
                     [(title[t.name], curves(t, spectrum)) for t in trials],
                     max_Hz=20.0,
                     floor_m=1e-5,
@@ -91,7 +91,7 @@ def section(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -
                 "Amplitude spectra of the first two seconds, vertical.",
             ),
             _picture(
-                figures.decay_envelopes([(title[t.name], curves(t, decay)) for t in trials]),
+                panels.decay_envelopes([(title[t.name], curves(t, decay)) for t in trials]),
                 "Height of successive swings: the slope is the damping.",
             ),
         ],
@@ -189,7 +189,7 @@ def _picture(figure: Any, caption: str) -> Picture:
 
 def _residuals(
     results: dict[str, Any], by_name: dict[str, Rung], trial: BeamTrial
-) -> list[figures.Curve]:
+) -> list[panels.Curve]:
     measured = window(trial.time_s, trial.tip_displacement_m, COMPARE_S)
     curves = []
     for name in SHOWN[trial.tip_load_mass_kg > 0]:
@@ -197,7 +197,7 @@ def _residuals(
         tip = torch.tensor(run["tip_m"], dtype=torch.float64)
         left = measured.residual(np.asarray(run["time_s"]), tip).numpy()
         curves.append(
-            figures.Curve(
+            panels.Curve(
                 x=measured.time_s,
                 y=left[:, 2],
                 label=_label(by_name[name], trial),
@@ -207,18 +207,18 @@ def _residuals(
     return curves
 
 
-def _floor(study: BeamStudy, case: str) -> figures.Curve:
+def _floor(study: BeamStudy, case: str) -> panels.Curve:
     first, second = study.repeats()[case][:2]
-    floor = signal.repeat_floor(first.after_release(), second.after_release(), until_s=COMPARE_S)
+    floor = vibration.repeat_floor(first.after_release(), second.after_release(), until_s=COMPARE_S)
     apart = np.abs(floor.difference[:, 2])
     half = max(1, round(0.1 / float(floor.time_s[1] - floor.time_s[0])))
     around = np.array([apart[max(0, i - half) : i + half + 1].max() for i in range(len(apart))])
-    return figures.Curve(x=floor.time_s, y=around, label="repeats apart")
+    return panels.Curve(x=floor.time_s, y=around, label="repeats apart")
 
 
 def _bars(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -> Any:
     colors = ("#b08a00", "#c2571a", "#d9a441", "#0b6e75", "#7a4fa3", "#4b2e83")
-    return figures.bars(
+    return panels.bars(
         [trial.name for trial in study.trials],
         [
             (

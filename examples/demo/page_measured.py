@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.data import signal
 from diffsim.viz import figures
 from diffsim.viz.report import Picture, Section, Table
+from examples.data import vibration
 from examples.data.beam import BeamStudy, BeamTrial
 from examples.data.beam_motion import COMPARE_S, moving_tip_mass, ring_down
+from examples.demo import panels
 
 ROLES = ("measured", "measured_2", "third", "fourth")
 CASE_TITLES = {"gravity": "own weight only", "load52": "52 g weight at the tip"}
@@ -29,7 +30,7 @@ def section(study: BeamStudy, numbers: dict[str, Any]) -> Section:
         text=[_masses(numbers, study), _creep(numbers)],
         content=[
             _picture(
-                figures.trajectories(
+                panels.trajectories(
                     [(case_title(c), _tip_curves(ts)) for c, ts in cases.items()],
                     ylabel="tip height [mm]",
                 ),
@@ -37,7 +38,7 @@ def section(study: BeamStudy, numbers: dict[str, Any]) -> Section:
                 "both repeats of each case aligned at release.",
             ),
             _picture(
-                figures.spectra(
+                panels.spectra(
                     [(case_title(c), _spectrum_curves(ts)) for c, ts in cases.items()],
                     max_Hz=40.0,
                     floor_m=1e-7,
@@ -47,13 +48,13 @@ def section(study: BeamStudy, numbers: dict[str, Any]) -> Section:
                 "does not.",
             ),
             _picture(
-                figures.decay_envelopes(
+                panels.decay_envelopes(
                     [(case_title(c), _decay_curves(ts)) for c, ts in cases.items()]
                 ),
                 "Height of successive swings. A straight line is a constant damping ratio.",
             ),
             _picture(
-                figures.residuals(
+                panels.residuals(
                     [(case_title(c), _difference(ts), None) for c, ts in cases.items()],
                     ylabel="a minus b [mm]",
                 ),
@@ -69,48 +70,48 @@ def _picture(figure: Any, caption: str) -> Picture:
     return Picture(uri=figures.data_uri(figure), caption=caption)
 
 
-def _tip_curves(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
+def _tip_curves(trials: tuple[BeamTrial, ...]) -> list[panels.Curve]:
     curves = []
     for role, trial in zip(ROLES, trials, strict=False):
         shown = (trial.time_s > -0.1) & (trial.time_s < COMPARE_S)
         z = trial.tip_displacement_m[shown, 2]
-        curves.append(figures.Curve(x=trial.time_s[shown], y=z, label=trial.name, role=role))
+        curves.append(panels.Curve(x=trial.time_s[shown], y=z, label=trial.name, role=role))
     return curves
 
 
-def _spectrum_curves(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
+def _spectrum_curves(trials: tuple[BeamTrial, ...]) -> list[panels.Curve]:
     curves = []
     for role, trial in zip(ROLES, trials, strict=False):
         time_s, tip = trial.after_release(4.0)
         for axis, label, dashed in ((2, "vertical", False), (1, "lateral", True)):
-            f, amplitude = signal.amplitude_spectrum(time_s, tip[:, axis])
+            f, amplitude = vibration.amplitude_spectrum(time_s, tip[:, axis])
             curves.append(
-                figures.Curve(
+                panels.Curve(
                     x=f, y=amplitude, label=f"{trial.name} {label}", role=role, dashed=dashed
                 )
             )
     return curves
 
 
-def _decay_curves(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
+def _decay_curves(trials: tuple[BeamTrial, ...]) -> list[panels.Curve]:
     curves = []
     for role, trial in zip(ROLES, trials, strict=False):
-        turns = signal.swings(*ring_down(trial, 4.0), smallest=0.005)
+        turns = vibration.swings(*ring_down(trial, 4.0), smallest=0.005)
         curves.append(
-            figures.Curve(
+            panels.Curve(
                 x=turns.time_s[:-1], y=turns.height, label=trial.name, role=role, points=True
             )
         )
     return curves
 
 
-def _difference(trials: tuple[BeamTrial, ...]) -> list[figures.Curve]:
-    floor = signal.repeat_floor(
+def _difference(trials: tuple[BeamTrial, ...]) -> list[panels.Curve]:
+    floor = vibration.repeat_floor(
         trials[0].after_release(), trials[1].after_release(), until_s=COMPARE_S
     )
     labels = (("third", "along"), ("fourth", "lateral"), ("fitted", "vertical"))
     return [
-        figures.Curve(x=floor.time_s, y=floor.difference[:, axis], label=label, role=role)
+        panels.Curve(x=floor.time_s, y=floor.difference[:, axis], label=label, role=role)
         for axis, (role, label) in enumerate(labels)
     ]
 

@@ -36,19 +36,22 @@ class Workers:
             total=total_steps, unit="step", desc="demo", disable=quiet, smoothing=0.1
         )
         self._stop, self._lock = threading.Event(), threading.Lock()
-        self._planned, self._stage = 0, ""
+        self._planned, self._begun, self._stage = 0, 0, ""
 
     def stage(self, name: str, steps: int) -> None:
         """A new stage of ``steps`` planned steps begins; the bar catches up with the plan."""
         with self._lock:
             self.bar.update(self._planned - self.bar.n)
+            self._begun = self._planned
             self._planned += steps
             self._stage = name
             self.bar.set_postfix_str(name)
 
-    def note(self, doing: str) -> None:
-        """What the stage is doing now, beside its name."""
+    def note(self, doing: str, share: float) -> None:
+        """What a stage without steps of its own is doing now, and which share of it is done."""
         with self._lock:
+            done = self._begun + int(share * (self._planned - self._begun))
+            self.bar.update(max(done - self.bar.n, 0))
             self.bar.set_postfix_str(f"{self._stage}: {doing}")
 
     def say(self, line: str) -> None:

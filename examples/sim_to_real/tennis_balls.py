@@ -40,11 +40,12 @@ from diffsim.core import show_progress
 from diffsim.core.files import write_json_atomic
 from diffsim.core.paths import data_folder
 from diffsim.data import Channel, Run, Study
-from diffsim.identify import Jacobian, Problem, WhiteNoise, descend, fit, random_starts
+from diffsim.identify import Jacobian, Problem, WhiteNoise, fit
 from labs.balls import MOTION, SoftBallModel
 from labs.balls.figures import ShownBall, misfits, overlay, recording, simulated, strip
 from labs.balls.film import view_of
 from labs.balls.fits import setup, soft_model
+from labs.balls.multi_start import descend, random_starts
 from labs.balls.recordings import ball_tracks_study, ball_video_study
 
 Array = NDArray[np.float64]

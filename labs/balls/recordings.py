@@ -17,7 +17,14 @@ from diffsim.data.calibration import calibrate
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.table import read_numbers
 from diffsim.data.track import noise_px, without_merged
-from diffsim.data.video import TENNIS_BALL, ColorBounds, Tracks, frame_size, track_video
+from diffsim.data.video import (
+    TENNIS_BALL,
+    ColorBounds,
+    TrackingError,
+    Tracks,
+    opencv,
+    track_video,
+)
 
 Array = NDArray[np.float64]
 LEAST_NOISE = 0.2  # [px] of a center: what the pixel grid and the lossy colors leave
@@ -102,7 +109,7 @@ def ball_video_study(
     camera = calibrate(
         np.column_stack([points[f"{a}_m"] for a in "xyz"]),
         np.column_stack([points["u_px"], points["v_px"]]),
-        frame_size(video),
+        _frame_size(video),
     )
     noise = np.maximum(noise_px(tracks).ravel(), LEAST_NOISE)
     sds = [*np.nan_to_num(noise, nan=1.0), 1.0, 1.0]
@@ -116,7 +123,7 @@ def ball_video_study(
             Channel(c, "px", "image", float(sd)) for c, sd in zip(CHANNELS, sds, strict=True)
         ),
         runs=runs if held_out else runs[:1],
-        metadata={"camera": camera, "size_px": list(frame_size(video)), "source": str(video)},
+        metadata={"camera": camera, "size_px": list(_frame_size(video)), "source": str(video)},
     )
 
 
@@ -176,3 +183,18 @@ def _filled_up(values: Array, length: int) -> Array:
     out = np.zeros(length)
     out[: min(len(values), length)] = values[:length]
     return out
+
+
+def _frame_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of a video [px]; raises as ``track_video``."""
+    cv2 = opencv()
+    video = cv2.VideoCapture(str(path))
+    try:
+        size = tuple(
+            int(video.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
+    finally:
+        video.release()
+    if min(size) < 1:
+        raise TrackingError(f"{path} is no video that OpenCV can read")
+    return size[0], size[1]

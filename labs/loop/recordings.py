@@ -8,7 +8,7 @@ import numpy as np
 
 from diffsim.core.inside import inside
 from diffsim.core.yaml_text import read_yaml_file
-from diffsim.data.recording import find_dataset
+from diffsim.data.datasets import find_dataset
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.table import read_numbers
 

@@ -168,6 +168,19 @@ def higher_rate(folder: Folder, rng: Rng) -> Folder | None:
     return folder.changed(_all(folder, change))
 
 
+def slow_sensor(folder: Folder, rng: Rng) -> Folder | None:
+    """A sensor that is slower than the rows: its readings are repeated until the next."""
+    if folder.rig == "bench" or len(_columns(folder)) + len(_commands(folder)) < 2:
+        return None
+    column, rate = _drawn(folder, rng), rng.uniform(2.0, 8.0)
+
+    def change(t: dict[str, Array]) -> dict[str, Array]:
+        last = np.floor(np.floor(np.arange(len(t["time_s"])) / rate) * rate).astype(np.int64)
+        return {**t, column: t[column][last]}
+
+    return folder.changed(_all(folder, change))
+
+
 def equal_stamps(folder: Folder, rng: Rng) -> Folder | None:
     """Rows that came twice, or a clock that counts too coarsely."""
     run = str(rng.choice(RUNS[:3]))
@@ -414,6 +427,7 @@ DAMAGES = (
     Damage("copied_column", r"`column:`", copied_column),
     Damage("law_of_controller", r"channels", law_of_controller),
     Damage("higher_rate", r"every: ", higher_rate),
+    Damage("slow_sensor", r"repeats: drop", slow_sensor),
     Damage("equal_stamps", r"duplicates: ", equal_stamps),
     Damage("missing_stamps", r"missing: line", missing_stamps),
     Damage("out_of_order", r"backward: sort", out_of_order),

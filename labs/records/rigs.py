@@ -405,6 +405,18 @@ def kicked(rng: Rng) -> Folder:
     return made.changed(tables, name="kicked")
 
 
+def let_go(rng: Rng) -> Folder:
+    """A joint on a spring that is let go: nothing is commanded, in any run."""
+    made = joint(rng)
+    tables: Tables = {}
+    for run, table in made.tables.items():
+        t, rate = table["time_s"], rng.uniform(4.0, 9.0)
+        seen = rng.uniform(10.0, 40.0) * np.exp(-t / rng.uniform(1.0, 4.0)) * np.cos(rate * t)
+        seen = np.round(seen + rng.normal(0.0, 0.05, len(t)), 4)
+        tables[run] = {**table, "goal_deg": np.zeros_like(t), "angle_deg": seen}
+    return made.changed(tables, name="let_go")
+
+
 def goals(rng: Rng) -> Folder:
     """Two servos that get a goal every two seconds, and rest there to the count until the next;
     one moves longer, one misses a goal. The clock of the goals is recorded as a command."""
@@ -440,5 +452,5 @@ SOUND: tuple[Callable[[Rng], Folder], ...] = (
 )  # fmt: skip
 ALIKE: tuple[Callable[[Rng], Folder], ...] = (
     bounce, unsigned_torque, at_rest, stick_slip, full_scale, turns, end_stop, coarse, rounded,
-    paused, kicked, goals,
+    paused, kicked, goals, let_go,
 )  # fmt: skip

@@ -7,20 +7,23 @@ counted as wrong.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from diffsim.causes import CommandGroup, command_cause, rows
+from diffsim.causes.catalogue import rows_in_order
 from diffsim.causes.needs import needs_command
-from diffsim.causes.ports import on_readings
+from diffsim.causes.ports import on_numbers, on_readings
 from diffsim.causes.readings import SENSOR
 from diffsim.data.study import Run, Study
-from diffsim.identify.effect import Effect
+from diffsim.identify.effect import Apply, Effect
 from diffsim.systems.soft_body import forces, material
-from diffsim.systems.soft_body.causes import body_cause
+from diffsim.systems.soft_body.causes import FUNCTIONS, SOFT_BODY
 from diffsim.systems.soft_body.scene import SoftScene
 
 # Bending: the mean of strain^4 over the section is 9/5 of the square of the mean of strain^2.
@@ -29,6 +32,22 @@ TYPICAL_LOSS = 0.1  # of the largest tension
 SLIP_SPEED = 2e-3  # a twentieth of what the tip does [m/s]
 _TENSION = CommandGroup((), {"reach": 1.0, "width": 1.0, "rate": 1.0})
 _BACKLASH = command_cause("backlash", _TENSION)
+
+
+def body_cause(
+    name: str, scales: Mapping[str, float] | None = None, apply: Apply | None = None, **own: Any
+) -> Effect:
+    """A cause in a soft body, around it or in the cameras, for models that no study describes.
+
+    Args:
+        name: Name of its row.
+        scales: Usual magnitudes that the row may use.
+        apply: How it acts; None: as ``FUNCTIONS`` or the row says.
+        **own: Fields of the effect that differ, as for :meth:`diffsim.causes.Row.effect`.
+    """
+    row = next(row for _, row in rows_in_order(SOFT_BODY) if row.name == name)
+    acts = apply or FUNCTIONS.get(name) or on_numbers(row)
+    return row.effect(acts, scales, system=SOFT_BODY, **{"unit": row.unit.replace("F", "N"), **own})
 
 
 def _volumes(scene: SoftScene) -> Tensor:

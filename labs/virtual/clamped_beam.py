@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.core.files import write_text_atomic
-from diffsim.data.recording import Recording, format_csv
+from labs.markers import Recording, format_csv
 
 Array = NDArray[np.float64]
 

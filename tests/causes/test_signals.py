@@ -11,11 +11,16 @@ from diffsim.causes import interpolation, signals
 from diffsim.causes import signals as maps
 from diffsim.causes.commands import CommandGroup, command_cause
 from diffsim.causes.scene import Instruments
-from diffsim.causes.signals import MAPS, on_columns
+from diffsim.causes.signals import MAPS
 
 
 def column(values):
     return torch.as_tensor(np.asarray(values), dtype=torch.float64)[:, None]
+
+
+def on_columns(change, u, dt, size):
+    """A map of signals every ``dt``, in columns."""
+    return change(u.mT, signals.Grid.even(u.shape[-2], dt), size[..., None]).mT
 
 
 class Wire:

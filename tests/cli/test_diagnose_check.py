@@ -70,6 +70,7 @@ def test_a_study_is_shown_with_what_its_uses_imply(folder, capsys):
     assert shown["d"][1:4] == ["test", "-", "30"]
     assert "select: c; these choose between causes" in out
     assert "test: d; touched once" in out
+    assert "One row of the record is 10 ms" in out
     assert "repeats: 2 runs of slow" in out
     assert "not used: columns: counter (4 files)" in out
     assert "not used: run d: 10 of 40 samples, by its window" in out

@@ -24,6 +24,7 @@ from diffsim.diagnose.judge.rivals import beside_no_skill
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.refit import extend, fit_null
 from diffsim.identify import DiagnosisSetup, Numerics, fit, save_extended
+from diffsim.identify.fitting import summary
 from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended, rebuilt
 from tests.diagnose import toy, toy_setup
 
@@ -54,6 +55,23 @@ def test_extend_twice_is_extend_once(study, model_folder, tmp_path):
     extend(inputs, read_extended(tmp_path)).save(tmp_path)
     for name in (MODEL_FILE, "extend.json"):
         assert (tmp_path / name).read_bytes() == (model_folder / name).read_bytes()
+
+
+def test_extend_does_not_end_above_its_start_under_the_noise_of_the_file(study, model_folder):
+    """Priors pull along valleys: what a diagnosis had reached was lost by a refit."""
+    inputs = inputs_of(study, seed=0, setup_file=Path(SETUP))
+    saved = replace(read_extended(model_folder), path=Path("elsewhere.yaml"))
+    problem, fitted = (found := extend(inputs, saved).fit).problem, found.chi2
+    slopes, weak = found.jacobian, 0.1  # of the priors
+    curve = slopes.T @ slopes + weak * np.eye(len(found.x))
+    x = found.x + np.linalg.solve(curve, slopes.T @ found.residual - weak * found.x)
+    lower = summary(problem, x, *problem.linearize(x), "converged", "", 0)
+    assert lower.chi2 < fitted
+    assert extend(inputs, replace(saved, values=lower.values)).fit.chi2 <= lower.chi2 + 1e-9
+    doubled = {c: {**n, "sd": 2.0 * n["sd"]} for c, n in saved.facts["noise"].items()}
+    facts = {**saved.facts, "noise": doubled}
+    wide = extend(inputs, replace(saved, facts=facts))
+    assert wide.fit.chi2 == pytest.approx(0.25 * fitted, rel=0.02)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,9 @@
 
 import math
 import warnings
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
@@ -215,6 +217,50 @@ def test_cycling_statuses_are_resolved():
                 state, _ = checked_step(body, state, contact.floor(friction=0.7))
             cycles += int(solves[0].num_cycles)
     assert cycles > 0
+
+
+def pulled_out(moves) -> list[int]:
+    """Newton iterations of each step in which a peg is pulled out of a curled finger, whose cage
+    `moves` (3, 5) shape: half width, bottom and top at five stations [5 mm]."""
+    bar = mesh.hex_box((10, 2, 2), (0.1, 0.02, 0.02))
+    upper = bar.x_rest[bar.elements].mean(1)[:, 2] > 0.01
+    back = soft.Muscle(
+        elements=torch.nonzero(upper).flatten(), direction=(1.0, 0.0, 0.0), stiffness=3e5
+    )
+    body = soft.SoftBody(
+        bar,
+        dt=0.05,
+        youngs_modulus=3e5,
+        poissons_ratio=0.45,
+        density=1070.0,
+        element="assumed_strain",
+        fixed=bar.nodes_near_plane("x", 0.0),
+        muscles=[back],
+    )
+    width, bottom, top = 5e-3 * moves
+    across = (width[:, None] * torch.tensor([-1.0, 1.0]))[:, :, None].expand(-1, 2, 2)
+    up = torch.stack([bottom, top], dim=-1)[:, None].expand(-1, 2, 2)
+    offsets = torch.stack([torch.zeros_like(up), across, up], dim=-1)
+    physics = body.physics(x_rest=mesh.Cage(bar, (5, 2, 2), degree=2)(offsets))
+    peg = contact.capsule((0.065, -0.05, 0.042), (0.065, 0.07, 0.042), 0.015, friction=0.5)
+    state = body.rest_state(physics=physics)
+    with soft.record_stats() as solves:
+        for k in range(20):
+            if k == 8:
+                peg = replace(peg, velocity=torch.tensor([0.06, 0.0, 0.0]).double())
+            contracted = torch.tensor([1.0 - 0.4 * min(1.0, (k + 1) / 8)], dtype=torch.float64)
+            state = body(state, activation=contracted, obstacles=peg, physics=physics)
+            peg = peg.after(body.dt)
+    return [int(solve.num_iters[0]) for solve in solves]
+
+
+@pytest.mark.parametrize("seed", [22, 1056, 1082, 1088])
+def test_a_body_that_buckles_around_an_obstacle(seed):
+    """Its tangent is indefinite near the answers, where Newton's method converges all the same."""
+    random = np.random.default_rng(seed)
+    most = 1.5 if seed < 1000 else 2.0
+    moves = torch.from_numpy(random.standard_normal(15).clip(-most, most)).reshape(3, 5)
+    assert max(pulled_out(moves)) <= 40
 
 
 def test_endless_friction_never_pulls():

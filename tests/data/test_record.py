@@ -62,6 +62,19 @@ def test_what_a_column_is_coded_by_is_undone_and_told(make, code, decode, tmp_pa
     assert not [p for p in check_study(study) if p.severity == "error"]
 
 
+def test_repeats_of_a_slow_sensor_are_left_out(tmp_path):
+    damage = next(d for d in DAMAGES if d.name == "slow_sensor")
+    _, copy = damaged(np.random.default_rng(4), damage)
+    (said,) = {found[1] for found in told(copy, tmp_path / "copy") if "repeats: drop" in found[1]}
+    rate = float(re.search(r"one of ([\d.]+) rows", said)[1])
+    for entry in copy.study["channels"]:
+        entry["decode"] = {"repeats": "drop"}
+    study = load_study(copy.write(tmp_path / "mended"))
+    kept = np.mean([np.isfinite(run.measured).mean(0) for run in study.runs], axis=0)
+    assert min(kept) == pytest.approx(1.0 / rate, rel=0.05)
+    assert not [p for p in check_study(study) if "repeats: drop" in str(p)]
+
+
 def test_a_folded_angle_gets_its_sign_back(tmp_path):
     sound = pendulum(np.random.default_rng(5))
     true = sound.tables["a"]["angle_rad"]
@@ -106,17 +119,26 @@ def test_stamps_are_mended_as_stated(name, tmp_path):
             load_study(tmp_path)
 
 
-def test_a_fault_of_the_record_stops_before_physics(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("column", "change", "remedy"),
+    [
+        ("present_counts", lambda x: np.mod(x, 2048.0), "`decode: {wrap: 2048}`"),
+        ("time_s", STAMPS["missing"][1], "`stamps: {missing: line}`"),
+        ("time_s", lambda t: np.where(np.arange(len(t)) == 9, t[8], t), "`duplicates: first`"),
+        ("time_s", lambda t: t[[*range(7), 8, 7, *range(9, len(t))]], "{backward: sort}"),
+    ],
+    ids=["wrapped", "missing", "equal", "reversed"],
+)
+def test_a_fault_of_the_record_stops_before_physics(
+    tmp_path, capsys, monkeypatch, column, change, remedy
+):
     monkeypatch.chdir(tmp_path)
     sound = servo(np.random.default_rng(1))
-    tables = {
-        run: {**t, "present_counts": np.mod(t["present_counts"], 2048.0)}
-        for run, t in sound.tables.items()
-    }
+    tables = {run: {**t, column: change(t[column])} for run, t in sound.tables.items()}
     folder = str(sound.changed(tables).write(tmp_path / "rig"))
     assert main(["diagnose", "explain", folder]) == 0
     first, second, *_ = capsys.readouterr().out.splitlines()
-    assert first.startswith("The record is at fault") and "`decode: {wrap: 2048}`" in first
+    assert first.startswith("The record is at fault") and remedy in first
     assert second == "verdict: record"
     told = json.loads(next(tmp_path.rglob("report.json")).read_text())
     *others, way = told["sentences"]
@@ -127,7 +149,9 @@ def test_a_fault_of_the_record_stops_before_physics(tmp_path, capsys, monkeypatc
         assert main(["diagnose", step, folder]) == 2
         assert "--accept-record" in capsys.readouterr().err
     assert main(["diagnose", "check", folder, "--accept-record"]) == 0
-    assert "ready for a diagnosis" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "ready for a diagnosis" in said and remedy in said
+    assert ("done to the record: rows whose stamps" in said) == (column == "time_s")
 
 
 def test_first_answers_of_damaged_copies_are_counted_and_kept(tmp_path, capsys):

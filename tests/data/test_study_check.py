@@ -77,6 +77,21 @@ def test_unknown_noise():
     assert "channel tip_z_m" not in found  # its sd is given
 
 
+@pytest.mark.parametrize(("times", "is_said"), [(1.0, False), (10.0, True)])
+def test_a_run_that_scatters_more_than_its_sd_says(times, is_said):
+    """A geared motor shook in one of three runs: its speed hid every cause."""
+    study, rng = make_study(), np.random.default_rng(0)
+    sd = study.channels[0].sd
+    t = 0.01 * np.arange(300.0)
+    run = replace(study.runs[1], time_s=t, command={}, columns={})
+    swing = np.sin(2.0 * np.pi * t)[:, None] * np.ones(run.measured.shape[1]) * 1e4 * sd
+    noise = rng.normal(size=(2, *swing.shape)) * sd
+    calm = replace(run, name="a", measured=swing + noise[0])
+    shaken = replace(run, measured=swing + times * noise[1])
+    found = problems(replace(study, runs=(calm, shaken, replace(calm, name="c"))), "note")
+    assert ("from sample to sample run b scatters" in found) == is_said
+
+
 def test_repeats_with_another_command():
     moved = {"tendon_N": make_study().runs[1].command["tendon_N"] + 0.1}
     found = problems(with_run(make_study(), 1, command=moved), "warning")

@@ -49,6 +49,19 @@ def test_kernels_are_read_from_their_sources_and_never_loaded():
     assert docstrings["handlers"]["python"]["options"]["allow_inspection"] is False
 
 
+def test_the_pages_keep_to_their_words():
+    """90 thousand words stand between a newcomer and an answer; what a script writes counts apart.
+
+    Records of trials belong in ``studies/records``.
+    """
+    words = 0
+    for page in (ROOT / "docs").rglob("*.md"):
+        if page.parent.name != "environments":  # which scripts/environment_pages.py writes
+            text = page.read_text(encoding="utf-8").partition("<!-- Below this line: written")[0]
+            words += len(text.split())
+    assert words <= 90_000
+
+
 @pytest.mark.slow
 def test_it_builds_without_a_warning(tmp_path):
     pytest.importorskip("mkdocstrings", reason="scripts/docs installs it")

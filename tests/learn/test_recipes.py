@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("gymnasium", reason="learning needs the extra 'rl'")
 
 from diffsim.learn.gradient import GradientLearner, GradientOptions
-from diffsim.learn.options import (
+from rl.arguments import (
     add_options,
     options_from,
     setup_from,

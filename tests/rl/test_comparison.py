@@ -16,11 +16,10 @@ pytest.importorskip("gymnasium", reason="environments need gymnasium: pip instal
 
 from diffsim.core import open_executor
 from diffsim.envs.registry import make_task
-from diffsim.learn import methods
+from diffsim.learn import METHODS
 from diffsim.learn.gradient import BadGradients
-from diffsim.learn.methods import Plan, train_once, tune
 from diffsim.learn.setup import Setup, first_controller
-from rl import compare, comparison, presets
+from rl import compare, comparison, presets, trainings
 from rl.quality import gradient_quality
 from rl.reward_statistics import (
     Scale,
@@ -29,6 +28,7 @@ from rl.reward_statistics import (
     held,
     interquartile_mean,
 )
+from rl.trainings import Plan, train_once, tune
 from tests.optional import needs
 
 needs("stable_baselines3", reason="PPO is stable-baselines3's: pip install '.[rl]'")
@@ -134,7 +134,7 @@ def test_the_search_is_recorded_and_nothing_runs_twice(
     record = json.loads((tmp_path / "tuning_gradient.json").read_text())
     assert record["candidates"][record["best"]]["options"] == best
     assert [c["steps"] for c in record["candidates"]] == [80, 80]
-    monkeypatch.setattr(methods, "train", lambda *a, **k: pytest.fail("ran again"))
+    monkeypatch.setattr(trainings, "train", lambda *a, **k: pytest.fail("ran again"))
     assert tune(tiny_plan(), "gradient", tmp_path, show=False) == best
     shutil.rmtree(tmp_path / "tuning")  # the record stands in for its runs, of these options only
     assert tune(tiny_plan(), "gradient", tmp_path, show=False) == best
@@ -151,7 +151,7 @@ def test_a_run_that_dies_is_a_result(tmp_path: Path) -> None:
         raise BadGradients("3 updates")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(methods, "train", dead)
+        patch.setattr(trainings, "train", dead)
         setup = tiny_plan().run_setup("gradient", 0)
         assert train_once(setup, "gradient", {"batch": 4}, tmp_path) == "BadGradients: 3 updates"
     assert train_once(setup, "gradient", {"batch": 4}, tmp_path) == "BadGradients: 3 updates"
@@ -161,7 +161,7 @@ def test_a_mistake_is_not_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def mistaken(*args: object, **options: object) -> None:
         raise RuntimeError("shapes cannot be multiplied")
 
-    monkeypatch.setattr(methods, "train", mistaken)
+    monkeypatch.setattr(trainings, "train", mistaken)
     with pytest.raises(RuntimeError, match="shapes"):
         train_once(tiny_plan().run_setup("gradient", 0), "gradient", {"batch": 4}, tmp_path)
     assert not (tmp_path / "failure.txt").exists()
@@ -175,17 +175,12 @@ def test_every_method_may_try_equally_many_candidates() -> None:
             assert len(set(tries.values())) == 1 and mine <= min(tries.values())
             # by the recipe the gradient has nothing to choose
             assert mine == (1 if name.endswith("recipe") else tries["ppo"])
-            assert (
-                set(plan.steps)
-                == set(plan.tuning_steps)
-                == set(plan.candidates)
-                <= set(methods.METHODS)
-            )
+            assert set(plan.steps) == set(plan.tuning_steps) == set(plan.candidates) <= set(METHODS)
             assert name == "quick" or len(plan.seeds) >= 5
 
 
 @pytest.mark.parametrize(
-    "chosen", [("gradient", "ppo"), pytest.param(tuple(methods.METHODS), marks=pytest.mark.story)]
+    "chosen", [("gradient", "ppo"), pytest.param(tuple(METHODS), marks=pytest.mark.story)]
 )
 def test_the_quick_comparison_runs_and_reports_again_without_training(
     chosen: tuple[str, ...],
@@ -211,7 +206,7 @@ def test_the_quick_comparison_runs_and_reports_again_without_training(
     assert (folder / "learning_CopterHover.png").stat().st_size > 10_000
     first = capsys.readouterr().out
     assert "| ppo |" in first and "cosine" in first
-    monkeypatch.setattr(methods, "train", lambda *a, **k: pytest.fail("ran again"))
+    monkeypatch.setattr(trainings, "train", lambda *a, **k: pytest.fail("ran again"))
     compare.main(["--out", str(tmp_path)])
     assert capsys.readouterr().out == first
 
@@ -225,7 +220,7 @@ def test_runs_in_progress_are_not_summed_up_but_failed_ones_are(tmp_path: Path) 
         lines = [json.dumps(r) for r in (going[0], last)]
         (folder / "results.jsonl").write_text("\n".join(lines) + "\n")
         if name == "failed":
-            (folder / methods.FAILURE).write_text("BadGradients: 10 updates")
+            (folder / trainings.FAILURE).write_text("BadGradients: 10 updates")
     plan = tiny_plan()
     runs = comparison.collect(plan, tmp_path)
     assert sorted(runs["gradient"]) == [1, 2]

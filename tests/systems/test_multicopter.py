@@ -11,12 +11,14 @@ import torch
 from diffsim import copter
 from diffsim.causes.listing import list_causes
 from diffsim.copter import GRAVITY
-from diffsim.copter.dynamics.sensors import finite_acceleration
 from diffsim.copter.vehicle.fleet import Fleet
 from diffsim.core.rotation import matrix_from_rpy
+from diffsim.core.schema import read_part
 from diffsim.data.study import Channel, Run, Study
-from diffsim.identify import Numerics, Parameter, coarse
-from diffsim.systems.multicopter import copter_plant, flight_model, unknown_wrench
+from diffsim.identify import Numerics, coarse
+from diffsim.systems.multicopter import CopterModel, copter_plant, unknown_wrench
+from diffsim.systems.multicopter.assembly import assembled
+from diffsim.systems.multicopter.description import MulticopterDescription
 from diffsim.systems.multicopter.motion import FlightMotion
 from diffsim.systems.multicopter.scene import Flyer
 from diffsim.systems.multicopter.shooting import MAX_STEPS, SPREAD, Windows
@@ -28,10 +30,14 @@ NAMES = ["u0", "u1", "u2", "u3"]
 SD = torch.tensor(np.repeat([2e-3, 5e-3, 1e-2, 0.1], 3))
 HOVER = GRAVITY / 4
 EFFECTS = causes()
-PLAIN = (
-    Parameter("thrust_gain", 1.0, 0.05, log=True),
-    Parameter("inertia_gain", 1.0, 0.1, log=True),
-)
+UNITS = {"position": "m", "roll_pitch_yaw": "rad", "body_rates": "rad/s", "specific_force": "m/s^2"}
+SENSORS = {key: [f"{key}_{i}" for i in range(3)] for key in UNITS}
+CHANNELS = [Channel(name, UNITS[key], "any") for key, names in SENSORS.items() for name in names]
+MOTORS = {
+    "torque_gain": {"value": 1.0, "percent": 20.0},
+    "motor_lag": {"value": 0.03, "percent": 30.0},
+}
+HELD = {"thrust_gain": 1.0, "inertia_gain": 1.0}
 
 
 def tensor(value):
@@ -68,6 +74,32 @@ def quadcopter():
     )
 
 
+def model_of(*runs, commands=NAMES, **keys):
+    """The quadcopter as described, its thrust and inertia fitted unless keys say otherwise."""
+    vehicle = quadcopter()
+    described = {
+        "system": "multicopter",
+        "frames": {"world": "NED", "body": "FRD"},
+        "mass": float(vehicle.mass),
+        "inertia": vehicle.inertia.diagonal().tolist(),
+        "rotors": [
+            {"at": at, "spin": "cw" if spin > 0 else "ccw"}
+            for at, spin in zip(vehicle.positions.tolist(), vehicle.spins, strict=True)
+        ],
+        "torque_ratio": 0.015,
+        "torque_gain": 1.0,
+        "radius": 0.12,
+        "max_thrust": 8.0,
+        "commands": {"columns": commands, "as": "thrust"},
+        "sensors": SENSORS,
+        "nuisances": {"run_thrust_gain": 0, "attitude_offset": 0, "specific_force_offset": 0},
+        **keys,
+    }
+    study = Study("s", "multicopter", CHANNELS, runs)
+    flights = assembled(read_part(MulticopterDescription, described, "model"), study)
+    return CopterModel(flights, flights.parameters.base)
+
+
 @pytest.fixture(scope="module")
 def flown():
     """A closed-loop flight about with turns, its thrusts and noise-free channels."""
@@ -89,7 +121,8 @@ def flown():
     )
     state, thrusts = flight.state, flight.state.thrusts[0, 1:]
     assert float(thrusts.min()) > 0.1 and float(thrusts.max()) < 7.9  # bounds are kinks
-    acceleration = finite_acceleration(state.velocity, DT) - tensor([0, 0, GRAVITY])
+    steps = state.velocity.diff(dim=1) / DT  # the mean over the step before
+    acceleration = torch.cat([steps[:, :1], steps], 1) - tensor([0, 0, GRAVITY])
     halfway = 0.5 * (state.rotation[:, 1:] + state.rotation[:, :-1])  # of the step before
     halfway = torch.cat([halfway[:, :1], halfway], 1)
     specific = (halfway.mT @ acceleration[..., None])[..., 0]
@@ -103,8 +136,8 @@ def flown():
 
 
 @pytest.fixture(scope="module")
-def model():
-    return flight_model(quadcopter(), commands=NAMES, base=PLAIN)
+def model(flown):
+    return model_of(flown[0])
 
 
 def predict(model, run, effect=None, at=None):
@@ -120,7 +153,7 @@ def test_initial_states_are_fitted_away(model, flown):
     misfit = (((found - tensor(run.measured)) / SD) ** 2).sum()
     assert float(misfit) / (SAMPLES * 12 - 3 * 12) == pytest.approx(1.0, abs=0.1)
     # another first guess of the same windows ends in the same place
-    scene = model.build({}, run, Numerics())
+    scene = model.build(model.flights.nominal(), run, Numerics())
     moved = replace(scene.windows, guess=scene.windows.guess + 0.02, start=None)
     other = scene.changed(windows=moved).simulate()
     # but for the pull of the prior
@@ -174,7 +207,7 @@ def test_many_points_are_as_one_by_one(model, flown):
 
 def test_a_point_that_was_simulated_is_known_again_and_no_other(flown, monkeypatch):
     run, _ = flown
-    model, flights = flight_model(quadcopter(), commands=NAMES, base=PLAIN), []
+    model, flights = model_of(run), []
     fly = Flyer.__call__
     monkeypatch.setattr(Flyer, "__call__", lambda *a: (flights.append(0), fly(*a))[1])
 
@@ -213,7 +246,7 @@ def test_scores(effect, model, flown):
 
 def test_base_parameters_and_numerics(flown):
     run, _ = flown
-    model = flight_model(quadcopter(), commands=NAMES)
+    model = model_of(run, **MOTORS)
     plain = predict(model, run)
     q = torch.zeros(4, dtype=torch.float64, requires_grad=True)
     grads = torch.autograd.grad(((model.predict(run, q) - plain - 1e-3) ** 2).sum(), q)[0]
@@ -224,7 +257,7 @@ def test_base_parameters_and_numerics(flown):
 
 def test_a_numerical_cause_blends_flights_beside_others(flown):
     run, _ = flown
-    model = flight_model(quadcopter(), commands=NAMES, substeps=1)
+    model = model_of(run, **MOTORS, windows={"substeps": 1})
     cause, wind = coarse("time_step", Numerics(time_step=0.25)), CAUSES["wind"]
     q = model.at_prior().expand(3, -1)
     # the kernel is of fourth order: only large multiples of what refining changes can be seen
@@ -246,9 +279,7 @@ def straight_up(effect, at, thrust=1.2 * HOVER, steps=50, velocity=(0.0, 0.0, 0.
     command = {name: np.full(steps, thrust) for name in NAMES}
     command["voltage_V"] = np.linspace(12.0, 9.0, steps)
     run = Run("b", DT * np.arange(steps), np.zeros((steps, 12)), command, "g")
-    scene = flight_model(quadcopter(), commands=NAMES, base=(), window_s=DT * steps).build(
-        {}, run, Numerics()
-    )
+    scene = model_of(run, **HELD, windows={"length": DT * steps}).build({}, run, Numerics())
     scene = effect.apply(scene, at, run)
     x12 = tensor([[0, 0, 0, 0, 0, 0, *velocity, 0, 0, 0]]).clone()
     for place, value in start.items():
@@ -426,25 +457,20 @@ def test_ground_effect_falls_with_the_square_of_the_height():
 
 def test_needs_and_errors(flown):
     run, _ = flown
-    channels = tuple(Channel(f"c{i}", "-", "any") for i in range(12))
     in_voltage = CAUSES["voltage_exponent"], size(1.0)
     bare = replace(run, command={n: run.command[n] for n in NAMES}, setup={})
-    study = Study("s", "copter", channels, (bare,))
+    study = Study("s", "copter", CHANNELS, (bare,))
     with pytest.raises(ValueError, match="needs the command voltage_V"):
-        predict(flight_model(quadcopter(), commands=NAMES), bare, *in_voltage)
+        predict(model_of(bare), bare, *in_voltage)
     assert CAUSES["lag"].needs(study) is None
-    with pytest.raises(ValueError, match="did you mean 'position'"):
-        flight_model(quadcopter(), commands=NAMES, sensors=["positon", "attitude"])
-    with pytest.raises(ValueError, match="one column per rotor"):
-        flight_model(quadcopter(), commands=NAMES[:3])
     with pytest.raises(ValueError, match="command must be one of"):
-        predict(flight_model(quadcopter(), commands=["a", *NAMES[1:]]), run)
+        predict(model_of(run, commands=["a", *NAMES[1:]]), run)
     uneven = replace(run, time_s=run.time_s**1.1)
     with pytest.raises(ValueError, match="evenly spaced"):
-        predict(flight_model(quadcopter(), commands=NAMES), uneven)
+        predict(model_of(uneven), uneven)
     few = replace(run, measured=run.measured[:, :9])
     with pytest.raises(ValueError, match="9 channels"):
-        predict(flight_model(quadcopter(), commands=NAMES), few)
+        predict(model_of(few), few)
 
 
 def test_causes_of_rotors_travel_between_processes():

@@ -53,7 +53,7 @@ void elastic_gradient_adjoint(const SoftModel& model, const StepInputs& in, cons
   product_along(model, in, frames, x, z, grad_x, scratch, pool);
   parameter_adjoint(model, in.parameters, x, z, out, scratch, pool);
   damping_adjoint(model, in.parameters, frames, x, z, out, scratch, pool);
-  shape_adjoint(model, in.parameters, frames, x, z, out, pool);
+  shape_adjoint(model, in.parameters, frames, x, nullptr, z, out, pool);
   pressure_adjoint(model, x, z, out.pressure, pool);
 }
 

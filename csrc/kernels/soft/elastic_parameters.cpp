@@ -303,7 +303,7 @@ void parameter_tangent(const SoftModel& model, const SoftParameters& p, const Da
                                        scratch.vectors.data() + (k - first) * model.vectors_size,
                                        pool);
     for (Index k = first; k < last; ++k)
-      add_shape_tangent(model, p, frames, x, k, directions,
+      add_shape_tangent(model, p, frames, x, nullptr, k, directions,
                         scratch.vectors.data() + (k - first) * model.vectors_size, pool);
     for (Index k = first; k < last; ++k)
       gather_vectors(model, scratch.vectors.data() + (k - first) * model.vectors_size,

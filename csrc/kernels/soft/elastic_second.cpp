@@ -1,29 +1,14 @@
 #include "kernels/soft/elastic_second.h"
 
 #include "kernels/soft/damping.h"
-#include "kernels/soft/element_stage.h"
+#include "kernels/soft/elastic_jets.h"
 #include "kernels/soft/hourglass.h"
+#include "kernels/soft/shape_derivatives.h"
 
 namespace diffsim {
 namespace {
 
 using namespace elements;
-
-/// U^T A V.
-template <class T>
-void into_frame(const PrincipalFrame<T>& frame, const T A[9], T out[9]) {
-  T AV[9];
-  times(A, frame.V, AV);
-  transpose_times(frame.U, AV, out);
-}
-
-/// What one part of a group of the solid gives: its law along two directions, in the principal
-/// frame of F where its jets are.
-template <typename M>
-struct SolidJets {
-  Native first[9];                // the first direction
-  Jet<Native> P[M::kWeights][9];  // the stress that each weight multiplies
-};
 
 /// Calls use(group, jets of its parts, their stresses to fill), stresses in principal frames, and
 /// leaves what these do to nodes in the vectors buffer.
@@ -37,45 +22,13 @@ void for_solid_jets(const SoftModel& model, const double* x, const double* first
     for (int n = 0; n < count; ++n) {
       const Index g = begin + n;
       Native A[kParts][9], B[kParts][9], stress[kParts][9], P[kParts][9];
-      PrincipalFrame<Native> frames[kParts];  // of those jets
       deformation_gradient<Group>(solid, g, first, A);
       deformation_gradient<Group>(solid, g, second, B);
       SolidJets<M> jets[kParts];
-      for (int part = 0; part < kParts; ++part) {
-        const auto& sample = stage.sample(n * kParts + part);
-        SolidJets<M>& own = jets[part];
-        const auto& source = jet_source<M, Native>(sample);
-        Native Bp[9];
-        Jet<Native> F[9];
-        if constexpr (M::kJetsInFrame) {
-          frames[part] = source;
-          into_frame(source, A[part], own.first);
-          into_frame(source, B[part], Bp);
-          for (int i = 0; i < 9; ++i)
-            F[i] = {i % 4 == 0 ? source.s[i / 4] : Native{}, own.first[i], Bp[i], Native{}};
-        } else {
-          for (int i = 0; i < 9; ++i) {
-            own.first[i] = A[part][i];
-            F[i] = {sample.F[i], A[part][i], B[part][i], Native{}};
-          }
-        }
-        M::jets(source, F, own.P);
-      }
+      for (int part = 0; part < kParts; ++part)
+        jets[part].fill(stage.sample(n * kParts + part), A[part], B[part]);
       use(g, jets, stress);
-      for (int part = 0; part < kParts; ++part) {
-        if constexpr (!M::kJetsInFrame) {
-          std::copy(stress[part], stress[part] + 9, P[part]);
-          continue;
-        }
-        const PrincipalFrame<Native>& frame = frames[part];
-        Native turned[9];
-        times(frame.U, stress[part], turned);
-        for (int i = 0; i < 3; ++i)
-          for (int j = 0; j < 3; ++j)
-            P[part][3 * i + j] = turned[3 * i] * frame.V[3 * j] +
-                                 turned[3 * i + 1] * frame.V[3 * j + 1] +
-                                 turned[3 * i + 2] * frame.V[3 * j + 2];
-      }
+      for (int part = 0; part < kParts; ++part) jets[part].out_of_frame(stress[part], P[part]);
       scatter_stress(Group{}, Group::shape(solid, g), P,
                      scratch.vectors.data() + g * solid.vectors_size());
     }
@@ -135,13 +88,6 @@ void solid_tangent(const SoftModel& model, const SoftParameters& p, const double
       });
 }
 
-/// What one part of a group of fibers gives, along two directions.
-struct FiberJets {
-  Native first[3];                 // the first direction of l = F m
-  Jet<Native> unit[3], pulled[3];  // l/|l|, and l - activation l/|l|
-  Native stiffness, taut;          // of the pull, and one where it pulls
-};
-
 /// As for_solid_jets; stresses are `pull` times the fiber's direction.
 template <typename Group, typename Use>
 void for_fiber_jets(const SoftModel& model, const SoftParameters& p, const double* x,
@@ -150,40 +96,15 @@ void for_fiber_jets(const SoftModel& model, const SoftParameters& p, const doubl
   const ElementBlock& fiber = model.fiber;
   for_groups(fiber, pool, [&](Index g) {
     Native F[kParts][9], A[kParts][9], B[kParts][9], P[kParts][9], pull[kParts][3];
-    Native direction[kParts][3];
     deformation_gradient<Group>(fiber, g, x, F);
     deformation_gradient<Group>(fiber, g, first, A);
     deformation_gradient<Group>(fiber, g, second, B);
     FiberJets jets[kParts];
-    for (int part = 0; part < kParts; ++part) {
-      const FiberPart f = fiber_part<Group>(model, p, g, part, F[part]);
-      const Native* m = f.state.direction;
-      const Native activation = Group::part_value(fiber, g, part, p.activation);
-      FiberJets& own = jets[part];
-      own.stiffness = f.pull.stiffness;
-      own.taut = select(less(broadcast<Native>(0.0), abs(f.pull.stiffness)), broadcast<Native>(1.0),
-                        Native{});
-      Jet<Native> l[3];
-      for (int i = 0; i < 3; ++i) {
-        own.first[i] =
-            A[part][3 * i] * m[0] + A[part][3 * i + 1] * m[1] + A[part][3 * i + 2] * m[2];
-        const Native Bm =
-            B[part][3 * i] * m[0] + B[part][3 * i + 1] * m[1] + B[part][3 * i + 2] * m[2];
-        l[i] = {f.state.unit[i] * f.state.length, own.first[i], Bm, Native{}};
-        direction[part][i] = m[i];
-      }
-      const Jet<Native> over = inverse(square_root(l[0] * l[0] + l[1] * l[1] + l[2] * l[2]));
-      for (int i = 0; i < 3; ++i) {
-        const Jet<Native> unit = over * l[i];
-        const Jet<Native> scaled{activation * unit.v, activation * unit.a, activation * unit.b,
-                                 activation * unit.ab};
-        own.unit[i] = unit;
-        own.pulled[i] = l[i] - scaled;
-      }
-    }
+    for (int part = 0; part < kParts; ++part)
+      jets[part].fill<Group>(model, p, g, part, F[part], A[part], B[part]);
     use(g, jets, pull);
     for (int part = 0; part < kParts; ++part)
-      for (int i = 0; i < 9; ++i) P[part][i] = pull[part][i / 3] * direction[part][i % 3];
+      for (int i = 0; i < 9; ++i) P[part][i] = pull[part][i / 3] * jets[part].direction[i % 3];
     scatter_stress(Group{}, Group::shape(fiber, g), P,
                    scratch.vectors.data() + model.fiber_vectors_start + g * fiber.vectors_size());
   });
@@ -256,9 +177,10 @@ void linearized_adjoint(const SoftModel& model, const SoftParameters& p, const d
   gather_vectors(model, scratch.vectors.data(), force, pool);
 }
 
-void linearized_tangent(const SoftModel& model, const SoftParameters& p, const double* x,
-                        const double* d, const double* dx, const ParameterDirections& along,
-                        Index k, double* force, ElasticityScratch& scratch, ThreadPool& pool) {
+void linearized_tangent(const SoftModel& model, const SoftParameters& p,
+                        const DampingFrames& frames, const double* x, const double* d,
+                        const double* dx, const ParameterDirections& along, Index k, double* force,
+                        ElasticityScratch& scratch, ThreadPool& pool) {
   scratch.vectors.resize(at(model.vectors_size));
   with_types(model, [&](auto group, auto material) {
     using Group = decltype(group);
@@ -266,6 +188,7 @@ void linearized_tangent(const SoftModel& model, const SoftParameters& p, const d
     fiber_tangent<Group>(model, p, x, d, dx, along, k, scratch, pool);
   });
   hourglass::add_linearized_tangent(model, p, x, d, dx, along, k, scratch.vectors.data(), pool);
+  add_shape_tangent(model, p, frames, x, d, k, along, scratch.vectors.data(), pool);
   gather_vectors(model, scratch.vectors.data(), force, pool);
 }
 

@@ -59,9 +59,11 @@ void add_linearized_tangent(const SoftModel& model, const SoftParameters& p, con
 
 // Of shape_derivatives.h; z null: derivatives of E.
 void add_shape_adjoint(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
-                       const double* x, const double* z, double* tables, ThreadPool& pool);
+                       const double* x, const double* d, const double* z, double* tables,
+                       ThreadPool& pool);
 void add_shape_tangent(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
-                       const double* x, const double* tables, double* vectors, ThreadPool& pool);
+                       const double* x, const double* d, const double* tables, double* vectors,
+                       ThreadPool& pool);
 
 /// Stiffness of each lane's modes over the scalar nodes, for unit moduli [m].
 /// @param[out] out  (8, 8): nodes a and b

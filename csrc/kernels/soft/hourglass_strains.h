@@ -88,6 +88,13 @@ inline Numbers minus(const Numbers& a, const Numbers& b) {
   return d;
 }
 
+inline Numbers plus(const Numbers& a, const Numbers& b) {
+  Numbers sum;
+  for (int i = 0; i < 9; ++i) sum.F[i] = a.F[i] + b.F[i];
+  for (int i = 0; i < kAmplitudes; ++i) sum.h[i] = a.h[i] + b.h[i];
+  return sum;
+}
+
 /// s_k = sum of h_m . F row_r, of a deformation gradient and amplitudes.
 template <class T>
 inline void strains(const Rows& rows, const T F[9], const T h[kAmplitudes], T s[kStrains]) {

@@ -1,7 +1,7 @@
 #include "kernels/soft/shape_derivatives.h"
 
 #include "kernels/soft/damping.h"
-#include "kernels/soft/element_stage.h"
+#include "kernels/soft/elastic_jets.h"
 #include "kernels/soft/hourglass.h"
 
 namespace diffsim {
@@ -33,6 +33,31 @@ SampleLaw fiber_law(const SoftModel& model, const SoftParameters& p, Index g, in
   add_fiber_tangent(f.state, f.pull, false, law.H);
   return law;
 }
+
+/// Stress of the solid's law along two directions, in the axes of F.
+struct StressJets {
+  Native v[9], a[9], b[9], ab[9];
+
+  template <typename M>
+  StressJets(const SolidJets<M>& jets, const Weights<M>& w) {
+    Native sum[4][9] = {};
+    for (int i = 0; i < 9; ++i)
+      for (int k = 0; k < M::kWeights; ++k) {
+        const Jet<Native>& P = jets.P[k][i];
+        sum[0][i] += w[at(k)] * P.v, sum[1][i] += w[at(k)] * P.a;
+        sum[2][i] += w[at(k)] * P.b, sum[3][i] += w[at(k)] * P.ab;
+      }
+    jets.out_of_frame(sum[0], v), jets.out_of_frame(sum[1], a);
+    jets.out_of_frame(sum[2], b), jets.out_of_frame(sum[3], ab);
+  }
+  explicit StressJets(const FiberJets& jets) {
+    for (int i = 0; i < 9; ++i) {
+      const Jet<Native>& pulled = jets.pulled[i / 3];
+      const Native m = jets.stiffness * jets.direction[i % 3];
+      v[i] = pulled.v * m, a[i] = pulled.a * m, b[i] = pulled.b * m, ab[i] = pulled.ab * m;
+    }
+  }
+};
 
 /// Damping of a sample: strain rate S and its stress T(S), see damping.h.
 struct Viscous {
@@ -87,6 +112,28 @@ struct NodesAlong {
   }
 };
 
+/// Derivatives of a sample's work by its gradients of x, z and d.
+template <typename Group>
+struct WorkAlong {
+  NodesAlong<Group> x, z, d;
+
+  WorkAlong(const ElementBlock& block, Index g, const double* x, const double* d, const double* z)
+      : x(block, g, x), z(block, g, z ? z : x), d(block, g, d ? d : x) {}
+
+  void fill(int part, const SampleLaw& law, const Native Z[9]) {
+    std::copy(law.P, law.P + 9, z.by[part]);
+    multiply_upper(law.H, Z, x.by[part]);
+  }
+  /// Of the stress linearized along d, by jets along z and d.
+  void fill(int part, const StressJets& P) {
+    for (int i = 0; i < 9; ++i) {
+      z.by[part][i] = P.v[i] + P.b[i];
+      x.by[part][i] = P.a[i] + P.ab[i];
+      d.by[part][i] = P.a[i];
+    }
+  }
+};
+
 /// Adds w sum_n by_n^T node_n to the gradients in the tables.
 template <typename Group, typename... Nodes>
 void add_gradients(const ElementBlock& block, const TableLanes<Group>& lanes, Index g,
@@ -106,68 +153,87 @@ void add_gradients(const ElementBlock& block, const TableLanes<Group>& lanes, In
 /// Adds the solid's derivatives to the tables; z null: those of E.
 template <typename Group, typename M>
 void solid_adjoint(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
-                   const double* x, const double* z, double* tables, ThreadPool& pool) {
+                   const double* x, const double* d, const double* z, double* tables,
+                   ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const TableLanes<Group> lanes(solid);
   const bool is_damped = z && p.damp_mu;
   for_groups(solid, pool, [&](Index g) {
     const Stage<Group, M> stage(solid, g, 1, x);
-    NodesAlong<Group> nodes(solid, g, x), along(solid, g, z ? z : x);
+    WorkAlong<Group> work(solid, g, x, d, z);
     NodesAlong<Group> frame(solid, g, is_damped ? frames.x_frame : x);
     NodesAlong<Group> velocity(solid, g, is_damped ? frames.x_velocity : x);
-    Native Z[kParts][9];
+    Native Z[kParts][9], D[kParts][9] = {};
     if (z) deformation_gradient<Group>(solid, g, z, Z);
+    if (d) deformation_gradient<Group>(solid, g, d, D);
     for (int part = 0; part < kParts; ++part) {
-      const SampleLaw law = solid_law<Group, M>(solid, p, stage.sample(part), g, part);
       if (!z) {
-        std::copy(law.P, law.P + 9, nodes.by[part]);
+        const SampleLaw law = solid_law<Group, M>(solid, p, stage.sample(part), g, part);
+        std::copy(law.P, law.P + 9, work.x.by[part]);
         lanes.add(tables, g, part, lanes.kWeight, law.psi);
         continue;
       }
-      std::copy(law.P, law.P + 9, along.by[part]);
-      multiply_upper(law.H, Z[part], nodes.by[part]);
+      if (d) {
+        SolidJets<M> jets;
+        jets.fill(stage.sample(part), Z[part], D[part]);
+        work.fill(part, StressJets(jets, weights_at<Group, M>(solid, g, part, p.weights)));
+      } else {
+        work.fill(part, solid_law<Group, M>(solid, p, stage.sample(part), g, part), Z[part]);
+      }
       if (is_damped) {
-        const Viscous v(Group{}, solid, p, frames.solid[at(g)], stage.F[part], g, part);
-        Native TY[9], FnTY[9];
+        Native end[9], TY[9], FnTY[9];
+        for (int i = 0; i < 9; ++i) end[i] = stage.F[part][i] + D[part][i];
+        const Viscous v(Group{}, solid, p, frames.solid[at(g)], end, g, part);
         v.stress_of(v.Fn, Z[part], TY);
         times(v.Fn, TY, FnTY);
-        add_times(v.Fn, v.TS, along.by[part]);
-        add9(FnTY, nodes.by[part]);
+        add_times(v.Fn, v.TS, work.z.by[part]);
+        add9(FnTY, work.x.by[part]);
+        if (d) add9(FnTY, work.d.by[part]);
         add_times(Z[part], v.TS, frame.by[part]);
         add_times(v.delta, TY, frame.by[part]);
         for (int i = 0; i < 9; ++i) velocity.by[part][i] = -FnTY[i];
       }
-      lanes.add(tables, g, part, lanes.kWeight, contract(along.by[part], Z[part]));
+      lanes.add(tables, g, part, lanes.kWeight, contract(work.z.by[part], Z[part]));
     }
-    add_gradients(solid, lanes, g, tables, nodes, along, frame, velocity);
+    add_gradients(solid, lanes, g, tables, work.x, work.z, work.d, frame, velocity);
   });
 }
 
 /// The same of fibers, one after another: those of one element share its record.
 template <typename Group>
 void fiber_adjoint(const SoftModel& model, const SoftParameters& p, const double* x,
-                   const double* z, double* tables) {
+                   const double* d, const double* z, double* tables) {
   const ElementBlock& fiber = model.fiber;
   const TableLanes<Group> lanes(fiber, model.fiber_elements.data());
   for (Index g = 0; g < fiber.num_groups; ++g) {
-    NodesAlong<Group> nodes(fiber, g, x), along(fiber, g, z ? z : x);
-    Native F[kParts][9], Z[kParts][9] = {}, by_direction[3][kParts];
+    WorkAlong<Group> work(fiber, g, x, d, z);
+    Native F[kParts][9], Z[kParts][9] = {}, D[kParts][9] = {}, by_direction[3][kParts];
     deformation_gradient<Group>(fiber, g, x, F);
     if (z) deformation_gradient<Group>(fiber, g, z, Z);
+    if (d) deformation_gradient<Group>(fiber, g, d, D);
     for (int part = 0; part < kParts; ++part) {
       const SampleLaw law = fiber_law<Group>(model, p, g, part, F[part]);
-      std::copy(law.P, law.P + 9, z ? along.by[part] : nodes.by[part]);
-      if (z) multiply_upper(law.H, Z[part], nodes.by[part]);
-      lanes.add(tables, g, part, lanes.kWeight, z ? contract(law.P, Z[part]) : law.psi);
-      Native both[9], other[9], turned[3];
-      transpose_times(Z[part], law.P, both);
-      transpose_times(F[part], nodes.by[part], other);
-      add9(other, both);
-      along_fiber<Group>(model, g, part, both, turned);
+      if (d) {
+        FiberJets jets;
+        jets.fill<Group>(model, p, g, part, F[part], Z[part], D[part]);
+        work.fill(part, StressJets(jets));
+      } else if (z) {
+        work.fill(part, law, Z[part]);
+      } else {
+        std::copy(law.P, law.P + 9, work.x.by[part]);
+      }
+      lanes.add(tables, g, part, lanes.kWeight, z ? contract(work.z.by[part], Z[part]) : law.psi);
+      Native all[9], other[9], turned[3];
+      transpose_times(Z[part], work.z.by[part], all);
+      transpose_times(F[part], work.x.by[part], other);
+      add9(other, all);
+      transpose_times(D[part], work.d.by[part], other);
+      add9(other, all);
+      along_fiber<Group>(model, g, part, all, turned);
       for (int i = 0; i < 3; ++i)
         by_direction[i][part] = split(Group::shape(fiber, g).weight, part) * turned[i];
     }
-    add_gradients(fiber, lanes, g, tables, nodes, along);
+    add_gradients(fiber, lanes, g, tables, work.x, work.z, work.d);
     for (int i = 0; i < 3; ++i)
       Group::add_element_value(fiber, g, by_direction[i], tables + model.fiber_tables_start(), 3,
                                i);
@@ -175,16 +241,16 @@ void fiber_adjoint(const SoftModel& model, const SoftParameters& p, const double
 }
 
 void adjoint_or_slopes(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
-                       const double* x, const double* z, const ParameterAdjoint& out,
-                       ThreadPool& pool) {
+                       const double* x, const double* d, const double* z,
+                       const ParameterAdjoint& out, ThreadPool& pool) {
   if (!out.tables) return;
   std::fill(out.tables, out.tables + model.tables_size(), 0.0);
   with_types(model, [&](auto group, auto material) {
     using Group = decltype(group);
-    solid_adjoint<Group, decltype(material)>(model, p, frames, x, z, out.tables, pool);
-    fiber_adjoint<Group>(model, p, x, z, out.tables);
+    solid_adjoint<Group, decltype(material)>(model, p, frames, x, d, z, out.tables, pool);
+    fiber_adjoint<Group>(model, p, x, d, z, out.tables);
   });
-  hourglass::add_shape_adjoint(model, p, frames, x, z, out.tables, pool);
+  hourglass::add_shape_adjoint(model, p, frames, x, d, z, out.tables, pool);
 }
 
 /// How the tables of a group's samples move along direction k, with the weights that they have.
@@ -220,28 +286,52 @@ struct MovedShape {
   }
 };
 
+/// P = P(F) + H D and dP along dF and dD, by jets along dF and D.
+void linearize(const SampleLaw& law, const StressJets& jets, const Native dD[9], Native P[9],
+               Native dP[9]) {
+  multiply_upper(law.H, dD, dP);
+  for (int i = 0; i < 9; ++i) {
+    P[i] = jets.v[i] + jets.b[i];
+    dP[i] += jets.a[i] + jets.ab[i];
+  }
+}
+
 template <typename Group, typename M>
 void solid_tangent(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
-                   const double* x, const double* tables, double* vectors, ThreadPool& pool) {
+                   const double* x, const double* d, const double* tables, double* vectors,
+                   ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const TableLanes<Group> lanes(solid);
   for_groups(solid, pool, [&](Index g) {
     const Stage<Group, M> stage(solid, g, 1, x);
     const MovedShape<Group> moved(solid, lanes, tables, g);
     Native dF[kParts][9], dFn[kParts][9], dFv[kParts][9], P[kParts][9], dP[kParts][9];
+    Native D[kParts][9] = {}, dD[kParts][9] = {};
     deformation_gradient<Group>(solid, g, moved.shape, x, dF);
+    if (d) {
+      deformation_gradient<Group>(solid, g, d, D);
+      deformation_gradient<Group>(solid, g, moved.shape, d, dD);
+    }
     if (p.damp_mu) {
       deformation_gradient<Group>(solid, g, moved.shape, frames.x_frame, dFn);
       deformation_gradient<Group>(solid, g, moved.shape, frames.x_velocity, dFv);
     }
     for (int part = 0; part < kParts; ++part) {
       const SampleLaw law = solid_law<Group, M>(solid, p, stage.sample(part), g, part);
-      std::copy(law.P, law.P + 9, P[part]);
-      multiply_upper(law.H, dF[part], dP[part]);
+      if (d) {
+        SolidJets<M> jets;
+        jets.fill(stage.sample(part), dF[part], D[part]);
+        const StressJets stress(jets, weights_at<Group, M>(solid, g, part, p.weights));
+        linearize(law, stress, dD[part], P[part], dP[part]);
+      } else {
+        std::copy(law.P, law.P + 9, P[part]);
+        multiply_upper(law.H, dF[part], dP[part]);
+      }
       if (!p.damp_mu) continue;
-      const Viscous v(Group{}, solid, p, frames.solid[at(g)], stage.F[part], g, part);
-      Native dT[9], other[9];
-      for (int i = 0; i < 9; ++i) dFv[part][i] = dF[part][i] - dFv[part][i];
+      Native end[9], dT[9], other[9];
+      for (int i = 0; i < 9; ++i) end[i] = stage.F[part][i] + D[part][i];
+      const Viscous v(Group{}, solid, p, frames.solid[at(g)], end, g, part);
+      for (int i = 0; i < 9; ++i) dFv[part][i] = dF[part][i] + dD[part][i] - dFv[part][i];
       v.stress_of(dFn[part], v.delta, dT);
       v.stress_of(v.Fn, dFv[part], other);
       add9(other, dT);
@@ -253,33 +343,48 @@ void solid_tangent(const SoftModel& model, const SoftParameters& p, const Dampin
   });
 }
 
+/// Adds (A dm) m^T to dA: how A m moves with the direction m.
+void add_turned(const Native A[9], const Native m[3], const Native dm[3], Native dA[9]) {
+  for (int i = 0; i < 3; ++i) {
+    const Native moving = A[3 * i] * dm[0] + A[3 * i + 1] * dm[1] + A[3 * i + 2] * dm[2];
+    for (int j = 0; j < 3; ++j) dA[3 * i + j] += moving * m[j];
+  }
+}
+
 template <typename Group>
 void fiber_tangent(const SoftModel& model, const SoftParameters& p, const double* x,
-                   const double* tables, double* vectors, ThreadPool& pool) {
+                   const double* d, const double* tables, double* vectors, ThreadPool& pool) {
   const ElementBlock& fiber = model.fiber;
   const double* direction = tables + model.fiber_tables_start();
   const TableLanes<Group> lanes(fiber, model.fiber_elements.data());
   for_groups(fiber, pool, [&](Index g) {
     const MovedShape<Group> moved(fiber, lanes, tables, g);
     Native F[kParts][9], dF[kParts][9], P[kParts][9], dP[kParts][9];
+    Native D[kParts][9] = {}, dD[kParts][9] = {};
     deformation_gradient<Group>(fiber, g, x, F);
     deformation_gradient<Group>(fiber, g, moved.shape, x, dF);
+    if (d) {
+      deformation_gradient<Group>(fiber, g, d, D);
+      deformation_gradient<Group>(fiber, g, moved.shape, d, dD);
+    }
     for (int part = 0; part < kParts; ++part) {
       const SampleLaw law = fiber_law<Group>(model, p, g, part, F[part]);
-      std::copy(law.P, law.P + 9, P[part]);
       Native m[3], dm[3], tension[3];
       for (int i = 0; i < 3; ++i) {
         m[i] = Group::part_value(fiber, g, part, model.fiber_directions.data(), 3, i);
         dm[i] = Group::part_value(fiber, g, part, direction, 3, i);
       }
-      // dP = H : (dF + (F dm) m^T) + (P m) dm^T
-      for (int i = 0; i < 3; ++i) {
-        const Native* row = F[part] + 3 * i;
-        const Native moving = row[0] * dm[0] + row[1] * dm[1] + row[2] * dm[2];
-        for (int j = 0; j < 3; ++j) dF[part][3 * i + j] += moving * m[j];
+      add_turned(F[part], m, dm, dF[part]);
+      if (d) {
+        add_turned(D[part], m, dm, dD[part]);
+        FiberJets jets;
+        jets.fill<Group>(model, p, g, part, F[part], dF[part], D[part]);
+        linearize(law, StressJets(jets), dD[part], P[part], dP[part]);
+      } else {
+        std::copy(law.P, law.P + 9, P[part]);
+        multiply_upper(law.H, dF[part], dP[part]);
       }
-      multiply_upper(law.H, dF[part], dP[part]);
-      along_fiber<Group>(model, g, part, law.P, tension);
+      along_fiber<Group>(model, g, part, P[part], tension);
       for (int i = 0; i < 9; ++i) dP[part][i] += tension[i / 3] * dm[i % 3];
     }
     moved.add_forces(fiber, g, P, dP, vectors + model.fiber_vectors_start);
@@ -289,27 +394,27 @@ void fiber_tangent(const SoftModel& model, const SoftParameters& p, const double
 }  // namespace
 
 void shape_adjoint(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
-                   const double* x, const double* z, const ParameterAdjoint& out,
+                   const double* x, const double* d, const double* z, const ParameterAdjoint& out,
                    ThreadPool& pool) {
-  adjoint_or_slopes(model, p, frames, x, z, out, pool);
+  adjoint_or_slopes(model, p, frames, x, d, z, out, pool);
 }
 
 void shape_slopes(const SoftModel& model, const SoftParameters& p, const double* x,
                   const ParameterAdjoint& out, ThreadPool& pool) {
-  adjoint_or_slopes(model, p, {}, x, nullptr, out, pool);
+  adjoint_or_slopes(model, p, {}, x, nullptr, nullptr, out, pool);
 }
 
 void add_shape_tangent(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
-                       const double* x, Index k, const ParameterDirections& d, double* vectors,
-                       ThreadPool& pool) {
-  if (!d.tables) return;
-  const double* tables = d.tables + k * model.tables_size();
+                       const double* x, const double* d, Index k,
+                       const ParameterDirections& directions, double* vectors, ThreadPool& pool) {
+  if (!directions.tables) return;
+  const double* tables = directions.tables + k * model.tables_size();
   with_types(model, [&](auto group, auto material) {
     using Group = decltype(group);
-    solid_tangent<Group, decltype(material)>(model, p, frames, x, tables, vectors, pool);
-    fiber_tangent<Group>(model, p, x, tables, vectors, pool);
+    solid_tangent<Group, decltype(material)>(model, p, frames, x, d, tables, vectors, pool);
+    fiber_tangent<Group>(model, p, x, d, tables, vectors, pool);
   });
-  hourglass::add_shape_tangent(model, p, frames, x, tables, vectors, pool);
+  hourglass::add_shape_tangent(model, p, frames, x, d, tables, vectors, pool);
 }
 
 }  // namespace diffsim

@@ -8,6 +8,8 @@
 // caller (diffsim/soft/elements.py). For isoparametric elements, db_a = -(grad dX)^T b_a and
 // dw = w tr(grad dX), so that both together are Eshelby's form,
 //   d/dX_a = w ((P : Z) I - F^T H - Z^T P) b_a.
+// A linearly implicit step (linear_step.h) has P(F) + dP/dF D instead, D = sum_a d_a b_a^T, and
+// damping at x + d: derivatives along D are added to those of x and z, and d has its own.
 // Fibers have their own P and H, and a direction m besides: d/dm = w (Z^T P + F^T H) m, |m| = 1.
 #pragma once
 
@@ -16,8 +18,9 @@
 namespace diffsim {
 
 /// z . d(gradient)/d(tables) and d(directions of fibers), damping included, overwritten.
+/// @param[in] d  (num_nodes, 3) the gradient is linearized at x along d; null: the one at x
 void shape_adjoint(const SoftModel& model, const SoftParameters& parameters,
-                   const DampingFrames& frames, const double* x, const double* z,
+                   const DampingFrames& frames, const double* x, const double* d, const double* z,
                    const ParameterAdjoint& out, ThreadPool& pool);
 
 /// dE/d(tables) and d(directions of fibers) of E, without damping, overwritten.
@@ -26,7 +29,8 @@ void shape_slopes(const SoftModel& model, const SoftParameters& parameters, cons
 
 /// Adds d(gradient)/d(tables) and d(directions of fibers) along direction k to a vectors buffer.
 void add_shape_tangent(const SoftModel& model, const SoftParameters& parameters,
-                       const DampingFrames& frames, const double* x, std::int64_t k,
-                       const ParameterDirections& directions, double* vectors, ThreadPool& pool);
+                       const DampingFrames& frames, const double* x, const double* d,
+                       std::int64_t k, const ParameterDirections& directions, double* vectors,
+                       ThreadPool& pool);
 
 }  // namespace diffsim

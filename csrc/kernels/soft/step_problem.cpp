@@ -155,7 +155,8 @@ void StepProblem::input_gradients(const Vector& x, const Vector& z, const Vector
   const Vector minus_z = quadratic_gradients(x, z, rest, out);
   parameter_adjoint(model, in_.parameters, x.data(), minus_z.data(), out.parameters,
                     memory_->elastic, pool_);
-  shape_adjoint(model, in_.parameters, frames_, x.data(), minus_z.data(), out.parameters, pool_);
+  shape_adjoint(model, in_.parameters, frames_, x.data(), nullptr, minus_z.data(), out.parameters,
+                pool_);
   pressure_adjoint(model, x.data(), minus_z.data(), out.parameters.pressure, pool_);
 }
 
@@ -167,6 +168,8 @@ void StepProblem::linear_input_gradients(const Vector& x, const Vector& z, const
   for (std::size_t i = 0; i < size_; ++i) d[i] -= in_.guess[i];
   linearized_adjoint(model, in_.parameters, in_.guess, d.data(), minus_z.data(), out.guess,
                      out.parameters, memory_->elastic, pool_);
+  shape_adjoint(model, in_.parameters, frames_, in_.guess, d.data(), minus_z.data(), out.parameters,
+                pool_);
   linearized_pressure_adjoint(model, in_.parameters.pressure, in_.guess, d.data(), minus_z.data(),
                               out.guess, out.parameters.pressure, pool_);
 }
@@ -200,7 +203,7 @@ void StepProblem::linear_load_tangents(const Vector& x, const StepDirections& di
   // Inertia, loads and damping are linear in x already: theirs are those of a step that ends in x.
   StepDirections linear = directions;
   ParameterDirections& rest = linear.parameters;
-  rest.weights = rest.fiber_stiffness = rest.activation = rest.pressure = nullptr;
+  rest.weights = rest.fiber_stiffness = rest.activation = rest.pressure = rest.tables = nullptr;
   load_tangents(x, linear, out);
   const SoftModel& model = system_.model();
   const Vector q(in_.guess, in_.guess + size_), still(size_, 0.0);
@@ -209,8 +212,8 @@ void StepProblem::linear_load_tangents(const Vector& x, const StepDirections& di
   for (std::int64_t k = 0; k < directions.count; ++k) {
     const std::size_t begin = at(k) * size_;
     const double* dq = directions.guess ? directions.guess + begin : still.data();
-    linearized_tangent(model, in_.parameters, q.data(), d.data(), dq, directions.parameters, k,
-                       force.data(), memory_->elastic, pool_);
+    linearized_tangent(model, in_.parameters, frames_, q.data(), d.data(), dq,
+                       directions.parameters, k, force.data(), memory_->elastic, pool_);
     linearized_pressure_adjoint(model, in_.parameters.pressure, q.data(), d.data(), dq,
                                 force.data(), nullptr, pool_);
     if (directions.parameters.pressure)

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.copter.dynamics.flight import Flight, fly
 from diffsim.copter.dynamics.flight_state import FlightState
-from diffsim.copter.vehicle.effects import FlightEffects
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
-from diffsim.core.check import require, require_number
+from diffsim.core.check import require_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,74 +106,6 @@ class PidController:
         lift = vehicle.mass * (force[:, None] @ rotation[..., 2:])[:, :, 0]  # along body z
         thrusts = torch.cat([lift, torque], dim=-1) @ self._mixer.T
         return torch.minimum(thrusts.clamp(min=0.0), vehicle.max_thrusts), integral
-
-
-def fly_pid(
-    vehicle: Multicopter,
-    start: FlightState,
-    targets: Tensor,
-    *,
-    controller: PidController,
-    dt: float,
-    yaw: Tensor | None = None,
-    effects: FlightEffects | None = None,
-    substeps: int = 1,
-) -> Flight:
-    """Fly under the PID controller, one control period after the other (in Python).
-
-    Args:
-        vehicle: What flies; the controller may believe in another one.
-        start: Leading axis (batch,).
-        targets: Positions, (batch or 1, steps, 3) [m].
-        controller: Controller made for ``vehicle``, or for another model of it.
-        dt: Control period [s].
-        yaw: (batch or 1, steps) [rad]; zero by default.
-        effects: See ``fly``; wind must be steady.
-        substeps: Integration steps per control period.
-
-    Returns:
-        As ``fly``.
-
-    Raises:
-        ValueError: bad arguments. FlightError: see ``fly``.
-    """
-    require("targets", targets, ("batch", "steps", 3))
-    if effects is not None and effects.wind is not None and effects.wind.dim() > 1:
-        raise ValueError("wind must be steady, (3,), under fly_pid, got a series")
-    batch, steps = max(start.position.shape[0], targets.shape[0]), targets.shape[1]
-    yaw = targets.new_zeros(1, steps) if yaw is None else require("yaw", yaw, ("batch", steps))
-    integral = targets.new_zeros(batch, 3)
-    state = _at(start, 0, batch)
-    flown: list[FlightState] = []
-    for step in range(steps):
-        target = targets[:, step].expand(batch, 3)
-        thrusts, integral = controller.thrusts(
-            state, target, yaw[:, step].expand(batch), integral, dt
-        )
-        once = fly(vehicle, state, thrusts[:, None], dt=dt, effects=effects, substeps=substeps)
-        flown += [_at(once.state, 0, batch)] if step == 0 else []
-        state = _at(once.state, 1, batch)
-        flown.append(state)
-    names = ("position", "quaternion", "velocity", "body_rates", "thrusts", "charge")
-    series = [torch.stack([getattr(s, name) for s in flown], dim=1) for name in names]
-    return Flight(FlightState(*series), dt * torch.arange(steps + 1, dtype=torch.float64))
-
-
-def _at(state: FlightState, time: int, batch: int) -> FlightState:
-    """The states of one time, or those without time for the whole batch."""
-    timed = state.position.dim() > 2
-
-    def pick(value: Tensor) -> Tensor:
-        return value[:, time] if timed else value.expand(batch, *value.shape[1:])
-
-    return FlightState(
-        pick(state.position),
-        pick(state.quaternion),
-        pick(state.velocity),
-        pick(state.body_rates),
-        None if state.thrusts is None else pick(state.thrusts),
-        None if state.charge is None else pick(state.charge),
-    )
 
 
 def _shorten(vector: Tensor, limit: float, scale: Tensor | None = None) -> Tensor:

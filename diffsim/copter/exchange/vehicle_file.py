@@ -117,19 +117,11 @@ def vehicle_from_text(
         axis = np.asarray(own_axis if rotor.axis is None else rotor.axis, dtype=np.float64)
         if not np.linalg.norm(axis) > 0.0:
             raise ValueError(f"{source}: rotors[{k}].axis: must not be zero")
-        places.append(turn @ (np.asarray(given, dtype=np.float64) - body.center_of_mass))
-        axes.append(turn @ axis / np.linalg.norm(axis))
-    vehicle = assembled(
-        body.mass,
-        turn @ body.inertia @ turn.T,
-        np.array(places),
-        np.array(axes),
-        [1.0 if r.spin == "cw" else -1.0 for r in said.rotors],
-        rotors,
-        source,
-    )
+        places.append(np.asarray(given, dtype=np.float64))
+        axes.append(axis / np.linalg.norm(axis))
+    spins = [1.0 if r.spin == "cw" else -1.0 for r in said.rotors]
     battery = None if said.battery is None else _battery(said.battery)
-    return FlyingVehicle(said.name or name, vehicle, rotors, battery, turn @ body.center_of_mass)
+    return assembled(body, turn, places, axes, spins, rotors, battery, said.name or name, source)
 
 
 def _rotor(facts: RotorFacts, name: str, cells: int) -> RotorModel:

@@ -99,17 +99,8 @@ def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
         raise ValueError(f"{path}: one rotor only; its radius is not known from distances")
     radius = usual_radius(np.array(places))
     rotors = tuple(_rotor(radius, *motor) for motor in motors)
-    vehicle = assembled(
-        body.mass,
-        FRD @ body.inertia @ FRD,
-        (np.array(places) - body.center_of_mass) @ FRD,
-        np.array(axes) @ FRD,
-        spins,
-        rotors,
-        str(path),
-    )
     name = ElementTree.parse(path).getroot().get("model") or path.stem
-    return FlyingVehicle(name, vehicle, rotors, None, FRD @ body.center_of_mass)
+    return assembled(body, FRD, places, axes, spins, rotors, None, name, str(path))
 
 
 def vehicle_of_urdf(path: Path) -> FlyingVehicle:

@@ -85,22 +85,14 @@ def vehicle_of_sdf(path: Path) -> FlyingVehicle:
             f"{path}: no rotor found: no plugin states motorConstant; write a vehicle file with "
             f"body_file: {path.name} and rotors with body: NAME, spin"
         )
-    places = np.array([body.places[m.link] for m in motors])
+    places = [body.places[m.link] for m in motors]
     if len(motors) == 1 and motors[0].radius is None:
         raise ValueError(f"{path}: one rotor only, of a link without a cylinder or box: no radius")
-    radius = 0.0 if len(motors) == 1 else usual_radius(places)
+    radius = 0.0 if len(motors) == 1 else usual_radius(np.array(places))
     rotors = tuple(_rotor(motor, radius) for motor in motors)
-    vehicle = assembled(
-        body.mass,
-        FRD @ body.inertia @ FRD,
-        (places - body.center_of_mass) @ FRD,
-        np.array([body.axes[m.link] for m in motors]) @ FRD,
-        [m.spin for m in motors],
-        rotors,
-        str(path),
-    )
+    axes, spins = [body.axes[m.link] for m in motors], [m.spin for m in motors]
     name = model.attributes.get("name") or path.stem
-    return FlyingVehicle(name, vehicle, rotors, None, FRD @ body.center_of_mass)
+    return assembled(body, FRD, places, axes, spins, rotors, None, name, str(path))
 
 
 def _model(path: Path) -> Node:

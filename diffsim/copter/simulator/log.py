@@ -114,7 +114,7 @@ class FlightLog:
         }
 
     def save(self, folder: str | Path, *, name: str = "flight") -> Path:
-        """Write ``name.csv`` (tidy, see ``diffsim.data.recording``; z up) and ``name.yaml``.
+        """Write ``name.csv`` (``MARKER_x_m``, ... a row each; z up) and ``name.yaml``.
 
         Returns:
             The folder.

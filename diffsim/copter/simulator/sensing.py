@@ -11,7 +11,6 @@ from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter.dynamics.flight_state import FlightState
-from diffsim.copter.dynamics.sensors import SensorNoise
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.check import require_number
 
@@ -22,6 +21,29 @@ Array = NDArray[np.float64]
 _DRIFT = 0.03
 _FLOOR = 1e-6  # standard deviations count as at least this in the filter [SI]
 _GRAVITY = np.array([0.0, 0.0, GRAVITY])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorNoise:
+    """White noise of every reading and constant biases of gyro and accelerometer.
+
+    Attributes:
+        gyro: Standard deviation of a reading [rad/s].
+        gyro_bias: Standard deviation of the bias, drawn once per vehicle and axis [rad/s].
+        accelerometer: Noise of the accelerometer, sd [m/s^2].
+        accelerometer_bias: Bias of the accelerometer, sd [m/s^2].
+        position: Noise of the position, sd [m].
+    """
+
+    gyro: float = 0.003
+    gyro_bias: float = 0.005
+    accelerometer: float = 0.05
+    accelerometer_bias: float = 0.05
+    position: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            require_number(name, value, at_least=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,9 +51,6 @@ class Patch:
     radius: float = 0.0
     slides: tuple[Slide, ...] = ()
     slides_by_default: bool = False
-
-
-Patches = Mapping[str, Patch]
 
 
 def aligning_rotation(

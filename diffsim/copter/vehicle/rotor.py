@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter._shipped import read_shipped, shipped
-from diffsim.copter.vehicle.effects import MotorLag, ThrustCurve
+from diffsim.copter.vehicle.effects import MotorLag
 from diffsim.core.checked import checked
 from diffsim.core.values import amounts, scalar
 from diffsim.core.yaml_text import load_yaml
@@ -190,19 +190,6 @@ def motor_lag(rotors: Sequence[RotorModel]) -> MotorLag:
     if unknown:
         raise ValueError(f"time_constant of {unknown[0]} is unknown; replace it by yours")
     return MotorLag(time_constants=torch.stack([_tensor(r.time_constant) for r in rotors]))
-
-
-def thrust_curve(rotors: Sequence[RotorModel], reference_thrusts: Tensor) -> ThrustCurve:
-    """What a controller gets that assumes thrust ~ speed^2, right at one thrust per rotor.
-
-    Offsets of thrust are left out.
-
-    Args:
-        rotors: One model per rotor.
-        reference_thrusts: Thrusts at which the controller's coefficient fits, (n_rotors,) [N].
-    """
-    exponents = torch.stack([0.5 * _tensor(r.thrust_exponent) for r in rotors])
-    return ThrustCurve(exponents=exponents, reference_thrusts=reference_thrusts)
 
 
 def _tensor(value: Any) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,23 +83,27 @@ def usual_radius(places: Array) -> float:
 
 
 def assembled(
-    mass: float,
-    inertia: Array,
-    places: Array,
-    axes: Array,
-    spins: list[float],
+    body: Body,
+    turn: Array,
+    places: Sequence[Array],
+    axes: Sequence[Array],
+    spins: Sequence[float],
     rotors: tuple[RotorModel, ...],
+    battery: Battery | None,
+    name: str,
     source: str,
-) -> Multicopter:
-    """The record that the layers take.
+) -> FlyingVehicle:
+    """The record that the layers take, of a body and its rotors in the file's frame.
 
     Args:
-        mass: Mass [kg].
-        inertia: About the center of mass, forward, right, down, (3, 3) [kg m^2].
-        places: Rotors relative to the center of mass, (n_rotors, 3) [m].
-        axes: Directions of thrust, (n_rotors, 3).
+        body: Mass properties.
+        turn: From the file's frame to forward, right, down, (3, 3).
+        places: Of the rotors, (3,) each [m].
+        axes: Directions of thrust, (3,) each.
         spins: +1 clockwise seen against the thrust, else -1.
         rotors: Their models.
+        battery: None: not said.
+        name: What logs and pictures call it.
         source: What messages call the file.
 
     Raises:
@@ -114,15 +119,17 @@ def assembled(
                 f"{source}: the torque of {rotor.name} was not measured; give radius, max_thrust "
                 "and torque_ratio in place of model"
             )
-    reach = float(np.max(np.linalg.norm(places, axis=1) + [float(r.radius) for r in rotors]))
-    if mistake := size_mistake(mass, inertia, reach):
+    inertia = turn @ body.inertia @ turn.T
+    positions = (np.array(places) - body.center_of_mass) @ turn.T
+    reach = float(np.max(np.linalg.norm(positions, axis=1) + [float(r.radius) for r in rotors]))
+    if mistake := size_mistake(body.mass, inertia, reach):
         raise ValueError(f"{source}: {mistake}")
     try:
-        return Multicopter(
-            mass=torch.tensor(float(mass), dtype=torch.float64),
+        vehicle = Multicopter(
+            mass=torch.tensor(float(body.mass), dtype=torch.float64),
             inertia=torch.as_tensor(inertia, dtype=torch.float64),
-            positions=torch.as_tensor(places, dtype=torch.float64),
-            directions=torch.as_tensor(axes, dtype=torch.float64),
+            positions=torch.as_tensor(positions, dtype=torch.float64),
+            directions=torch.as_tensor(np.array(axes) @ turn.T, dtype=torch.float64),
             spins=torch.tensor(spins, dtype=torch.float64),
             torque_ratios=numbers("torque_ratio"),
             max_thrusts=numbers("max_thrust"),
@@ -131,6 +138,7 @@ def assembled(
         )
     except ValueError as error:
         raise ValueError(f"{source}: {error}") from error
+    return FlyingVehicle(name, vehicle, rotors, battery, turn @ body.center_of_mass)
 
 
 def own_rotor(

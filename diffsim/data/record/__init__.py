@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from diffsim.core.memo import Memo
 from diffsim.core.progress import say_stage
-from diffsim.data.record.clocks import find_drift, find_gaps, find_unstamped
+from diffsim.data.record.clocks import find_drift, find_gaps, find_stamps, find_unstamped
 from diffsim.data.record.columns import (
     find_copies,
     find_laws,
@@ -26,11 +26,13 @@ from diffsim.data.record.shapes import (
     find_lasting,
     find_lines,
     find_misread,
+    find_repeats,
 )
 from diffsim.data.record.signals import Record
 from diffsim.data.study import Study
 
 RULES: tuple[RecordRule, ...] = (
+    RecordRule("stamps", "stamps that cannot be right", "stamps, duplicates", find_stamps),
     RecordRule("signs", "words whose sign is a bit, or was not read", "decode", find_signs),
     RecordRule("wraps", "counts and angles that wrap", "decode: {wrap}", find_wraps),
     RecordRule("codes", "numbers for nothing measured", "decode: {missing}", find_codes),
@@ -43,6 +45,7 @@ RULES: tuple[RecordRule, ...] = (
     RecordRule("drift", "clocks of two files that run apart", "stamps: {drift}", find_drift),
     RecordRule("copies", "columns that are copies of others", "column", find_copies),
     RecordRule("laws", "columns that a controller computed", "channels", find_laws),
+    RecordRule("repeats", "readings that are repeated", "decode: {repeats}", find_repeats),
     RecordRule("lines", "rows between those that were measured", "every", find_lines),
     RecordRule("folded", "sizes without their sign", "decode: {folded}", find_folded),
     RecordRule("frozen", "a channel that stands still for a while", "missing_if", find_frozen),
@@ -54,6 +57,7 @@ RULES: tuple[RecordRule, ...] = (
 """All rules, those first that explain what later ones would see, too."""
 
 _EXPLAINS = {
+    "stamps": ("gaps", "unstamped", "drift", "lines", "lasting", "misread", "frozen", "jumps"),
     "signs": (
         "wraps",
         "far",
@@ -74,6 +78,7 @@ _EXPLAINS = {
     "unstamped": ("lasting", "misread"),
     "copies": ("laws", "units", "lines", "flat", "folded", "misread", "frozen"),
     "lines": ("laws", "misread", "frozen"),
+    "repeats": ("laws", "misread", "frozen", "flat"),
     "laws": ("misread",),
 }
 """Rules that are silent on a channel or run of which another rule has spoken."""

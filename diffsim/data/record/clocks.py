@@ -16,6 +16,7 @@ from diffsim.data.study import Run
 
 Array = NDArray[np.float64]
 GAP = 1.5  # usual steps
+NEVER = 1e7  # usual steps: no run pauses that long
 LEAST_MOVED = 0.1  # of a command's range, in a gap
 TIMELESS = ("bench",)  # systems without a state
 HOUR = 3600.0  # s
@@ -26,6 +27,12 @@ EARLY = 4  # samples by which a command may seem late
 MOST_PAIRS = 6  # of commands and channels of a run
 LEAST_DRIFT = 20.0  # parts per million
 BETTER = 0.7  # share of the squares that are left with a drift
+
+
+def find_stamps(record: Record) -> Iterator[Finding]:
+    """Stamps that are missing, equal or go back: rows with them were not read."""
+    for run, says in record.study.stamps:
+        yield Finding("stamps", f"run {run}", says, "", True)
 
 
 def find_gaps(record: Record) -> Iterator[Finding]:
@@ -78,6 +85,8 @@ def _was_set(record: Record, run: Run, k: int, usual: float) -> bool:
     step = float(run.time_s[k + 1] - run.time_s[k])
     if step < JUMP * usual:
         return False
+    if step > NEVER * usual:
+        return True
     hours = (step - usual) / HOUR
     if round(hours) >= 1 and abs(hours - round(hours)) * HOUR < 2.0 * usual:
         return True

@@ -25,9 +25,12 @@ PLACES = ("m", "rad", "-", None, "K", "Pa")  # SI units of what cannot jump and 
 SMALL = 0.1  # of the range of a command: a goal so near is none
 HELD = 0.8  # share of rows in which a command of goals keeps its value
 REACTION = 5  # rows after which a channel moves to a new goal, at most
+NOISY = 0.1  # of its samples equal the one before, at most, where noise makes them differ
 FROZEN = 6  # samples of which a stop can be told
 CHANCE = 1e-8  # of so long a stop where neighbors differ
 MAX_RATE = 20  # rows on one line
+MOST_NEW = 0.7  # of the rows of a slow sensor have new readings
+EVEN = 0.95  # of its new readings come after as many rows as usual
 LOOK = 4000  # samples that show first that they lie on none
 
 
@@ -306,6 +309,15 @@ def find_frozen(record: Record) -> Iterator[Finding]:
     """A channel that stands still, exactly, while others move."""
     for signal in record.channels:
         for samples in signal.runs:
+            if _is_stuck(signal, samples):
+                yield Finding(
+                    "frozen",
+                    f"run {samples.run}",
+                    f"channel {signal.name} shows {samples.low:.6g} in all {len(samples)} samples, "
+                    "where its readings differ from row to row in other runs: it was stuck",
+                    f"`columns: {{{signal.name}: null}}` in run {samples.run} leaves it out",
+                    True,
+                )
             if (found := _longest_stop(samples)) is None:
                 continue
             first, last = found
@@ -330,6 +342,13 @@ def find_frozen(record: Record) -> Iterator[Finding]:
                 "them out",
                 True,
             )
+
+
+def _is_stuck(signal: Signal, samples: Samples) -> bool:
+    """Whether a channel never changes in a run, and nearly always in others."""
+    others = [s for s in signal.runs if s.range > 0.0 and len(s) >= FEW]
+    is_still = len(samples) >= FEW and not samples.range > 0.0
+    return is_still and bool(others) and all(s.shares_equal < NOISY for s in others)
 
 
 def _are_rests(command: Signal, stretches: Sequence[tuple[Samples, int, int]]) -> bool:
@@ -389,6 +408,8 @@ def find_lines(record: Record) -> Iterator[Finding]:
     """Rows on straight lines between others, or equal to the one before: a higher rate."""
     found: dict[tuple[str, int], list[str]] = {}
     for signal in record.channels:
+        if any(_repeats_of(record, samples) for samples in signal.runs):
+            continue  # of a sensor that is slower than others
         rates = [r for r in (_rate_of(s) for s in signal.runs) if r is not None]
         moving = [s for s in signal.runs if len(s) >= 4 * FEW and s.range > 0.0]
         if rates and len(rates) >= 0.6 * len(moving) and len(set(rates)) == 1:
@@ -403,6 +424,41 @@ def find_lines(record: Record) -> Iterator[Finding]:
             f"`defaults: {{every: {n}}}` uses those alone",
             how == "line",
         )
+
+
+def find_repeats(record: Record) -> Iterator[Finding]:
+    """A slow sensor beside quick ones: its readings are repeated under stamps that are not its."""
+    for signal in record.channels:
+        found = [_repeats_of(record, s) for s in signal.runs if len(s) >= 4 * FEW and s.range > 0.0]
+        rates = [rate for rate in found if rate is not None]
+        if rates and len(rates) >= 0.6 * len(found):
+            yield Finding(
+                "repeats",
+                signal.where,
+                f"its readings are new in one of {float(np.median(rates)):.3g} rows, and repeated "
+                "in between, while others change from row to row: one stamp for several sensors",
+                f"`decode: {{repeats: drop}}` in {signal.where} keeps the first of each",
+                True,
+            )
+
+
+def _repeats_of(record: Record, samples: Samples) -> float | None:
+    """Rows from one new reading to the next, where these come as evenly as rows allow while another
+    signal moves from row to row; None: they do not."""
+    new = np.flatnonzero(samples.changes != 0.0)
+    if len(new) < FEW or len(new) > MOST_NEW * len(samples):
+        return None
+    gaps = np.diff(new)
+    usual = gaps[np.abs(gaps - np.median(gaps)) <= 1.0]
+    rate = float(usual.mean())
+    is_even = np.mean((gaps == np.floor(rate)) | (gaps == np.ceil(rate))) > EVEN
+    # an encoder that turns evenly goes on by one count each time
+    leaps = np.median(np.abs(samples.changes[new])) > 3.0 * samples.digit
+    if rate > MAX_RATE or not is_even or not leaps:
+        return None
+    others = (o for s in record.signals if (o := s.of_run(samples.run)) is not None)
+    is_alone = not any(o.range > 0.0 and o.shares_equal < 1.0 - MOST_NEW for o in others)
+    return None if is_alone else rate
 
 
 def _rate_of(samples: Samples) -> tuple[str, int] | None:

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.core.units import to_si
 from diffsim.data.signal import scatter
 from diffsim.data.steps import step_of
 from diffsim.data.study import Channel, Command, Run, Study
@@ -295,8 +294,3 @@ def _scale(pairs: Sequence[tuple[Array, Array]]) -> float | None:
         off = y - y[low] - slope * (x - x[low])
         return slope if np.abs(off).max() <= 1e-6 * np.ptp(y) else None
     return None
-
-
-def unit_of(signal: Signal) -> str:
-    """Unit of a signal's column in SI words, for messages; "" where there is none."""
-    return "" if signal.unit in (None, "-") else f" {to_si(str(signal.unit)).unit}"

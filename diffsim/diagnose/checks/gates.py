@@ -10,7 +10,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import combinations, groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,9 +140,10 @@ def _parts(rows: Sequence[int]) -> Iterator[list[int]]:
 
 def cut_in_two(study: Study) -> list[tuple[Run, Run]]:
     """Pairs of runs of different uses of which the second goes on where the first ends."""
+    uses = study.fit_runs, study.select_runs, study.test_runs
     return [
         (first, second)
-        for ours, theirs in _uses(study)
+        for ours, theirs in combinations(uses, 2)
         for pair in (*_on_one_clock(ours, theirs), *_on_one_clock(theirs, ours))
         for first, second in [pair]
         if not _are_blocks_of_one(first, second) and _goes_on(first, second)
@@ -158,13 +159,6 @@ def _on_one_clock(first: Sequence[Run], second: Sequence[Run]) -> list[tuple[Run
     end = np.array([run.time_s[-1] for run in first])[:, None]
     gap = np.array([run.time_s[0] for run in second]) - end
     return [(first[i], second[k]) for i, k in np.argwhere(np.round(gap / step) == 1.0)]
-
-
-def _uses(study: Study) -> Iterator[tuple[Sequence[Run], Sequence[Run]]]:
-    """Runs of one use and of another."""
-    yield study.fit_runs, study.select_runs
-    yield study.fit_runs, study.test_runs
-    yield study.select_runs, study.test_runs
 
 
 def _are_blocks_of_one(a: Run, b: Run) -> bool:

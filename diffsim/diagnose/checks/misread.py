@@ -58,6 +58,3 @@ def choose_commands(
         return run, 0
     as_recorded, without = (float(np.nansum((left(r) / sd) ** 2)) for r in (run, mended))
     return (run, 0) if as_recorded < without else (mended, count)
-
-
-__all__ = ["choose_commands", "without_misread"]

@@ -52,6 +52,11 @@ class ArWhitener:
         """(num_valid, num_samples * num_channels), sparse; made once per run."""
         return self._made(run, lambda: self._make(run))
 
+    def is_like(self, other: ArWhitener) -> bool:
+        """Whether another one whitens alike, to the digits that a file keeps."""
+        pairs = zip((self.sd, *self.coefficients), (other.sd, *other.coefficients), strict=True)
+        return all(len(a) == len(b) and np.allclose(a, b, rtol=1e-9) for a, b in pairs)
+
     def _make(self, run: Run) -> sparse.csr_array:
         num_samples, num_channels = run.measured.shape
         rows, cols, values, count = [], [], [], 0

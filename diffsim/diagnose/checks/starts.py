@@ -157,6 +157,3 @@ def _is_number(start: object) -> bool:
     except (ValueError, IndexError):
         return False
     return True
-
-
-__all__ = ["start_problems"]

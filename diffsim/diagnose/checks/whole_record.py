@@ -177,6 +177,3 @@ def _ways(study: Study, runs: Sequence[Run]) -> Iterator[_Way]:
                 scale,
                 (name,),
             )
-
-
-__all__ = ["column_problems", "model_problems"]

@@ -364,6 +364,3 @@ def learned_tails(found: Iterable[tuple[Rows, Fit]], before: Tails) -> Tails:
     narrow = np.sqrt(np.maximum((total + USUAL * of_all) / (count + USUAL), FLOOR**2))
     share = (MISSED + missed) / (MISSED + TAKEN + missed + count.sum())
     return Tails(narrow, before.wide, float(share))
-
-
-__all__ = ["Fit", "Rows", "Tails", "learned_tails", "row_price", "rows_at"]

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from diffsim.core.check import LARGEST
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.averaging import Widening
 from diffsim.diagnose.judge.gain import MIN_BLOCKS
@@ -98,7 +99,9 @@ def base_rows(
         run = p.name.partition("@")[2] or None
         if run is not None and run not in names:
             continue
-        factor = wider.factors.get(p.name, wider.usual if run is None else 1.0)
+        # parts agree on what none of them tells: the prior is all that is known of it
+        borrowed = wider.usual if run is None and p.name not in fit.undetermined else 1.0
+        factor = wider.factors.get(p.name, borrowed)
         x, spread = (wrong or {}).get(p.name, (float(fit.x[i]), float(sd[i])))
         row = _base_row(p, x, spread * factor, run, limit)
         if moved[i] and p.name not in (wrong or {}):
@@ -141,7 +144,8 @@ def _without_wrong(fit: Fit, limit: float) -> tuple[Array, Array]:
 
 def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) -> BaseRow:
     def at(q: float) -> float:
-        return float(p.value_at(torch.tensor(q, dtype=torch.float64)))
+        value = float(p.value_at(torch.tensor(q, dtype=torch.float64)))
+        return min(value, LARGEST)  # files have no infinity
 
     scale = at(x) * p.sd if p.log else p.sd
     return BaseRow(

@@ -90,7 +90,7 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
     saved = without_values_of(saved, [run.name for run in runs])
     bare = without_each(saved, effects_of(saved, inputs.setup.effects))
     models = [rebuilt(s, inputs.setup) for s in (without_effects(saved), saved, *bare.values())]
-    noise = _noise_of(saved, study)
+    noise = noise_of(saved, study)
     spans = {
         what: Span(**{**s, "labels": tuple(s["labels"])}) for what, s in facts["range"].items()
     }
@@ -184,8 +184,12 @@ def _require_new(run: Run, seen: Mapping[str, Mapping[str, Any]]) -> None:
         )
 
 
-def _noise_of(saved: SavedModel, study: Study) -> ArWhitener:
-    """The noise floor under which the model was fitted.
+def noise_of(saved: SavedModel, study: Study) -> ArWhitener:
+    """The noise floor under which a saved model was fitted.
+
+    Args:
+        saved: Content of the model's file.
+        study: Study whose channels are asked for.
 
     Raises:
         ValueError: the file knows no noise of a channel of the study.

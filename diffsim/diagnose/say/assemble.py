@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
+from diffsim.data.shown import resolution_words
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
@@ -54,7 +55,7 @@ from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.next_run import next_run
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows, set_names
-from diffsim.diagnose.say.wording import BeforeTest, resolution_words, sentences
+from diffsim.diagnose.say.wording import BeforeTest, sentences
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Screen
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.fitted_sets import Search

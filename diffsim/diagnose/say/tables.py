@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.averaging import MODEL_FORM
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
-from diffsim.diagnose.search.evidence import Hypothesis, Screen, SetPosterior
+from diffsim.diagnose.search.evidence import VISIBLE, Hypothesis, Screen, SetPosterior
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates
@@ -21,6 +22,25 @@ from diffsim.identify.unknown import Unknown
 Array = NDArray[np.float64]
 BLIND = 3.0  # smallest visible size over the typical one
 TWINS = 0.995  # confounding from which two effects are the same to these data
+FIRST_LOOK = "first look"  # stage of a diagnosis that says what stands out before any set is fitted
+FIRST_NAMES = 3  # causes that it says
+
+
+def first_look(screened: Screen, effects: Sequence[Effect], chi2: float) -> str:
+    """What stands out at the plain fit, before any set of causes is fitted, in a sentence.
+
+    Args:
+        screened: Scores of all candidates there.
+        effects: The candidates.
+        chi2: Misfit of the plain fit.
+    """
+    share = screened.block_z**2 / chi2
+    first = [i for i in np.argsort(-share, kind="stable") if screened.block_z[i] >= VISIBLE]
+    said = [f"{words_of(effects[i].name)} {share[i]:.0%}" for i in first[:FIRST_NAMES]]
+    found = "no cause alone stands out of the noise"
+    if said:
+        found = f"each alone would take of the misfit: {', '.join(said)}"
+    return f"A first look by slopes, no answer yet: {found}."
 
 
 @dataclass(frozen=True)

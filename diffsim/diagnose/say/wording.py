@@ -9,9 +9,6 @@ from types import MappingProxyType
 import numpy as np
 
 from diffsim.core.units import after_number
-from diffsim.data.shown import shown_step
-from diffsim.data.steps import step_of
-from diffsim.data.study import Study
 from diffsim.diagnose.checks.gates import (
     COARSE,
     CUTS,
@@ -55,7 +52,6 @@ VERDICTS = (
     "unrepeatable",
     "numerical",
 )
-MAX_SIZES = 3  # sizes of a cause in a sentence; the page lists all
 MOST_LISTED = 3  # sizes, rival sets or names in a sentence; the page lists all
 
 
@@ -354,12 +350,6 @@ def _join_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def _say_left(answer: Answer) -> str:
-    """What the fit leaves, and what it would leave with something unknown beside."""
-    beside = (f", {left:.2g} with an {name} beside" for name, left in answer.with_unknown.items())
-    return f"{answer.left:.2g} times the noise{''.join(beside)}"
-
-
 def _data_sheets(answer: Answer) -> list[str]:
     """One sentence per base parameter far off its data sheet."""
     out = []
@@ -380,7 +370,8 @@ def _rest(answer: Answer) -> list[str]:
     """What the names leave open."""
     decision, out = answer.decision, []
     if answer.verdict in ("ambiguous", "named", "unknown"):
-        out.append(f"The fit leaves {_say_left(answer)}.")
+        beside = [f", {v:.2g} with an {name} beside" for name, v in answer.with_unknown.items()]
+        out.append(f"The fit leaves {answer.left:.2g} times the noise{''.join(beside)}.")
     open_ = [r for r in effects_of(answer) if r.status not in (CERTAIN, LIKELY) and r.rivals]
     if answer.verdict == "named" and answer.rivals and open_:
         shared = set.intersection(*map(set, answer.rivals))
@@ -425,23 +416,6 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
     shown = " or ".join(" with ".join(names) or nothing for names in words)
     more = len(rivals) - MOST_LISTED
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
-
-
-def resolution_words(study: Study) -> str:
-    """How fine the record is, which is said where a delay is named.
-
-    Args:
-        study: Study whose fitted runs are asked.
-    """
-    runs = study.fit_runs
-    row_s = float(np.median(np.concatenate([np.diff(run.time_s) for run in runs])))
-    steps = []
-    for channel, values in zip(
-        study.channels, np.concatenate([r.measured for r in runs]).T, strict=True
-    ):
-        if (step := step_of(values)) is not None and step > (channel.sd or 0.0):
-            steps.append(f", one step of {channel.name} {shown_step(channel, step)}")
-    return f"One row of the record is {1e3 * row_s:.3g} ms{''.join(steps[:MOST_LISTED])}."
 
 
 def _sizes(rows: Sequence[CauseRow]) -> str:

@@ -7,7 +7,7 @@ typical one, all else refitted linearly; the best is linearized and serves as a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise, product
 
@@ -316,7 +316,3 @@ def costs_of(
         x = np.where(is_size, coordinate_of(v), v)
         costs[k] = left @ left + x @ x + sizes[k] @ sizes[k]
     return costs
-
-
-Scans = Mapping[tuple[Members, Members], Scan]
-"""By members of the center and group."""

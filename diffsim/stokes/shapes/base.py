@@ -21,26 +21,9 @@ from diffsim.core.check import LARGEST, require, require_choice, require_number,
 from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.numbers import anywhere, values_of
-from diffsim.core.values import Number, scalar
 
 LevelSet = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor
-
-__all__ = [
-    "Combination",
-    "Complement",
-    "Custom",
-    "Intersection",
-    "LevelSet",
-    "Number",
-    "Shape",
-    "Union",
-    "Vector",
-    "as_shape",
-    "outwards",
-    "scalar",
-    "vector",
-]
 
 
 class Shape(Float64Module):

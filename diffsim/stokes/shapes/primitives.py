@@ -6,8 +6,9 @@ from torch import Tensor
 
 from diffsim.core.check import require_range
 from diffsim.core.numbers import anywhere
+from diffsim.core.values import Number, scalar
 from diffsim.mesh import primitive
-from diffsim.stokes.shapes.base import Number, Shape, Vector, outwards, scalar, vector
+from diffsim.stokes.shapes.base import Shape, Vector, outwards, vector
 
 
 class Plane(Shape):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.stokes.shapes.base import Combination, LevelSet, Number, scalar
+from diffsim.core.values import Number, scalar
+from diffsim.stokes.shapes.base import Combination, LevelSet
 
 
 class SmoothUnion(Combination):

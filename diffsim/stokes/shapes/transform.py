@@ -9,7 +9,8 @@ from torch import Tensor
 from diffsim.core.check import require_choice
 from diffsim.core.layer import is_followed
 from diffsim.core.numbers import anywhere
-from diffsim.stokes.shapes.base import LevelSet, Number, Shape, Vector, as_shape, scalar, vector
+from diffsim.core.values import Number, scalar
+from diffsim.stokes.shapes.base import LevelSet, Shape, Vector, as_shape, vector
 
 _AXES = ("x", "y", "z")
 

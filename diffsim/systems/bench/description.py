@@ -142,6 +142,3 @@ def _shift_run(
         return scene
     zero = size[..., places[run.name], None, None]
     return scene.with_reading((channel,), lambda y, grid: y + zero)
-
-
-__all__ = ["BenchDescription"]

@@ -282,6 +282,3 @@ class Manifold:
             )
 
         return SimModel(build, parameters.base, name="stokes device")
-
-
-__all__ = ["Manifold", "StokesScene"]

@@ -129,6 +129,3 @@ class PlaneNetwork:
             )
 
         return SimModel(build, parameters.base, name="channel network")
-
-
-__all__ = ["PlaneNetwork"]

@@ -189,15 +189,3 @@ def numbered(count: int, before: str = "", start: int = 1) -> dict[str, str]:
         start: What the first one is counted as.
     """
     return {str(i): f"{before}{i}" for i in range(start, start + count)}
-
-
-__all__ = [
-    "Parts",
-    "Samples",
-    "SteadyScene",
-    "counted",
-    "drive_commands",
-    "meter_gains",
-    "numbered",
-    "plant_of",
-]

@@ -2,7 +2,7 @@
 
 from diffsim.systems.multicopter.causes import copter_plant
 from diffsim.systems.multicopter.extended import ExtendedCopter
-from diffsim.systems.multicopter.model import CopterModel, flight_model, flight_nuisances
+from diffsim.systems.multicopter.model import CopterModel
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.unknown import unknown_wrench
 
@@ -11,7 +11,5 @@ __all__ = [
     "CopterScene",
     "ExtendedCopter",
     "copter_plant",
-    "flight_model",
-    "flight_nuisances",
     "unknown_wrench",
 ]

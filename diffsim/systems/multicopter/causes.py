@@ -226,6 +226,3 @@ def _apply_there(
 ) -> Any:
     is_there = all(run.setup.get(fact) == value for fact, value in facts.items())
     return inner(scene, size, run) if is_there else scene
-
-
-__all__ = ["FUNCTIONS", "SYSTEM", "acting_in", "copter_plant", "plant_of"]

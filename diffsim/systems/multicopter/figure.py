@@ -84,6 +84,3 @@ def _build_stand_in(fleet: Fleet) -> tuple[Array, NDArray[np.int64]]:
         fan = np.stack([np.full(_SIDES - 2, disc[0]), disc[1:-1], disc[2:]], 1)
         triangles += [first + np.array([[0, 1, 2], [0, 2, 3]]), fan]
     return np.concatenate(nodes), np.concatenate(triangles)
-
-
-__all__ = ["figure_of"]

@@ -48,5 +48,3 @@ PATHS: Mapping[str, Path] = MappingProxyType(
     }
 )
 """Six that tell causes apart."""
-
-__all__ = ["PATHS", "Path", "path", "rise"]

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes.readings import PLAY_START, with_play_start
-from diffsim.causes.scene import Commands
+from diffsim.causes.readings import with_play_start
+from diffsim.causes.scene import PLAY_START, Commands
 from diffsim.causes.signals import Grid, delayed, held_delayed
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run, Study

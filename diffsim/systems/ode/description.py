@@ -23,6 +23,7 @@ from diffsim.systems.ode.keys import (
     Events,
     Formula,
     FormulaKeys,
+    Input,
     Inputs,
     Place,
     States,
@@ -37,8 +38,15 @@ from diffsim.systems.ode.names import RESTS, Reader, longest, rests_of, where_of
 from diffsim.systems.ode.reading import HELD, LONGEST, read_system
 from diffsim.systems.ode.refresh_effects import REFRESH, refresh_periods
 from diffsim.systems.ode.repeat import MOST_REPEATS, write_out
+from diffsim.systems.ode.thinning import INTERVAL, interval_of, simulated
 from diffsim.systems.ode.unknown import unknown_forces
 from diffsim.systems.quantities import Time
+
+MOST_ROWS = 40_000  # a first answer's budget is 200 simulations of them
+SLOW = (
+    "{} rows are simulated one by one, as commands move from row to row: use a window or each n-th "
+    "(until_s, every) to save time"
+)
 
 
 class OdeDescription(FormulaKeys):
@@ -83,6 +91,12 @@ class OdeDescription(FormulaKeys):
         description="Longest step of the integrator [s]; none: the sample interval, "
         "divided until the equations are stable",
     )
+    most_rows: int = Field(
+        MOST_ROWS,
+        ge=1000,
+        description="Rows of all runs to fit and to select by that are simulated: of more, only "
+        "each n-th, jumps of commands and what moves fast, in test runs too; the page says so",
+    )
     slow_time: AnyQuantity | None = Field(
         None, description="Time in which slow shares of inputs and forces come; none: fitted"
     )
@@ -101,40 +115,47 @@ class OdeDescription(FormulaKeys):
         """Mistakes in names, formulas and units, found without a simulation."""
         if self.function is not None:
             return [Problem("warning", f"{where_of(study)}.function", self._say_not_run())]
+        inputs, study = simulated(self.inputs, study, interval_of(study, self.most_rows))
         reader = Reader(study)
-        self._read_model(study, reader)
+        self._read_model(inputs, study, reader)
+        kept = sum(len(run.time_s) for run in study.runs if run.use != "test")
+        if kept > 2 * self.most_rows:
+            reader.problems.append(Problem("warning", "study", SLOW.format(kept)))
         return sorted(reader.problems, key=lambda p: p.severity == "note")
 
     def _say_not_run(self) -> str:
         file = str(self.function).partition(":")[0]
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
-    def _read_model(self, study: Study, reader: Reader) -> FormulaSystem:
-        return read_system(self, self.inputs, DescribedMotion.of(self), study, reader)
+    def _read_model(self, inputs: tuple[Input, ...], study: Study, reader: Reader) -> FormulaSystem:
+        return read_system(self, inputs, DescribedMotion.of(self), study, reader)
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         if self.function is not None:
             raise ValueError(f"{where_of(study)}.function: {self._say_not_run()}")
-        reader = Reader(study)
-        read = self._read_model(study, reader)
+        periods = refresh_periods(study, self.effects.only)
+        interval = interval_of(study, self.most_rows)
+        inputs, used = simulated(self.inputs, study, interval)
+        reader = Reader(used)
+        read = self._read_model(inputs, used, reader)
         reader.finish()
         library = library_of(read)
         model = library.model
-        periods = refresh_periods(study, self.effects.only)
         model.frame = {
-            LABELS: labels_of_blocks((*self.effects.formulas, *self.laws), study),
+            LABELS: labels_of_blocks((*self.effects.formulas, *self.laws), used),
             HELD: dict(read.held),
             PARTS: read.parts,
-            LONGEST: study.frame.get(LONGEST) or longest(study.runs),
+            LONGEST: study.frame.get(LONGEST) or longest(used.runs),
             SCALES: library.scales.saved(),
-            RESTS: rests_of(study, self.rest),
+            RESTS: rests_of(used, self.rest),
             REFRESH: periods,
+            INTERVAL: interval,
         }
         found = ode_effects(library, periods)
         return DiagnosisSetup(
             model,
-            chosen_effects(found, self.effects, study, plant_of(library)),
+            chosen_effects(found, self.effects, used, plant_of(library)),
             unknown_forces(library),
             settings=settings_with(DiagnosisSettings(), self.effort),
             laws=OdeLaws(
@@ -144,7 +165,5 @@ class OdeDescription(FormulaKeys):
                 whole=library.study,
                 make=self.setup,
             ),
+            study=None if used is study else used,
         )
-
-
-__all__ = ["OdeDescription"]

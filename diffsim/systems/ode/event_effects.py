@@ -269,6 +269,3 @@ def _apply_curve(
     left = place.floor().long().clamp(max=size.shape[-1] - 2)
     share = place - left
     return add(scene, size[..., left] * (1.0 - share) + size[..., left + 1] * share)
-
-
-__all__ = ["event_effects", "knots_of", "runs_of", "timings"]

@@ -249,16 +249,3 @@ def away_from_center(network: Network, pose: tuple[Channel, Channel, Channel], n
         }
     )
     return by_formulas(change, ahead, aside)
-
-
-__all__ = [
-    "away_from_center",
-    "closed_loops",
-    "coupling_in_words",
-    "current_of",
-    "elastic_coupling",
-    "late_inside",
-    "loses_by_sign",
-    "pose_of",
-    "written_out",
-]

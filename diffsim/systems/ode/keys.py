@@ -16,11 +16,12 @@ from pydantic import (
 )
 
 from diffsim.causes.own import OwnRow
-from diffsim.causes.row import Names, SizeWords
+from diffsim.causes.row import SizeWords
 from diffsim.core.expression import parse_expression
+from diffsim.core.schema import Names, Part, standing_alone
 from diffsim.core.units import NO_UNIT, factor, in_si
 from diffsim.identify.effect import KINDS
-from diffsim.systems.description import IN_UNIT, Description, EffectChoice, Part, Quantity
+from diffsim.systems.description import IN_UNIT, Description, EffectChoice, Quantity
 
 
 def _check_formula(text: str) -> str:
@@ -93,10 +94,6 @@ class Input(Part):
     delay: AnyQuantity | None = Field(
         None, description="Time by which it comes later than recorded [s]; with sd it is fitted"
     )
-
-
-def _read_input(given: Any) -> Any:
-    return {"name": given} if isinstance(given, str) else given
 
 
 class Place(Part):
@@ -373,4 +370,4 @@ class FormulaKeys(Description):
 
 
 States = dict[str, Annotated[str | Quantity, BeforeValidator(_read_start)]]
-Inputs = tuple[Annotated[Input, BeforeValidator(_read_input)], ...]
+Inputs = tuple[Annotated[Input, standing_alone("name", str)], ...]

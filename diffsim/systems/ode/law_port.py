@@ -41,7 +41,6 @@ from diffsim.systems.ode.network import TIME, Change, filled, named, product
 from diffsim.systems.ode.scene import OdeScene, at_start
 
 Array = NDArray[np.float64]
-USUAL_FACTOR = 0.1  # of a number: what a law may do to it without surprise
 #: shares of the way that a slipping spring is tried to give way after
 GIVING_WAY = (0.03, 0.1, 0.3)
 #: periods that hidden masses are tried to swing with, as shares of the longest run: so close that

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from diffsim.causes.channel_groups import channels_of, clock_of
-from diffsim.causes.readings import PLAY_START
+from diffsim.causes.scene import PLAY_START
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.signal import scatter
@@ -45,7 +45,7 @@ def read_system(
         study: Study with the recordings.
         reader: Receives the mistakes.
     """
-    open_ = {i.name: _list_commands_of(i, study) for i in given if i.held is None}
+    open_ = {i.name: list_commands_of(i, study) for i in given if i.held is None}
     moving = {name for name, commands in open_.items() if moves_on(study.runs, commands)}
     held = _find_held_inputs(given, moving, study, reader)
     doubtful = {name for name, commands in open_.items() if commands}
@@ -120,25 +120,40 @@ def read_system(
     return mended(system, reader)
 
 
-def _list_commands_of(given: Input, study: Study) -> list[str]:
-    """Commands that an input is made of."""
+def list_commands_of(given: Input, study: Study) -> list[str]:
+    """Commands that an input is made of.
+
+    Args:
+        given: The input.
+        study: Study with the recordings.
+    """
     words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
     return sorted(words & {c for run in study.runs for c in run.command})
+
+
+def is_held(given: Input, study: Study) -> bool:
+    """Whether an input is held: as is stated, else as an earlier fit took it, else as it looks.
+
+    Args:
+        given: The input.
+        study: Study with the recordings.
+    """
+    if given.held is not None:
+        return given.held
+    kept = study.frame.get(HELD, {}).get(given.name)
+    commands = list_commands_of(given, study)
+    return looks_held(study.runs, commands) if kept is None else bool(kept)
 
 
 def _find_held_inputs(
     inputs: Sequence[Input], moving: Collection[str], study: Study, reader: Reader
 ) -> dict[str, bool]:
     """Inputs, with whether they keep their value until the next sample."""
-    out = {}
+    out = {given.name: is_held(given, study) for given in inputs}
     for i, given in enumerate(inputs):
-        commands = _list_commands_of(given, study)
-        out[given.name] = given.held or False
-        kept = study.frame.get(HELD, {}).get(given.name)
-        if given.held is None and kept is not None:
-            out[given.name] = bool(kept)
-        elif given.held is None and looks_held(study.runs, commands):
-            out[given.name] = True
+        is_seen = given.held is None and given.name not in study.frame.get(HELD, {})
+        if is_seen and out[given.name]:
+            commands = list_commands_of(given, study)
             cause = "; straight_between_samples is a cause, as some runs do not show it"
             reader.report(
                 f"inputs[{i}].held",

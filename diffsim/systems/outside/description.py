@@ -15,6 +15,7 @@ from diffsim.causes.channel_groups import CLOCKS, channels_of
 from diffsim.causes.plant import Plant
 from diffsim.copter.exchange.mjcf_text import whole_scene
 from diffsim.core.inside import inside
+from diffsim.core.schema import Part
 from diffsim.core.schema_paths import CODE, INSIDE, PathWords
 from diffsim.core.units import in_si, in_unit
 from diffsim.data.steps import looks_held
@@ -24,7 +25,6 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import (
     IN_UNIT,
     Description,
-    Part,
     Quantity,
     chosen_effects,
     settings_with,

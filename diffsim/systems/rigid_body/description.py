@@ -150,6 +150,3 @@ class RigidBodyDescription(Description):
 def _require_known(where: str, name: str, known: list[str]) -> None:
     if name not in known:
         raise ValueError(f"{where}: no {name!r}{did_you_mean(name, known)}; known: {known}")
-
-
-__all__ = ["RigidBodyDescription"]

@@ -84,6 +84,3 @@ def balls_measured(scene: BallScene, channels: Tensor) -> MovingShape | None:
 
 def _list_radii(scene: BallScene) -> np.ndarray:
     return np.array([0.5 * float(scene.numbers[b.diameter]) for b in scene.stage.bodies])
-
-
-__all__ = ["balls_measured", "balls_simulated", "figure_of"]

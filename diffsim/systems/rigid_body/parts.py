@@ -9,9 +9,10 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from diffsim.core.inertia import inertia_mistake
+from diffsim.core.schema import Part
 from diffsim.core.schema_numbers import Kilograms, KilogramSquareMeters, Meters, Radians, Seconds
 from diffsim.core.schema_paths import PathInside
-from diffsim.systems.description import Part, Quantity
+from diffsim.systems.description import Quantity
 from diffsim.systems.quantities import Length, Pixels, Plain, PositiveLength, Speed
 
 GROUND = "ground"
@@ -248,16 +249,3 @@ class Window(Part):
     rest_sd: Meters | None = Field(
         None, gt=0, description="Noise of that height; default: its scatter over the runs"
     )
-
-
-__all__ = [
-    "Body",
-    "Camera",
-    "Contact",
-    "Ground",
-    "Measure",
-    "Points",
-    "Start",
-    "Starts",
-    "Window",
-]

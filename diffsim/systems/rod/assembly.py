@@ -157,6 +157,3 @@ def _place_paths(layout: RodLayout, numbers: Numbers) -> tuple[Tensor, Tensor]:
     around = torch.stack([0.0 * offset[..., 1], -offset[..., 2], offset[..., 1]], -1)
     slope = (frame @ paths.slope[..., None])[..., 0] + helix[..., None] * around
     return offset, slope
-
-
-__all__ = ["Numbers", "rod_of"]

@@ -135,6 +135,3 @@ class RodDescription(RodKeys):
             "youngs_modulus": self.material.youngs_modulus.value,
             "nearest": min((p.distance for t in self.tendons for p in t.path), default=1.0),
         }
-
-
-__all__ = ["RodDescription"]

@@ -91,6 +91,3 @@ def _find_upright(layout: RodLayout) -> Array:
     if not down.any() or (np.allclose(down[:2], 0.0) and down[2] < 0.0):
         return np.eye(3)
     return Rotation.align_vectors([[0.0, 0.0, -1.0]], [down])[0].as_matrix()
-
-
-__all__ = ["dots_of", "skin_of"]

@@ -215,17 +215,3 @@ class RodKeys(Description):
         for name, marker in self.markers.items():
             found |= quantities_of(marker, f"{name}_")
         return found
-
-
-__all__ = [
-    "Base",
-    "PathPoint",
-    "RodKeys",
-    "RodMarker",
-    "RodMass",
-    "RodMaterial",
-    "RodNumerics",
-    "RodReading",
-    "RodTendon",
-    "Station",
-]

@@ -215,6 +215,3 @@ def _interpolate_line(at: Array, points: Array, where: Array) -> tuple[Array, Ar
     piece = np.clip(np.searchsorted(at, where) - 1, 0, len(at) - 2)
     rate = (points[piece + 1] - points[piece]) / (at[piece + 1] - at[piece])[:, None]
     return points[piece] + rate * (where - at[piece])[:, None], rate
-
-
-__all__ = ["TIP", "RodLayout", "layout_of"]

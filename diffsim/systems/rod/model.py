@@ -158,6 +158,3 @@ class RodModel(SimModel):
         scene = self.scene(run, q, sizes, numerics)
         assert isinstance(scene, RodScene)
         return scene.skin()
-
-
-__all__ = ["RodModel", "RodScene"]

@@ -176,6 +176,3 @@ def _lead_of(values: Iterable[Tensor]) -> tuple[int, int]:
     """Leading axes of tensors together, each of which has the whole axis or one."""
     rows, columns = zip(*(value.shape[:2] for value in values), strict=True)
     return max(rows), max(columns)
-
-
-__all__ = ["RodStatics", "Survey"]

@@ -110,6 +110,3 @@ class SoftBodyKeys(Description):
         for name, reading in self.channels.items():
             found |= {f"{key}_{name}": q for key, q in quantities_of(reading).items()}
         return found
-
-
-__all__ = ["SoftBodyKeys"]

@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from diffsim.causes.catalogue import rows_in_order
 from diffsim.causes.channel_groups import ChannelGroup, channel_groups, channels_of
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.plant import IN_TIME, Place, Plant
-from diffsim.causes.ports import on_numbers
 from diffsim.causes.readings import Instrument, instrument_of, usual_sample
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
-from diffsim.identify.effect import Apply, Effect
+from diffsim.identify.effect import Apply
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
 from diffsim.systems.soft_body import forces, loads, material, sensor
 from diffsim.systems.soft_body.hanging import hang_slack
@@ -63,22 +61,6 @@ FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
         "lens": sensor.distort,
     }
 )
-
-
-def body_cause(
-    name: str, scales: Mapping[str, float] | None = None, apply: Apply | None = None, **own: Any
-) -> Effect:
-    """A cause in a soft body, around it or in the cameras, for models that no study describes.
-
-    Args:
-        name: Name of its row.
-        scales: Usual magnitudes that the row may use.
-        apply: How it acts; None: as ``FUNCTIONS`` or the row says.
-        **own: Fields of the effect that differ, as for :meth:`diffsim.causes.Row.effect`.
-    """
-    row = next(row for _, row in rows_in_order(SOFT_BODY) if row.name == name)
-    acts = apply or FUNCTIONS.get(name) or on_numbers(row)
-    return row.effect(acts, scales, system=SOFT_BODY, **{"unit": row.unit.replace("F", "N"), **own})
 
 
 def plant_of(given: SoftBodyKeys, study: Study, scales: Scales, places: Collection[str]) -> Plant:
@@ -303,14 +285,3 @@ def seen_axes(given: SoftBodyKeys, study: Study) -> set[int]:
     """Axes of space that the channels show displacements along."""
     readings = [given.channels[c.name] for c in study.channels]
     return {main_axis(r) for r in readings if r.axis is not None} or {0, 1, 2}
-
-
-__all__ = [
-    "FUNCTIONS",
-    "body_cause",
-    "command_reach",
-    "plant_of",
-    "scales_of",
-    "unknowns",
-    "usual_motion",
-]

@@ -159,6 +159,3 @@ def _find_problems_of_masses(where: str, fact: str, runs: Sequence[Run]) -> Iter
     if silent := [run.name for run in runs if fact not in run.setup]:
         told = f"{', '.join(silent[:4])}{' ...' if len(silent) > 4 else ''}"
         yield Problem("warning", where, f"0 kg is taken where the setup has no {fact}: {told}")
-
-
-__all__ = ["SoftBodyDescription"]

@@ -289,23 +289,3 @@ class Numerics(Part):
         le=10_000,
         description="quasi_static with one command: poses that others lie between",
     )
-
-
-__all__ = [
-    "Chamber",
-    "Clamp",
-    "DescribedMuscle",
-    "DescribedTendon",
-    "Drive",
-    "Gravity",
-    "Load",
-    "Material",
-    "MaterialRegion",
-    "Numerics",
-    "Start",
-    "Stop",
-    "Support",
-    "Vibration",
-    "Wall",
-    "Water",
-]

@@ -129,6 +129,3 @@ def posed(scene: SoftScene, commands: Tensor | None, kept: Memo[Tensor]) -> Pose
     """
     own = {name: getattr(scene, name) for name in SoftScene.__dataclass_fields__}
     return PosedScene(**own, pose_commands=commands, kept=kept)
-
-
-__all__ = ["PosedScene", "pose_commands", "posed"]

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import torch
 from pydantic import (
-    BeforeValidator,
     Field,
     TypeAdapter,
     ValidationInfo,
@@ -19,7 +18,7 @@ from pydantic import (
 from torch import Tensor
 
 from diffsim.core.rotation import matrix_from_rotation_vector
-from diffsim.core.schema import Part
+from diffsim.core.schema import Names, Part, standing_alone
 from diffsim.systems.description import Quantity, quantity
 from diffsim.systems.quantities import Angle, Plain, Time
 from diffsim.systems.soft_body.places import (
@@ -38,17 +37,6 @@ AXES: dict[str, tuple[float, float, float]] = {
 }
 
 
-def _read_names(given: Any) -> Any:
-    return (given,) if isinstance(given, str) else given
-
-
-def _read_place(given: Any) -> Any:
-    return {"at": given} if isinstance(given, (list, tuple)) else given
-
-
-Names = Annotated[tuple[str, ...], BeforeValidator(_read_names)]
-
-
 class Marker(Part):
     """A point that moves with the body; a list of three numbers is its place."""
 
@@ -59,7 +47,7 @@ class Marker(Part):
 
 
 #: A marker, or its place alone.
-MarkerPlace = Annotated[Marker, BeforeValidator(_read_place)]
+MarkerPlace = Annotated[Marker, standing_alone("at", list, tuple)]
 
 
 class Reading(Part):
@@ -248,6 +236,3 @@ def seen(look: Look, camera: Camera, values: Mapping[str, Tensor], channels: Seq
         return (points.flatten(1) @ look.rows.T) * scale + zero
 
     return channels_of
-
-
-__all__ = ["Camera", "Clock", "Look", "Marker", "MarkerPlace", "Reading", "look_of", "seen"]

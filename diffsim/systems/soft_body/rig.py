@@ -16,7 +16,7 @@ from diffsim import soft
 from diffsim.core.errors import FactorizationError
 from diffsim.core.memo import Memo
 from diffsim.soft.hydrodynamics import DRAG_COEFFICIENTS, THRUST_COEFFICIENTS
-from diffsim.systems.soft_body.places import AnyMesh, spread_evenly
+from diffsim.systems.soft_body.places import spread_evenly
 from diffsim.systems.soft_body.readings import look_of, main_axis
 
 if TYPE_CHECKING:
@@ -289,6 +289,3 @@ def mesh_softness(coarse: float, fine: float, here: float) -> float:
         here: Compliance of the mesh in use.
     """
     return here / (fine + (fine - coarse) / 3.0)
-
-
-__all__ = ["AnyMesh", "BodyRig", "mesh_softness", "within"]

@@ -274,6 +274,3 @@ def _unit_of(command: str, given: SoftBodyKeys) -> str:
     if isinstance(part, DescribedTendon):
         return {"share": "-", "force": "N"}.get(part.means, "m")
     return "Pa"
-
-
-__all__ = ["SCALED", "DescribedRobot"]

@@ -40,6 +40,3 @@ def surface_of(scene: SoftScene) -> MovingShape:
         nodes_m=np.ascontiguousarray(places.reshape(len(places), -1, 3)),
         closed=True,
     )
-
-
-__all__ = ["surface_of"]

@@ -11,8 +11,8 @@ import torch
 from diffsim.copter import GRAVITY
 from diffsim.copter.dynamics.flight import fly
 from diffsim.copter.dynamics.flight_state import FlightState
-from diffsim.copter.dynamics.pid import PidController, PidGains, fly_pid
-from diffsim.copter.dynamics.sensors import SensorNoise, finite_acceleration, read_sensors
+from diffsim.copter.dynamics.pid import PidController, PidGains
+from diffsim.copter.simulator.sensing import FlightSensors, SensorNoise, SensorStream
 from diffsim.copter.vehicle.effects import BodyDrag, FlightEffects, MotorLag
 from tests.copter.flight_cases import tensor
 from tests.copter.vehicle.test_vehicle import plus_quadcopter
@@ -20,75 +20,77 @@ from tests.copter.vehicle.test_vehicle import plus_quadcopter
 SILENT = SensorNoise(
     gyro=0.0, gyro_bias=0.0, accelerometer=0.0, accelerometer_bias=0.0, position=0.0
 )
-
-
+LEANING = FlightState.at_rest(torch.zeros(1, 3).double(), tensor([[0.0, 0.3, 0.0]]))
 TARGET = tensor([1.0, -2.0, -3.0])
 
 
-def resting(batch, time):
-    return FlightState.at_rest(
-        torch.zeros(batch, time, 3).double(), tensor([0.0, 0.3, 0.0]).expand(batch, time, 3)
-    )
+def stream(noise, seed=0):
+    return SensorStream(FlightSensors(noise=noise), seed)
 
 
 def test_accelerometer_reads_thrust_over_mass():
     """Whatever the attitude: gravity is not felt."""
     start = FlightState.at_rest(torch.zeros(1, 3).double(), tensor([[0.4, -0.3, 1.0]]))
-    commands = tensor([3.0] * 4).expand(1, 5, 4)
-    flight = fly(plus_quadcopter(), start, commands, dt=0.01)
-    acceleration = finite_acceleration(flight.state.velocity, 0.01)
-    readings = read_sensors(flight.state, acceleration, seed=0, noise=SILENT)
-    expected = tensor([0.0, 0.0, -12.0 / 1.2]).expand(1, 6, 3)
-    torch.testing.assert_close(readings.accelerometer, expected)
-    torch.testing.assert_close(readings.position, flight.state.position)
+    flight = fly(plus_quadcopter(), start, tensor([3.0] * 4).expand(1, 1, 4), dt=0.01)
+    acceleration = flight.state.velocity[0].diff(dim=0)[0].numpy() / 0.01
+    seen = stream(SILENT).read(start, acceleration)
+    np.testing.assert_allclose(seen.accelerometer, [0.0, 0.0, -12.0 / 1.2], atol=1e-12)
+    np.testing.assert_array_equal(seen.position, start.position[0].numpy())
+    still = stream(SILENT).read(LEANING, np.zeros(3)).accelerometer
+    np.testing.assert_allclose(still, GRAVITY * np.array([np.sin(0.3), 0.0, -np.cos(0.3)]))
 
 
 def test_noise_has_the_stated_spread():
-    state = resting(200, 100)
     noise = SensorNoise(gyro=0.01, gyro_bias=0.05, position=0.3)
-    gyro = read_sensors(state, torch.zeros(200, 100, 3).double(), seed=1, noise=noise).gyro
-    assert float((gyro - gyro.mean(1, keepdim=True)).std()) == pytest.approx(0.01, rel=0.03)
-    assert float(gyro.mean(1).std()) == pytest.approx(0.05, rel=0.1)  # 600 biases
-    position = read_sensors(state, torch.zeros(200, 100, 3).double(), seed=1, noise=noise).position
-    assert float(position.std()) == pytest.approx(0.3, rel=0.02)
+
+    def readings(seed):
+        one = stream(noise, seed)
+        return [one.read(LEANING, np.zeros(3)) for _ in range(20)]
+
+    series = [readings(seed) for seed in range(200)]
+    gyro = np.array([[r.gyro for r in one] for one in series])
+    assert (gyro - gyro.mean(1, keepdims=True)).std() == pytest.approx(0.01, rel=0.05)
+    assert gyro.mean(1).std() == pytest.approx(0.05, rel=0.1)  # 600 biases
+    position = np.array([[r.position for r in one] for one in series])
+    assert position.std() == pytest.approx(0.3, rel=0.02)
 
 
 def test_seed_decides():
-    state, still = resting(2, 3), torch.zeros(2, 3, 3).double()
-    one, same, other = (read_sensors(state, still, seed=s).gyro for s in (1, 1, 2))
-    assert torch.equal(one, same)
-    assert not torch.equal(one, other)
-    accelerometer = read_sensors(state, still, seed=0, noise=SILENT).accelerometer
-    expected = GRAVITY * tensor([np.sin(0.3), 0.0, -np.cos(0.3)])
-    torch.testing.assert_close(accelerometer[0, 0], expected)
+    one, same, other = (
+        stream(SensorNoise(), seed).read(LEANING, np.zeros(3)).gyro for seed in (1, 1, 2)
+    )
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
 
 
-def arrival(effects=None, vehicle=None, yaw=None, gains=None):
+def flown(vehicle, state, target, controller, *, steps, dt=0.01, yaw=0.0, effects=None):
+    """The last state under the controller, one period after the other."""
+    batch = len(state.position)
+    integral, yaw = torch.zeros(batch, 3).double(), torch.full((batch,), yaw).double()
+    for _ in range(steps):
+        thrusts, integral = controller.thrusts(state, target.expand(batch, 3), yaw, integral, dt)
+        after = fly(vehicle, state, thrusts[:, None], dt=dt, effects=effects).state
+        names = ("position", "quaternion", "velocity", "body_rates", "thrusts")
+        state = FlightState(*(getattr(after, name)[:, 1] for name in names))
+    return state
+
+
+def arrival(effects=None, vehicle=None, yaw=0.0, gains=None):
     """From four starts to (1, -2, -3) within 6 s; the last state."""
     rng = np.random.default_rng(0)
     start = FlightState.at_rest(
         tensor(rng.uniform(-1, 1, (4, 3))), tensor(rng.uniform(-0.3, 0.3, (4, 3)))
     )
     believed = plus_quadcopter()
-    targets = TARGET.expand(1, 600, 3)
-    return fly_pid(
-        believed if vehicle is None else vehicle,
-        start,
-        targets,
-        controller=PidController(believed, gains),
-        dt=0.01,
-        yaw=yaw,
-        effects=effects,
-    )
+    flies, controller = vehicle or believed, PidController(believed, gains)
+    return flown(flies, start, TARGET, controller, steps=600, yaw=yaw, effects=effects)
 
 
 def test_pid_arrives_and_stays():
-    flight = arrival(yaw=torch.full((1, 600), 0.7, dtype=torch.float64))
-    assert flight.state.position.shape == (4, 601, 3)
-    last = flight.state.position[:, -1] - TARGET
-    assert float(last.norm(dim=-1).max()) < 0.02
-    assert float(flight.state.velocity[:, -1].norm(dim=-1).max()) < 0.02
-    assert float((flight.state.rpy[:, -1, 2] - 0.7).abs().max()) < 1e-3
+    last = arrival(yaw=0.7)
+    assert float((last.position - TARGET).norm(dim=-1).max()) < 0.02
+    assert float(last.velocity.norm(dim=-1).max()) < 0.02
+    assert float((last.rpy[:, 2] - 0.7).abs().max()) < 1e-3
 
 
 def test_integral_holds_against_wind_lag_and_a_heavier_vehicle():
@@ -100,7 +102,7 @@ def test_integral_holds_against_wind_lag_and_a_heavier_vehicle():
     )
     heavier = plus_quadcopter().replace(mass=tensor(1.35))
     off = [
-        (arrival(effects, heavier, gains=gains).state.position[:, -1] - TARGET).norm(dim=-1)
+        (arrival(effects, heavier, gains=gains).position - TARGET).norm(dim=-1)
         for gains in (PidGains(), PidGains(integral=0.0))
     ]
     assert float(off[0].max()) < 0.15
@@ -114,14 +116,8 @@ def test_pid_flight_is_differentiable():
     start = FlightState.at_rest(tensor([[0.1, 0.2, 0.0]]), tensor([[0.05, -0.1, 0.2]]))
 
     def end(mass, target):
-        flown = fly_pid(
-            vehicle.replace(mass=mass),
-            start,
-            target.expand(1, 3, 3),
-            controller=PidController(vehicle),
-            dt=0.02,
-        )
-        return flown.state.position[:, -1]
+        flies, controller = vehicle.replace(mass=mass), PidController(vehicle)
+        return flown(flies, start, target, controller, steps=3, dt=0.02).position
 
     inputs = (tensor(1.2).requires_grad_(), tensor([0.3, -0.2, -0.5]).requires_grad_())
     assert torch.autograd.gradcheck(end, inputs, atol=1e-8)
@@ -135,16 +131,5 @@ def test_bad_input():
         PidController(flat.replace(positions=line))
     with pytest.raises(ValueError, match="max_tilt"):
         PidGains(max_tilt=2.0)
-    with pytest.raises(ValueError, match="wind must be steady"):
-        drag = BodyDrag(linear=tensor([0.1] * 3), quadratic=tensor([0.0] * 3))
-        effects = FlightEffects(body_drag=drag, wind=torch.zeros(5, 3).double())
-        fly_pid(
-            vehicle,
-            FlightState.at_rest(torch.zeros(1, 3).double()),
-            torch.zeros(1, 5, 3).double(),
-            controller=PidController(vehicle),
-            dt=0.01,
-            effects=effects,
-        )
     with pytest.raises(ValueError, match="gyro must lie in"):
         replace(SILENT, gyro=-1.0)

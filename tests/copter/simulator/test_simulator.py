@@ -17,7 +17,6 @@ from diffsim.copter import (
     load_design,
     rotor_model,
 )
-from diffsim.copter.dynamics.sensors import SensorNoise
 from diffsim.copter.simulator import (
     FlightSensors,
     FlightSimulator,
@@ -31,7 +30,7 @@ from diffsim.copter.simulator import (
     payload_limit,
     with_payload,
 )
-from diffsim.copter.simulator.sensing import SensorStream, StateEstimator
+from diffsim.copter.simulator.sensing import SensorNoise, SensorStream, StateEstimator
 from diffsim.copter.vehicle.battery import Battery
 from diffsim.copter.vehicle.effects import BodyDrag
 from diffsim.copter.vehicle.mass import Moments, rigid_body

@@ -10,7 +10,7 @@ from diffsim import cli
 from diffsim.copter import load_design
 from diffsim.copter.simulator import FlightLog, FlightSimulator, Pacer, load_mission
 from diffsim.core.interrupts import EXIT_INTERRUPTED
-from diffsim.data import load_csv
+from labs.markers import load_csv
 
 SECONDS = 1.5
 
@@ -74,7 +74,7 @@ def test_lag_of_the_wall_clock_is_recorded():
 def test_scene_and_figure(flight, tmp_path):
     pytest.importorskip("rerun")
     pytest.importorskip("matplotlib")
-    from diffsim.viz.flight_figures import battery_curves, motor_outputs, save_png
+    from diffsim.viz.flight_figures import motor_outputs, save_png
     from diffsim.viz.flight_scene import write_flight
 
     path = write_flight(tmp_path / "f.rrd", flight, load_design("pentacopter"), payload=0.3)
@@ -82,12 +82,6 @@ def test_scene_and_figure(flight, tmp_path):
     figure = motor_outputs([("a", flight), ("b", flight), ("c", flight)])
     assert [len(ax.lines) for ax in figure.axes] == [11, 11, 11, 0]  # pulses, marks, clamp
     assert save_png(figure, tmp_path / "a.png").stat().st_size > 10_000
-    time = flight.series("time")
-    curve = ("a", time, flight.series("voltage"), flight.series("current"))
-    assert [ax.get_ylabel() for ax in battery_curves([curve]).axes] == [
-        "voltage [V]",
-        "current [A]",
-    ]
 
 
 def test_live_scene_gets_thirty_frames_a_second(monkeypatch):

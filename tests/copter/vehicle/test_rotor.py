@@ -17,7 +17,6 @@ from diffsim.copter.vehicle.rotor import (
     rotor_model,
     rotor_names,
     rotor_record,
-    thrust_curve,
 )
 from diffsim.copter.vehicle.rotor_table import RotorTable, read_rotor_bench
 from tests.measured import data_folder
@@ -233,8 +232,6 @@ def test_gradients_to_parameters():
 def test_effects_of_models():
     rotors = [rotor_model("kde2814_10in"), rotor_model("kde2814_14in")]
     assert motor_lag(rotors).time_constants.tolist() == [0.05, 0.05]
-    curve = thrust_curve(rotors, torch.tensor([3.0, 4.0], dtype=torch.float64))
-    assert curve.exponents.tolist() == pytest.approx([2.121 / 2, 2.078 / 2], abs=1e-3)
     with pytest.raises(ValueError, match="time_constant of kde2814_10in"):
         motor_lag([replace(rotors[0], time_constant=None)])
 

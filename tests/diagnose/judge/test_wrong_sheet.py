@@ -116,6 +116,27 @@ PAIR = SimModel(
 )
 
 
+def test_intervals_are_numbers_however_much_parts_disagree():
+    """A rate that no run shows had an interval to infinity, and its file could not be read."""
+    base = [Parameter("front", 1.0, 1.0, "N/m", log=True), Parameter("idle", 0.1, 1.0, log=True)]
+    model = SimModel(
+        lambda values, run, numerics: linear.LinearScene(
+            values["front"] * linear.shapes("both", run)[..., 0] + 0.0 * values["idle"]
+        ),
+        base,
+        "idle",
+    )
+    runs = [
+        replace(
+            linear.run("r", 0), measured=linear.shapes("both", linear.run("r", 0))[..., 0].numpy()
+        )
+    ]
+    found = fit(model, runs, linear.CHANNELS, whitener=linear.problem(runs=runs).whitener)
+    told, idle = base_rows(found, runs, Widening(usual=1e6), judged=True)
+    assert 1e9 < told.high < np.inf
+    assert (idle.low, idle.high) == pytest.approx((0.1 / 5.18, 0.1 * 5.18), rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("pull", "drift", "status"),
     [(35.0, 0.8, "likely"), (35.0, 0.0, "certain"), (15.0, 0.8, "certain")],

@@ -5,11 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from diffsim.data.shown import resolution_words
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.records import CauseRow, Interval
 from diffsim.diagnose.say.tables import cannot_see
-from diffsim.diagnose.say.wording import Answer, resolution_words, sentences
+from diffsim.diagnose.say.wording import Answer, sentences
 from tests.diagnose.linear import line
 
 SIZE = Interval(0.3, 0.1, 0.5)

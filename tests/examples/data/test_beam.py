@@ -8,9 +8,9 @@ import yaml
 from scipy.signal import butter, filtfilt
 from scipy.spatial.transform import Rotation
 
-from diffsim.data.signal import amplitude_spectrum
 from examples.data.beam import detect_release, load_beam_study, rigid_rotation_deg
 from examples.data.beam_motion import describe, moving_tip_mass
+from examples.data.vibration import amplitude_spectrum
 
 pytestmark = pytest.mark.reference
 

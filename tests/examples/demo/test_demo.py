@@ -53,7 +53,10 @@ def test_page_and_json_hold_the_numbers(short_run):
         assert f"{1e3 * kept['remaining'][model]['gravity_b']['vertical_rms_m']:.3f}" in page
     for sentence in kept["verdict"]:
         assert sentence.split("'")[0] in page  # an apostrophe is escaped
-    assert page.count("<img") >= 11
+    assert page.count("<img") >= 12
+    # three sentences for anybody, then the picture, then numbers
+    three = page.index('<div class="verdict">'), page.index("<figure>"), page.index('class="number')
+    assert len(results["opening"]) == 3 and three == tuple(sorted(three))
     # no cause is named in data that a laboratory computed
     assert "skipped" in kept["diagnosis"] and "virtual laboratory" in page
 
@@ -150,7 +153,8 @@ def test_ctrl_c_keeps_finished_stages(short_run, tmp_path, monkeypatch, capsys):
     said = capsys.readouterr()
     assert "--resume" in said.err
     first = [line.split()[0] for line in said.out.splitlines() if line.strip()]
-    assert first == ["measured", "stiffness"]  # what was known before the long part
+    # what was known before the long part
+    assert first == ["VIRTUAL", "measured", "stiffness"]
     assert not (tmp_path / "run" / "report.html").exists()
 
 
@@ -159,8 +163,9 @@ def test_command_prints_the_verdict(short_run, monkeypatch, capsys):
     monkeypatch.setattr("examples.demo.story.run", lambda **_: results)
     demo.main(quick=True)
     told = capsys.readouterr().out
-    assert "VIRTUAL DATA" in told and str(out / "report.html") in told
-    assert all(sentence in told for sentence in results["verdict"])
+    assert str(out / "report.html") in told
+    assert "Hidden in the laboratory: E = 290 kPa at rest, 32" in told
+    assert all(sentence in told for sentence in results["opening"])
 
 
 def test_wrong_data_folder_does_not_fall_back_to_virtual(tmp_path):

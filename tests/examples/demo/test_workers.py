@@ -51,13 +51,17 @@ def test_the_bar_follows_the_plan():
     assert workers.bar.n == 30
 
 
-def test_a_stage_says_what_it_is_doing():
+def test_a_stage_says_what_it_is_doing_and_how_far_it_is():
     workers = Workers(1, 30)
-    workers.stage("diagnosis", 0)
-    workers.note("search, drag")
+    workers.stage("fits", 10)
+    workers.stage("diagnosis", 18)
+    workers.note("search, drag", 0.5)
     assert str(workers.bar).rstrip("]").endswith(", diagnosis: search, drag")
-    workers.stage("page", 0)
-    assert "diagnosis" not in str(workers.bar)
+    assert workers.bar.n == 19
+    workers.note("a part again", 0.3)  # never back
+    assert workers.bar.n == 19
+    workers.stage("page", 2)
+    assert "diagnosis" not in str(workers.bar) and workers.bar.n == 28 < workers.bar.total
     workers.close()
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from diffsim.causes.catalogue import rows
 from diffsim.causes.commands import CommandGroup, cause_of_commands
 from diffsim.causes.ports import on_clock, on_readings
-from diffsim.systems.soft_body.causes import FUNCTIONS, body_cause
+from diffsim.systems.soft_body.causes import FUNCTIONS
 from diffsim.systems.soft_body.support import support_of
+from labs.systems.beam_causes import body_cause
 
 PULL_M = 0.03  # greatest command
 _PULLED = CommandGroup((), dict.fromkeys(("reach", "width", "rate"), PULL_M))

@@ -5,14 +5,16 @@ namespace {
 
 // Directions on changed statuses, where friction pushes nodes backwards.
 constexpr int kMaxReversals = 5;
-// Largest residual of the linear system, of its right-hand side, however little would be enough.
+// Largest residual of the linear system, of its right-hand side, however little would be enough,
+// and however little could be reached: clamping H would trade Newton's convergence for nothing.
 constexpr double kLargestResidual = 0.5;
 // Of one linear solve. What needs more gets a factor of the tangent, where the method allows one.
 constexpr std::size_t kMaxKrylovIterations = 2000;
 
 /// q of ContactSolve::solve; one on which iterations do not converge gets a factor of the tangent,
 /// where the method allows one. A tangent that is not positive definite is clamped: conjugate
-/// gradients meet its negative curvature, GMRES stalls and then it has no factor.
+/// gradients meet its negative curvature, GMRES stalls far from the answer and then it has no
+/// factor.
 /// @return whether H is clamped now
 bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double tolerance,
                   bool is_clamped, Vector& q) {
@@ -26,13 +28,15 @@ bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double 
   };
   KrylovResult result = p.solve.solve(rhs, tolerance, limit, q);
   if (!result.converged && !result.negative_curvature && may_factor) result = solve_factored();
-  if (!result.converged && !is_clamped) {
+  const bool is_usable = !result.negative_curvature &&
+                         result.residual_norm <= kLargestResidual * p.objective.ops().norm(rhs);
+  if (!result.converged && !is_usable && !is_clamped) {
     is_clamped = true;
     p.objective.assemble(x, true);
     p.solve.matrix_changed();
     result = p.solve.solve(rhs, tolerance, limit, q);
   }
-  if (!result.converged && may_factor) solve_factored();
+  if (!result.converged && !is_usable && may_factor) solve_factored();
   return is_clamped;
 }
 

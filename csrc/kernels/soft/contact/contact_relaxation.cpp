@@ -56,6 +56,9 @@ bool ContactRelaxation::resolve(ContactProblem& problem, ContactIterate& at) {
   // Infinite friction may leave no answer to relax to; see kMaxReleases.
   const auto sticky = [&](std::size_t k) { return std::isinf(space.inputs().friction[k]); };
   if (near.size() > kMaxRelaxed || std::any_of(near.begin(), near.end(), sticky)) return false;
+  // Statuses that are those of an answer may still be far from it: where Newton's step from there
+  // led back into the cycle, relaxations go on.
+  const bool is_last_resort = doublings_ >= kMaxDoublings;
   const int rounds = 1 << std::min(doublings_, kMaxDoublings);
   doublings_ += kDoublingsEachTime;
   for (int round = 0; round < rounds; ++round) {
@@ -64,7 +67,7 @@ bool ContactRelaxation::resolve(ContactProblem& problem, ContactIterate& at) {
     if (!relax_contacts(objective, space, near, at.gradient, step, limits)) return round > 0;
     objective.ops().add(-1.0, at.x, step);
     move_relaxed(objective, space, step, limits, round > 0, at);
-    if (round > 0 && space.status == before) break;
+    if (round > 0 && space.status == before && !is_last_resort) break;
   }
   problem.solve.statuses_changed();
   return true;

@@ -82,7 +82,8 @@ KrylovResult ContactSolve::iterate(Apply&& apply, const Vector& r, double tolera
                                    Vector& q) {
   prepare();
   const auto precondition = [this](const Vector& in, Vector& out) { this->precondition(in, out); };
-  if (method_ == StepMethod::kAuto && !preconditioner_.on_tangent())
+  // Where the tangent has no factor, being indefinite, iterations are all that is left.
+  if (method_ == StepMethod::kAuto && kind_ != Kind::kTangent)
     max_iters = std::min(max_iters, std::max(patience() + 1 - spent_, 1));
   KrylovResult result;
   if (space_.any_sliding_friction())

@@ -7,6 +7,7 @@
 #include "kernels/soft/contact/contact_search.h"
 #include "kernels/soft/contact/contact_start.h"
 #include "kernels/soft/descent.h"
+#include "kernels/soft/step_search.h"
 
 namespace diffsim {
 namespace {
@@ -24,6 +25,9 @@ constexpr double kTightForcing = 1e-9;
 // kMaxStalled. The residual progresses where it falls below this of its least.
 constexpr int kMaxFailed = 5;
 constexpr double kProgress = 0.99;
+// Decrease of the residual in a step on a clamped H that is worth another: where it is definite the
+// steps are Newton's, near an answer where it is not they are far shorter.
+constexpr double kClampedDecrease = 0.5;
 
 /// How long the iteration has made no progress.
 struct Stall {
@@ -45,6 +49,7 @@ Stall after_iteration(const Stall& before, double norm, bool descended, bool sta
 /// What one Newton step did.
 struct NewtonStep {
   bool descended;    // the merit
+  bool was_clamped;  // H
   bool clamps_next;  // whether H is to be positive definite from here on
 };
 
@@ -61,17 +66,19 @@ NewtonStep newton_step(ContactProblem& p, double forcing, double tolerance, bool
       contact_direction(p, at, {forcing, enough * tolerance}, is_clamped);
   const SearchResult first = search_along(p, loose, forcing > kTightForcing, at);
   if (first != SearchResult::kAscends)
-    return {first == SearchResult::kDescended, loose.is_clamped || first == SearchResult::kFailed};
+    return {first == SearchResult::kDescended, loose.is_clamped,
+            loose.is_clamped || first == SearchResult::kFailed};
   const ContactDirection tight = contact_direction(p, at, {kTightForcing, 0.0}, loose.is_clamped);
   const SearchResult second = search_along(p, tight, false, at);
-  return {second == SearchResult::kDescended, tight.is_clamped || second == SearchResult::kFailed};
+  return {second == SearchResult::kDescended, tight.is_clamped,
+          tight.is_clamped || second == SearchResult::kFailed};
 }
 
 /// Semismooth Newton iteration from x to where `stats` says that it came.
 void iterate(ContactProblem& p, ContactIterate& at, StepStats& stats) {
   ContactRelaxation relaxation(p.space.size());
   Stall stall;
-  bool is_clamped = false;
+  bool is_clamped = false, was_clamped = false;
   bool on_constraints = false;  // whether x satisfies those of the statuses as they are
   double last_norm = 0.0;
   for (int iter = 0; std::isfinite(at.value); ++iter) {
@@ -91,9 +98,11 @@ void iterate(ContactProblem& p, ContactIterate& at, StepStats& stats) {
     if (stats.converged != 0.0 || iter == p.options.max_iters) break;
     relaxation.remember(p.space);
     const double forcing = forcing_term(stats.residual_norm, last_norm);
+    if (was_clamped && stats.residual_norm > kClampedDecrease * last_norm) is_clamped = false;
     const NewtonStep step = newton_step(p, forcing, stats.tolerance, is_clamped, at);
     last_norm = stats.residual_norm;
     is_clamped = step.clamps_next;
+    was_clamped = step.was_clamped;
     stall = on_constraints ? after_iteration(stall, stats.residual_norm, step.descended, changed,
                                              p.system, at.x)
                            : Stall{0, stall.least_norm};
@@ -133,9 +142,7 @@ StepStats contact_step(const ConstantSystem& system, const StepInputs& inputs,
   ContactProblem problem(system, inputs, contacts, options, contact_options, pool);
   StepProblem& objective = problem.objective;
   ContactIterate at = contact_start(objective, system, inputs);
-  StepStats stats;
-  stats.scale = objective.scale() > 0.0 ? objective.scale() : objective.ops().norm(at.gradient);
-  stats.tolerance = options.rtol * stats.scale + options.atol;
+  StepStats stats = begin_stats(objective, options, at.gradient, system.rounding_floor(at.x));
   problem.statuses.set_tolerances(stats.tolerance, length_tolerance(at.x));
   problem.statuses.guess(free_flight(system, inputs));
   problem.statuses.remember();

@@ -44,7 +44,7 @@ def round_connector(rod_diameter: Meters = 0.0146, mass: Kilograms = 0.043419770
     return Part(
         "round_connector",
         mesh,
-        density_of(mesh, np.zeros(0), mass),
+        density_of(mesh, mass),
         patches,
         price=3.0,
         source="printed",
@@ -137,7 +137,7 @@ def motor(rotor: str = "kde2814_10in", spin: str = "cw", pusher: bool = False) -
     return motor_of_mesh(
         mesh,
         data,
-        density_of(mesh, np.zeros(0), data.motor_mass),
+        density_of(mesh, data.motor_mass),
         {"rotor": rotor, "spin": spin, "pusher": pusher},
         base=PROPELLER_ABOVE_BASE,
         spin=spin,
@@ -190,7 +190,7 @@ def propeller(rotor: str = "kde2814_10in") -> Part:
     return Part(
         "propeller",
         mesh,
-        density_of(mesh, np.zeros(0), data.propeller_mass),
+        density_of(mesh, data.propeller_mass),
         {"hub": Patch("circular", "shaft", fixed_points([0.0] * 3), UP, X, 0.003)},
         price=data.propeller_price,
         options={"rotor": rotor},

@@ -162,9 +162,9 @@ class Part:
             )
 
 
-def density_of(mesh: LinearMesh, values: Array, mass: float) -> float:
-    """Density that gives a mesh this mass at these parameters [kg/m^3]."""
-    vertices = mesh.vertices.at(values)
+def density_of(mesh: LinearMesh, mass: float) -> float:
+    """Density that gives a mesh without parameters this mass [kg/m^3]."""
+    vertices = mesh.vertices.at(np.zeros(0))
     a, b, c = (vertices[mesh.faces[:, k]] for k in range(3))
     return mass / (float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0)
 

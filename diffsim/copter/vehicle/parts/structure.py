@@ -165,7 +165,7 @@ def box_part(kind: str, size: Sequence[float], mass: float, price: float) -> Par
     return Part(
         kind,
         mesh,
-        density_of(mesh, np.zeros(0), mass),
+        density_of(mesh, mass),
         patches,
         price=price,
         options={"size": [float(v) for v in size], "mass": mass},

@@ -8,7 +8,6 @@ seen); everything else that is not a finite number is refused, with file, row an
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -19,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
-from diffsim.core.paths import data_candidates
-from diffsim.data.table import open_table, parse_number, parse_time, time_column
+from diffsim.data.table import open_table, parse_number, time_column
 
 Array = NDArray[np.float64]
 
@@ -125,7 +123,7 @@ def load_csv(
         time_col, coordinates = _columns(path, header, markers)
         for line, row in rows:
             before = time_s[-1] if time_s else None
-            time_s.append(parse_time(path, line, header[time_col], row[time_col], before))
+            time_s.append(_parse_time(path, line, header[time_col], row[time_col], before))
             position_m.append(
                 [
                     _coordinate(path, line, header[col], row[col])
@@ -166,37 +164,17 @@ def format_csv(recording: Recording) -> str:
     return "\n".join(lines) + "\n"
 
 
-def find_dataset(name: str, data: str | Path | None = None) -> Path | None:
-    """Folder of a data set: under ``data``, else DIFFSIM_DATA, else the folders of ``_paths``.
-
-    Args:
-        name: Folder name, such as ``silicone_beam``.
-        data: Folder that holds the data sets (or the data set's own folder). When given, or when
-            DIFFSIM_DATA is set, nothing else is searched: a typing error must not silently lead
-            to other data.
-
-    Returns:
-        The folder, or None if none was asked for and none was found.
-
-    Raises:
-        FileNotFoundError: ``data`` or DIFFSIM_DATA was given but does not hold the set.
-    """
-    asked = [("data", data)] if data is not None else []
-    if not asked and (from_env := os.environ.get("DIFFSIM_DATA")):
-        asked = [("DIFFSIM_DATA", from_env)]
-    for label, value in asked:
-        base = Path(str(value)).expanduser()
-        for folder in (base / name, base):
-            if (folder / "metadata.yaml").is_file() and (folder is not base or base.name == name):
-                return folder
-        has = sorted(p.name for p in base.iterdir() if p.is_dir()) if base.is_dir() else None
-        state = "does not exist" if has is None else f"holds {', '.join(has) or 'no folders'}"
-        raise FileNotFoundError(
-            f"{label}={base} must be the folder that holds {name}/metadata.yaml; it {state}"
-            f"{did_you_mean(name, has or [])}"
+def _parse_time(path: Path, line: int, column: str, cell: str, before: float | None) -> float:
+    """A time [s], later than the one before."""
+    now = parse_number(path, line, column, cell)
+    if math.isnan(now):
+        raise ValueError(f"{path}, row {line}, column {column}: time is missing")
+    if before is not None and now <= before:
+        raise ValueError(
+            f"{path}, row {line}, column {column}: time must increase, got "
+            f"{now:g} s after {before:g} s; sort the file, one row a stamp"
         )
-    folders = (base / name for base in data_candidates())
-    return next((folder for folder in folders if (folder / "metadata.yaml").is_file()), None)
+    return now
 
 
 def _columns(

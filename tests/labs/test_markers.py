@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffsim.data.recording import Recording, find_dataset, format_csv, load_csv
+from labs.markers import Recording, format_csv, load_csv
 
 HEADER = "frame,time_s,tip1_x_m,tip1_y_m,tip1_z_m,base_x_m,base_y_m,base_z_m"
 
@@ -102,17 +102,3 @@ def test_unknown_marker_offers_the_closest(tmp_path):
         recording.select(["tip2"])
     with pytest.raises(ValueError, match=r"column tip2_x_m is missing; did you mean 'tip1_x_m'"):
         load_csv(recording.source, markers=["tip2"])
-
-
-def test_find_dataset_never_falls_back_when_asked(tmp_path, monkeypatch):
-    (tmp_path / "silicone_beam").mkdir()
-    (tmp_path / "silicone_beam" / "metadata.yaml").write_text("{}")
-    assert find_dataset("silicone_beam", tmp_path) == tmp_path / "silicone_beam"
-    assert find_dataset("silicone_beam", tmp_path / "silicone_beam") is not None
-    monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path))
-    assert find_dataset("silicone_beam") == tmp_path / "silicone_beam"
-    with pytest.raises(FileNotFoundError, match=r"silicone_beam; did you mean 'silicone_beam'"):
-        find_dataset("silicon_beam")
-    monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path / "nowhere"))
-    with pytest.raises(FileNotFoundError, match=r"DIFFSIM_DATA=.*nowhere .* does not exist"):
-        find_dataset("silicone_beam")

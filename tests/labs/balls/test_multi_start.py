@@ -13,7 +13,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Parameter, Problem, WhiteNoise, fit
 from diffsim.identify.model import SimModel
-from diffsim.identify.multi_start import descend, random_starts
+from labs.balls.multi_start import descend, random_starts
 
 TIME = np.linspace(0.0, 2.0, 30)
 BASE = [Parameter("height", 1.0, 1.0, "m"), Parameter("rate", 1.0, 0.5, "1/s", log=True)]

@@ -1,0 +1,82 @@
+"""Stored answers are of the same recordings and sizes, or none; what is computed is compared."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from diffsim.data import find_dataset
+from examples import demo
+from examples.data.beam import load_beam_study
+from examples.demo import fitting, stored
+from examples.demo.plan import FULL
+from examples.demo.story import VIRTUAL_BEAM
+from tests.examples.demo.conftest import SHORT
+
+pytestmark = pytest.mark.example
+DATA = find_dataset("silicone_beam")
+QUESTION = stored.asked(load_beam_study(VIRTUAL_BEAM), SHORT)
+
+
+def _answers_of(run: tuple[Path, dict], folder: Path, **other: str) -> Path:
+    """A file with the answers of a run, said to be those of its question."""
+    results = run[1]
+    kept = {name: results[name] for name in stored.STAGES}
+    path = folder / "stored.json"
+    path.write_text(json.dumps({"commit": "abc", "of": QUESTION | other, "results": kept}))
+    return path
+
+
+def test_a_fit_that_is_stored_is_not_made_again(short_run, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib", reason="the demo's page needs the extra viz")
+    monkeypatch.setattr(stored, "PATH", _answers_of(short_run, tmp_path))
+    monkeypatch.setattr("examples.demo.story.find_dataset", lambda *_: None)
+    monkeypatch.setattr(fitting, "fit_motion", None)
+    monkeypatch.setattr("examples.demo.story._write_page", lambda *_: None)  # seconds of pictures
+    monkeypatch.setattr("examples.demo.story._write_extras", lambda *_: {})
+    results = demo.run(out=tmp_path / "run", plan=SHORT, threads=1)
+    assert results["joint"] == short_run[1]["joint"]
+    assert "computed at commit abc" in results["stored"][0] and not short_run[1]["stored"]
+    # all else was computed
+    assert results["simulated"]["joint"]["gravity"]["time_s"]
+
+
+def test_answers_of_other_recordings_or_sizes_are_none(short_run, tmp_path):
+    for other in ({}, {"data": "else"}, {"plan": "else"}):
+        found = stored.answers(QUESTION, _answers_of(short_run, tmp_path, **other))
+        assert bool(found.results) == (not other) and bool(found.words()) == (not other)
+    assert not stored.answers(QUESTION, tmp_path / "none.json").results
+
+
+def test_what_is_computed_again_is_compared(short_run, tmp_path):
+    path = _answers_of(short_run, tmp_path)
+    content = json.loads(path.read_text())
+    content["results"]["joint"]["value"]["youngs_modulus"] *= 1.01
+    content["results"]["diagnosis"] = {"named": ["a"], "verdict": "named"}
+    path.write_text(json.dumps(content))
+    now = {**short_run[1], "diagnosis": {"named": ["b"], "verdict": "named"}}
+    said = stored.distances(stored.answers(QUESTION, path), now)
+    assert said == [
+        "identified: within 0 % of the answer of abc",
+        "joint: within 0.99 % of the answer of abc",
+        "diagnosis: other causes than at abc",
+    ]
+
+
+@pytest.mark.skipif(DATA is None, reason="needs the measured beam (DIFFSIM_DATA)")
+def test_the_answers_that_come_with_the_demo_are_of_the_measured_beam():
+    found = stored.answers(stored.asked(demo.load_study(None), FULL))
+    assert set(found.results) == set(stored.STAGES) and found.commit
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(DATA is None, reason="needs the measured beam (DIFFSIM_DATA)")
+def test_they_are_what_the_code_computes_now(tmp_path):
+    found = demo.run(out=tmp_path, anew=True, threads=os.cpu_count())
+    kept = stored.answers(stored.asked(demo.load_study(None), FULL))
+    for name in ("identified", "joint"):
+        assert found[name]["value"] == pytest.approx(kept.results[name]["value"], rel=0.01)
+    assert found["diagnosis"]["named"] == kept.results["diagnosis"]["named"]
