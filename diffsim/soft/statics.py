@@ -105,7 +105,10 @@ def _rest_among(obstacles: Sequence[Obstacle], start: Tensor, loads: Loads) -> S
     The graph goes through all rounds, so that the gradient sees the surfaces' curvature.
     """
     body = loads.prepared.body
-    still = [replace(obstacle, restitution=0.0) for obstacle in obstacles]
+    still = [
+        replace(obstacle, restitution=torch.zeros((), dtype=torch.float64))
+        for obstacle in obstacles
+    ]
     solver = replace(body.solver, method="auto") if loads.prepared.is_linear else body.solver
     share = max(solver.rtol, _LEAST_SHARE)
 
