@@ -120,7 +120,7 @@ def _rest_among(obstacles: Sequence[Obstacle], start: Tensor, loads: Loads) -> S
         state, last = State(x, torch.zeros_like(x), contact_force=force), planes
         planes = planes_at(x)
         with torch.no_grad():
-            off = _unsettled(body, state, last, planes)
+            off = _contact_error(body, state, last, planes)
         if off <= share:
             return state
     message = (
@@ -133,7 +133,7 @@ def _rest_among(obstacles: Sequence[Obstacle], start: Tensor, loads: Loads) -> S
     return state
 
 
-def _unsettled(body: Solid, state: State, last: ContactPlanes, planes: ContactPlanes) -> float:
+def _contact_error(body: Solid, state: State, last: ContactPlanes, planes: ContactPlanes) -> float:
     """How far nodes are inside new half spaces, or off them and turned where they touch, as a share
     of the body's size."""
     nodes = body.contact_nodes

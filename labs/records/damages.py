@@ -282,6 +282,8 @@ def far_values(folder: Folder, rng: Rng) -> Folder | None:
     x = folder.tables[run][column].copy()
     count = max(1, int(rng.choice([0.004, 0.02, 0.06, 0.15]) * len(x)))
     at = rng.choice(np.arange(2, len(x) - 2), count, replace=False)
+    if rng.random() < 0.3:  # a burst of them
+        at = int(rng.integers(4, len(x) - count - 4)) + np.arange(count)
     middle = 0.5 * (low + high)
     x[at] = middle + rng.choice([-1.0, 1.0], count) * (high - low) * rng.uniform(3.0, 30.0, count)
     x = np.round(x) if _is_whole(folder, column) else x

@@ -75,6 +75,16 @@ def test_repeats_of_a_slow_sensor_are_left_out(tmp_path):
     assert not [p for p in check_study(study) if "repeats: drop" in str(p)]
 
 
+@pytest.mark.parametrize(("together", "stops"), [(2, False), (4, True)])
+def test_far_values_stop_where_the_diagnosis_would_not_leave_them_out(tmp_path, together, stops):
+    sound = joint(np.random.default_rng(8))
+    x = sound.tables["e"]["angle_deg"].copy()
+    x[200 : 200 + together] += 900.0
+    tables = {**sound.tables, "e": {**sound.tables["e"], "angle_deg": x}}
+    found = told(sound.changed(tables), tmp_path / "rig")
+    assert ("far", stops) in [(rule, is_stop) for rule, _, is_stop in found], found
+
+
 def test_a_folded_angle_gets_its_sign_back(tmp_path):
     sound = pendulum(np.random.default_rng(5))
     true = sound.tables["a"]["angle_rad"]

@@ -17,6 +17,8 @@ from diffsim.data.study import Command
 
 Array = NDArray[np.float64]
 FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself
+BURST = 6  # far samples that may be alike: more are a place where it stays
+MOST_TOGETHER = 2  # samples off both sides that are told from what a model lacks
 USUAL_SPREADS = 2.0  # spreads beyond which a value is none of the usual ones
 OUTSIDE = 0.5  # of the range of the others: how far a value must leap
 ALONE = 4.0  # largest changes around, beyond which a sample lies off both sides
@@ -47,7 +49,7 @@ def find_far(record: Record) -> Iterator[Finding]:
             continue
         low, high = float(inside.min()), float(inside.max())
         least = OUTSIDE * (high - low)
-        times, count, worst, share = [], 0, 0.0, 0.0
+        times, count, worst, share, longest = [], 0, 0.0, 0.0, 0
         for samples in signal.runs:
             off = np.maximum(low - samples.values, samples.values - high)
             far = _leaping(record, signal, samples, off, least)
@@ -56,6 +58,8 @@ def find_far(record: Record) -> Iterator[Finding]:
                 times += samples.times[far].tolist()
                 worst = max(worst, float(off[far].max()))
                 share = max(share, len(far) / len(samples))
+                parts = np.split(far, np.flatnonzero(np.diff(far) > 1) + 1)
+                longest = max(longest, *map(len, parts))
         if not count or count > 0.4 * len(values):
             continue
         margin = 0.5 * least
@@ -66,7 +70,7 @@ def find_far(record: Record) -> Iterator[Finding]:
             f"(up to {share:.2g} of a run), by up to {worst:.4g}, {rows_shown(times)}",
             f"`decode: {{valid: [{low - margin:.4g}, {high + margin:.4g}]}}` in {signal.where} "
             "leaves them out",
-            share > FEW_MISREAD and signal.unit not in SPIKY,
+            (share > FEW_MISREAD or longest > MOST_TOGETHER) and signal.unit not in SPIKY,
         )
 
 
@@ -82,7 +86,7 @@ def _leaping(
             continue
         if off_by[part].max() < least:
             continue
-        if len(part) > 1 and np.abs(samples.changes[part[:-1]]).max() < 0.2 * least:
+        if len(part) > BURST and np.abs(samples.changes[part[:-1]]).max() < 0.2 * least:
             continue  # it stays there
         off = float(np.abs(samples.changes[ends]).min())
         if off > 3.0 * least or not _is_commanded(record, samples, int(part[0])):
