@@ -22,6 +22,7 @@ def test_numbers_are_those_that_are_known(name, tmp_path):
     check(name, tmp_path)
 
 
+@pytest.mark.cpu(10)  # a device's whole design, small
 @pytest.mark.parametrize("name", SAID)
 def test_what_commands_say_and_write_is_known(name, tmp_path):
     check(name, tmp_path)
