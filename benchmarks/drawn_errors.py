@@ -33,7 +33,7 @@ NUMBERS = (
 )
 OF_COMMANDS = ("cli", "data", "diagnose", "identify", "viz")  # rooms that commands show at once
 CONTRACT = "tests/systems/test_kinds.py::test_every_kind_keeps_its_contract"  # what kinds keep
-OF_KINDS = ("diffsim/causes/", "diffsim/systems/")
+OF_KINDS = ("diffsim/causes/", "diffsim/identify/", "diffsim/systems/")
 FOLDERS = {"diffsim": "*.py", KERNELS: "*.[ch]*"}
 MOST_SOURCES = 12  # of a header that is drawn: those that include it
 KERNEL_EVERY = 3  # one of so many is of a kernel; by lines it would be one of six, often none

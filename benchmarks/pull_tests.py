@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 HOME = 2047.0  # goal of a tested servo [count]
 
 
-def sides(table: Array) -> dict[str, tuple[float, float]]:
+def sides(table: NDArray[np.void]) -> dict[str, tuple[float, float]]:
     """Reading of one side less the other, while they pull and after, by tested servo [count].
 
     Args:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.formulas import Formula, constant_in
-from diffsim.causes.ports import SignalChange
+from diffsim.causes.ports import SignalChange, change_number
 from diffsim.causes.scene import ForceLaw, Scene
 from diffsim.causes.signals import Grid, change_rows
 from diffsim.core.expression import Expression
@@ -113,7 +113,7 @@ class ByFormula:
         for i, name in enumerate(names):
             own = {"size": sizes[..., i // num_each]} if self.num_sizes else {}
             amount = self.formula({**shapes, **own}, run)
-            out = out.with_number(name, partial(_change_number, amount=amount, is_factor=is_factor))
+            out = out.with_number(name, partial(change_number, amount=amount, is_factor=is_factor))
         return out
 
     def _push(self, scene: Scene, size: Tensor, run: Run, *, place: str) -> object:
@@ -127,10 +127,6 @@ class ByFormula:
     def _list_constants(self) -> list[str]:
         own = {"x", "v", "w", "size", *self.shapes, *self.formula.numbers}
         return [name for name in self.formula.expression.names if name not in own]
-
-
-def _change_number(value: Tensor, amount: Tensor, is_factor: bool) -> Tensor:
-    return value * (1.0 + amount) if is_factor else value + amount
 
 
 def _among(

@@ -244,7 +244,7 @@ class PortLaws(LawPort):
         known = (*OF_FORCES, "u", "t", *more, *constants_of(self.study))
         names = (*known, *signals_of(self.study), *self.plant.channel_names)
         shapes = {n: ShapeKeys(value=v) for n, v in variable.numbers.items()}
-        return _formula(text, names, _memories_of(variable), shapes)
+        return parse_formula(text, names, {}, _memories_of(variable), shapes)
 
     def action(self, law: Law) -> Mapping[str, Any]:
         """Where a law acts and how, in the keys of a row."""
@@ -280,15 +280,6 @@ class Remembering(Variable):
 def _memories_of(variable: Variable) -> dict[str, MemoryKeys]:
     """What a variable remembers, as a row states it."""
     return dict(variable.memories) if isinstance(variable, Remembering) else {}
-
-
-def _formula(
-    text: str,
-    known: Sequence[str],
-    memories: Mapping[str, MemoryKeys] | None = None,
-    shapes: Mapping[str, ShapeKeys] | None = None,
-) -> Formula:
-    return parse_formula(text, known, {}, memories or {}, shapes or {})
 
 
 @dataclass(frozen=True, eq=False)

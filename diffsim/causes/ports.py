@@ -217,16 +217,18 @@ def _change_numbers(
     each = len(names) // size.shape[-1]
     for i, name in enumerate(names):
         own = size[..., i // each]
-        scene = scene.with_number(name, partial(_scale_by if is_factor else _add_to, size=own))
+        scene = scene.with_number(name, partial(change_number, amount=own, is_factor=is_factor))
     return scene
 
 
-def _add_to(value: Tensor, size: Tensor) -> Tensor:
-    return value + size
+def change_number(value: Tensor, amount: Tensor, is_factor: bool = False) -> Tensor:
+    """A number with an amount added to it, or as much larger.
 
-
-def _scale_by(value: Tensor, size: Tensor) -> Tensor:
-    return value * (1.0 + size)
+    Args:
+        value, amount: () or (K,) each.
+        is_factor: Whether the amount is a share of the number.
+    """
+    return value * (1.0 + amount) if is_factor else value + amount
 
 
 def on_numbers_between(row: Row, sessions: Sessions) -> tuple[Apply, tuple[str, ...]]:
@@ -253,7 +255,7 @@ def _change_in_session(
         return scene
     for i, name in enumerate(names):
         own = size[..., session * len(names) + i]
-        scene = scene.with_number(name, partial(_add_to, size=own))
+        scene = scene.with_number(name, partial(change_number, amount=own))
     return scene
 
 

@@ -11,10 +11,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from diffsim.core.layer import may_be_differentiated
-from diffsim.core.numbers import require_unmapped, values_of
+from diffsim.core.numbers import asks_derivative, require_unmapped, values_of
 from diffsim.core.torch_names import has_function_modes
 
 
@@ -127,7 +126,7 @@ def require_constant(name: str, value: Any, hint: str = "") -> None:
     tensors = [part for part in parts if isinstance(part, Tensor)]
     for part in tensors:
         require_unmapped(**{name: part})
-    if any(map(_is_followed, tensors)):
+    if any(map(asks_derivative, tensors)):
         raise ValueError(
             f"{name} must not require grad: no derivative by it is computed; pass "
             f"{name}.detach(){_hint(hint)}"
@@ -146,12 +145,6 @@ def require_constants(hint: str, **given: Any) -> None:
         require_constant(name, value, hint)
         parts = vars(value) if is_dataclass(value) else getattr(value, "_asdict", dict)()
         require_constants(hint, **{f"{name}.{field}": part for field, part in parts.items()})
-
-
-def _is_followed(value: Tensor) -> bool:
-    if value.requires_grad or value.layout is not torch.strided:  # forward mode has no sparse ones
-        return value.requires_grad
-    return forward_ad.unpack_dual(value).tangent is not None
 
 
 def _fits(got: Sequence[int], want: Sequence[int | str]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from diffsim.core.torch_names import (
     is_batched,
@@ -58,13 +59,18 @@ def is_mapped(value: Tensor) -> bool:
     return False
 
 
-def without_mapping(value: Tensor) -> Tensor:
-    """A tensor without its outermost axes that ``torch.func.vmap`` maps, if nothing else is in it.
+def asks_derivative(value: Tensor) -> bool:
+    """Whether a derivative by a tensor is asked for, in either mode, by the outermost transform."""
+    if value.requires_grad or value.layout is not torch.strided:  # forward mode has no sparse ones
+        return value.requires_grad
+    return forward_ad.unpack_dual(value).tangent is not None
 
-    What a derivative is asked of within them stays mapped, for ``require_constant`` to refuse.
-    """
+
+def without_mapping(value: Tensor) -> Tensor:
+    """A tensor without the axes that ``torch.func.vmap`` maps, as far as no derivative is asked of
+    it: there it stays as it is, for ``require_constant`` to refuse."""
     inner = value
-    while is_mapped(inner) and is_batched(inner):
+    while is_mapped(inner) and (is_batched(inner) or not asks_derivative(inner)):
         inner = unwrapped(inner)
     return inner
 

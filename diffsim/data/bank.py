@@ -237,17 +237,15 @@ def _change_commands(
         command[drive.name] = limited
     if all(np.array_equal(command[d.name], run.command[d.name]) for d in drives):
         return
-    yield replace(run, name=name, group=name, use=NEXT, command=command, measured=_make_blank(run))
+    yield replace(
+        run, name=name, group=name, use=NEXT, command=command, measured=np.zeros_like(run.measured)
+    )
 
 
 def _one_of_each_command(study: Study) -> list[Run]:
     """The first samples of runs, measured ones kept: some models start from them."""
     runs = {run.group: run.part(slice(MAX_SAMPLES)) for run in study.fit_runs}
     return _spread(list(runs.values()), 3)
-
-
-def _make_blank(run: Run) -> Array:
-    return np.zeros_like(run.measured)
 
 
 def _other_facts(study: Study) -> Iterator[Run]:

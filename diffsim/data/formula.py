@@ -57,7 +57,9 @@ def names_in(text: str) -> tuple[str, ...]:
         for part in (rest, *(argument for _, _, given in calls for argument in given))
         for name in parse_expression(part).names
     )
-    return tuple(quoted.get(n, n) for n in needed if n not in (CLOCK, "nan", *_words(calls)))
+    return tuple(
+        quoted.get(n, n) for n in needed if n not in (CLOCK, "nan", *(word for word, _, _ in calls))
+    )
 
 
 def evaluate(
@@ -156,10 +158,6 @@ def _inner_calls(plain: str) -> Iterator[ast.Call]:
 def _is_own(node: ast.AST) -> bool:
     is_call = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     return is_call and node.func.id in OF_RECORDS  # type: ignore[attr-defined]
-
-
-def _words(calls: list[tuple[str, str, list[str]]]) -> list[str]:
-    return [word for word, _, _ in calls]
 
 
 def require_formula(text: str) -> str:

@@ -166,7 +166,7 @@ class MuscleSet:
         """Stiffness of each fiber, (..., num_fibers), from that of the muscles [Pa].
 
         Args:
-            stiffness: (..., num_muscles) [Pa].
+            stiffness: Of the muscles, (..., num_muscles) [Pa].
             weights: In place of the fibers' own, (..., num_fibers); None: those.
         """
         if not self.num_muscles:

@@ -105,7 +105,10 @@ def _rest_among(obstacles: Sequence[Obstacle], start: Tensor, loads: Loads) -> S
     The graph goes through all rounds, so that the gradient sees the surfaces' curvature.
     """
     body = loads.prepared.body
-    still = [replace(obstacle, restitution=0.0) for obstacle in obstacles]
+    still = [
+        replace(obstacle, restitution=torch.zeros((), dtype=torch.float64))
+        for obstacle in obstacles
+    ]
     solver = replace(body.solver, method="auto") if loads.prepared.is_linear else body.solver
     share = max(solver.rtol, _LEAST_SHARE)
 
@@ -120,7 +123,7 @@ def _rest_among(obstacles: Sequence[Obstacle], start: Tensor, loads: Loads) -> S
         state, last = State(x, torch.zeros_like(x), contact_force=force), planes
         planes = planes_at(x)
         with torch.no_grad():
-            off = _unsettled(body, state, last, planes)
+            off = _contact_error(body, state, last, planes)
         if off <= share:
             return state
     message = (
@@ -133,7 +136,7 @@ def _rest_among(obstacles: Sequence[Obstacle], start: Tensor, loads: Loads) -> S
     return state
 
 
-def _unsettled(body: Solid, state: State, last: ContactPlanes, planes: ContactPlanes) -> float:
+def _contact_error(body: Solid, state: State, last: ContactPlanes, planes: ContactPlanes) -> float:
     """How far nodes are inside new half spaces, or off them and turned where they touch, as a share
     of the body's size."""
     nodes = body.contact_nodes

@@ -68,7 +68,7 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
             figure.add_traces(left, rows=[row] * len(left), cols=[2] * len(left))
             owners += [k] * (len(signals) + len(left))
     if len(runs) > 1:
-        menu = charts.chooser([_label(run) for run in runs], owners)
+        menu = charts.chooser([f"{run.name} ({run.use})" for run in runs], owners)
         figure.update_layout(updatemenus=[menu])
     figure.update_xaxes(title_text="time [s]", row=len(shown))
     return figure
@@ -86,10 +86,6 @@ def seen_channels(runs: Sequence[PredictedRun]) -> list[int]:
     """Channels that one of the runs measured; all of them if none did."""
     seen = np.any([np.isfinite(run.measured).any(0) for run in runs], axis=0)
     return [int(i) for i in np.flatnonzero(seen)] or list(range(len(seen)))
-
-
-def _label(run: PredictedRun) -> str:
-    return f"{run.name} ({run.use})"
 
 
 def _signals(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:

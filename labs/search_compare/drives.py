@@ -13,11 +13,11 @@ from labs.search_compare.rigs import (
     Array,
     Rates,
     Rig,
-    _goals,
-    _held,
-    _integrated,
-    _noisy,
-    _study,
+    draw_goals,
+    hold,
+    integrate,
+    make_study,
+    with_noise,
 )
 
 JOINT = {
@@ -37,7 +37,7 @@ def elastic(seed: int, null: bool) -> Study:
 
     def rates(goal: Array) -> Rates:
         def of(s: float, y: Array) -> Array:
-            torque = kp * (_held(goal, s, 0.004) - y[0]) - kd * y[1]
+            torque = kp * (hold(goal, s, 0.004) - y[0]) - kd * y[1]
             if null:
                 return np.array([y[1], torque / whole, y[1], torque / whole])
             pull = stiffness * (y[0] - y[2]) + damping * (y[1] - y[3])
@@ -46,14 +46,14 @@ def elastic(seed: int, null: bool) -> Study:
         return of
 
     runs = [
-        (_integrated(rates(g), np.zeros(4), t, 8)[:, 2:3], {"goal": g})
+        (integrate(rates(g), np.zeros(4), t, 8)[:, 2:3], {"goal": g})
         for g in _sweeps(rng, t, 0.25, 9.0)
     ]
-    return _study(
+    return make_study(
         "elastic",
         {"angle": "rad"},
         t,
-        _noisy(rng, runs, 5e-4),
+        with_noise(rng, runs, 5e-4),
         parameters={"I": (0.06, 5), "kp": (80.0, 5), "kd": (3.0, 10)},
         inputs=[{"name": "goal", "held": True}],
         states={"q": 0, "w": 0},
@@ -72,21 +72,21 @@ def profile(seed: int, null: bool) -> Study:
 
     def rates(points: Array) -> Rates:
         def of(s: float, y: Array) -> Array:
-            goal = _held(points, s, 1e-3)
+            goal = hold(points, s, 1e-3)
             return np.array([y[1], (kp * (goal - y[0]) - kd * y[1]) / inertia])
 
         return of
 
     runs = []
-    for goal in _goals(rng, t, 0.6):
+    for goal in draw_goals(rng, t, 0.6):
         goal[0] = 0.0
         points = np.repeat(goal, 20) if null else _profile(goal, 0.02, fastest, most)
-        runs.append((_integrated(rates(points), np.zeros(2), t, 20)[:, :1], {"goal": goal}))
-    return _study(
+        runs.append((integrate(rates(points), np.zeros(2), t, 20)[:, :1], {"goal": goal}))
+    return make_study(
         "profile",
         {"angle": "rad"},
         t,
-        _noisy(rng, runs, 1e-3),
+        with_noise(rng, runs, 1e-3),
         parameters={"kp": (60.0, 5), "kd": (2.9, 10)},
         inputs=[{"name": "goal", "held": True}],
         states={"q": 0, "w": 0},
@@ -116,11 +116,11 @@ def late_torque(seed: int, null: bool) -> Study:
                 w += h * (torques[-1 - later] - damping * w) / inertia
                 q += h * w
         runs.append((np.array(seen)[:, None], {"goal": goal}))
-    return _study(
+    return make_study(
         "late_torque",
         {"angle": "rad"},
         t,
-        _noisy(rng, runs, 5e-4),
+        with_noise(rng, runs, 5e-4),
         parameters={"I": (0.05, 5), "d": (0.3, 30)},
         inputs=[{"name": "goal", "held": True}],
         states={"q": 0, "w": 0},
@@ -162,7 +162,7 @@ def _joints(
 
     def rates(goals: Array) -> Rates:
         def of(s: float, y: Array) -> Array:
-            u = np.array([_held(g, s, 0.01) for g in goals])
+            u = np.array([hold(g, s, 0.01) for g in goals])
             push = true * (u - y[:3]) - kd * y[3:]
             return np.concatenate([y[3:], push - 0.2 * push[[1, 2, 0]]])
 
@@ -170,14 +170,14 @@ def _joints(
 
     runs = []
     for _ in range(NUM_RUNS):
-        goals = np.array(_goals(rng, t, 0.5)[:3])
-        y = _integrated(rates(wired(goals)), np.zeros(6), fine, 1)[:, :3]
+        goals = np.array(draw_goals(rng, t, 0.5)[:3])
+        y = integrate(rates(wired(goals)), np.zeros(6), fine, 1)[:, :3]
         runs.append((read(y, fine)[::10], {f"u{k}": goals[k] for k in range(3)}))
-    return _study(
+    return make_study(
         name,
         {f"y{k}": "rad" for k in range(3)},
         t,
-        _noisy(rng, runs, 1e-3),
+        with_noise(rng, runs, 1e-3),
         parameters={
             **{f"k{k}": (float(kp[k]), 5) for k in range(3)},
             **{f"d{k}": (float(kd[k]), 10) for k in range(3)},

@@ -42,20 +42,20 @@ def shoulder(seed: int, null: bool) -> Study:
 
     def rates(goal: Array) -> Rates:
         def of(s: float, y: Array) -> Array:
-            torque = kp * (_held(goal, s, 0.02) - y[0]) - kd * y[1] + push
+            torque = kp * (hold(goal, s, 0.02) - y[0]) - kd * y[1] + push
             return np.array([y[1], (torque - rub * np.tanh(y[1] / 0.01)) / inertia])
 
         return of
 
-    goals = _goals(rng, t, 0.6)
+    goals = draw_goals(rng, t, 0.6)
     runs = [
-        (_integrated(rates(g), np.zeros(2), t, 24)[:, :1], {"goal": g}) for g in goals
+        (integrate(rates(g), np.zeros(2), t, 24)[:, :1], {"goal": g}) for g in goals
     ]  # steps of 0.8 ms: friction fades within 0.01 rad/s
-    return _study(
+    return make_study(
         "shoulder",
         {"angle": "rad"},
         t,
-        _noisy(rng, runs, 1e-3),
+        with_noise(rng, runs, 1e-3),
         parameters={"I": (0.02, 5), "kp": (6.0, 5), "kd": (0.35, 20)},
         inputs=[{"name": "goal", "held": True}],
         states={"q": 0, "w": 0},
@@ -80,7 +80,7 @@ def tanks(seed: int, null: bool) -> Study:
             out = np.array([upper, lower]) * np.sqrt(np.maximum(y, 1e-4))  # as the study has it
             spilled = 0.5 * max(y[0] - rim, 0.0)
             return np.array(
-                [(_held(pump, s, 0.5) - out[0]) / area - spilled, -np.diff(out)[0] / area]
+                [(hold(pump, s, 0.5) - out[0]) / area - spilled, -np.diff(out)[0] / area]
             )
 
         return of
@@ -88,13 +88,13 @@ def tanks(seed: int, null: bool) -> Study:
     flows = [
         np.repeat(rng.uniform(0.0, 0.016 if k else 0.01, 10), 30) for k in range(NUM_RUNS)
     ]  # the first run stays below the rim
-    runs = [(_integrated(rates(u), np.full(2, 0.1), t, 8)[:, 1:], {"pump": u}) for u in flows]
+    runs = [(integrate(rates(u), np.full(2, 0.1), t, 8)[:, 1:], {"pump": u}) for u in flows]
     tank = {"unit": "m", "area": str(area)}
-    return _study(
+    return make_study(
         "tanks",
         {"level": "m"},
         t,
-        _noisy(rng, runs, 1e-3),
+        with_noise(rng, runs, 1e-3),
         parameters={"a": (0.012, 20), "b": (0.010, 20)},
         inputs=[{"name": "pump", "held": True}],
         states={"upper": 0.1, "lower": 0.1},
@@ -124,16 +124,16 @@ def late(seed: int, null: bool) -> Study:
 
         return of
 
-    drawn = [np.array(_goals(rng, t, 0.5)[:3]) for _ in range(NUM_RUNS)]
+    drawn = [np.array(draw_goals(rng, t, 0.5)[:3]) for _ in range(NUM_RUNS)]
     runs = [
-        (_integrated(rates(g), np.zeros(6), t, 2)[:, :3], {f"u{k}": g[k] for k in range(3)})
+        (integrate(rates(g), np.zeros(6), t, 2)[:, :3], {f"u{k}": g[k] for k in range(3)})
         for g in drawn
     ]
-    return _study(
+    return make_study(
         "late",
         {f"y{k}": "rad" for k in range(3)},
         t,
-        _noisy(rng, runs, 1e-3),
+        with_noise(rng, runs, 1e-3),
         parameters={
             **{f"k{k}": (float(kp[k]), 5) for k in range(3)},
             **{f"d{k}": (float(kd[k]), 10) for k in range(3)},
@@ -158,19 +158,20 @@ def drive(seed: int, null: bool) -> Study:
 
     def rates(force: Array) -> Rates:
         def of(s: float, y: Array) -> Array:
-            push = gain * _held(force, s, 0.01) - damping * y[1] - stiffness * y[0]
+            push = gain * hold(force, s, 0.01) - damping * y[1] - stiffness * y[0]
             return np.array([y[1], push / mass])
 
         return of
 
     runs = [
-        (_integrated(rates(g), np.zeros(2), t, 4)[:, :1], {"force": g}) for g in _goals(rng, t, 1.5)
+        (integrate(rates(g), np.zeros(2), t, 4)[:, :1], {"force": g})
+        for g in draw_goals(rng, t, 1.5)
     ]
-    return _study(
+    return make_study(
         "drive",
         {"place": "m"},
         t,
-        _noisy(rng, runs, 2e-3),
+        with_noise(rng, runs, 2e-3),
         parameters={"m": (1.0, 3), "d": (0.8, 20), "k": (12.0, 3)},
         inputs=[{"name": "force", "held": True}],
         states={"x": 0, "v": 0},
@@ -194,14 +195,14 @@ def slow(seed: int, null: bool) -> Study:
         return of
 
     runs = []
-    for goal in _goals(rng, t, 0.5):
+    for goal in draw_goals(rng, t, 0.5):
         u = _behind(goal, 0.01 * limit, 0.5 * slack)
-        runs.append((_integrated(rates(u), np.array([u[0], 0.0]), t, 4)[:, :1], {"goal": goal}))
-    return _study(
+        runs.append((integrate(rates(u), np.array([u[0], 0.0]), t, 4)[:, :1], {"goal": goal}))
+    return make_study(
         "slow",
         {"place": "m"},
         t,
-        _noisy(rng, runs, 1e-3),
+        with_noise(rng, runs, 1e-3),
         parameters={"pace": (20.0, 5), "z": (0.8, 10)},
         inputs=[{"name": "goal", "held": False}],
         states={"x": {"value": 0, "sd": 0.3, "per": "run"}, "v": 0},
@@ -219,7 +220,7 @@ RIGS: Mapping[str, Rig] = {
 }
 
 
-def _goals(rng: np.random.Generator, t: Array, size: float) -> list[Array]:
+def draw_goals(rng: np.random.Generator, t: Array, size: float) -> list[Array]:
     """Sines, steps and sweeps, one a run."""
     out = []
     for k in range(NUM_RUNS):
@@ -242,12 +243,12 @@ def _behind(goal: Array, step: float, half: float) -> Array:
     return out
 
 
-def _held(values: Array, s: float, step: float) -> float:
-    """Value that lasts a step; the last stage of ``_integrated`` still has the old one."""
+def hold(values: Array, s: float, step: float) -> float:
+    """Value that lasts a step; the last stage of ``integrate`` still has the old one."""
     return float(values[min(int(s / step + 1e-12), len(values) - 1)])
 
 
-def _integrated(rates: Rates, start: Array, t: Array, steps: int) -> Array:
+def integrate(rates: Rates, start: Array, t: Array, steps: int) -> Array:
     """States at the samples, (T, n), by Runge and Kutta's scheme, so many steps a sample."""
     out = [start]
     for begin, end in pairwise(t):
@@ -263,13 +264,14 @@ def _integrated(rates: Rates, start: Array, t: Array, steps: int) -> Array:
     return np.array(out)
 
 
-def _noisy(
+def with_noise(
     rng: np.random.Generator, runs: Sequence[tuple[Array, dict[str, Array]]], sd: float
 ) -> list[tuple[Array, dict[str, Array], float]]:
+    """Channels with white noise, commands, and the noise, of each run."""
     return [(y + sd * rng.normal(size=y.shape), command, sd) for y, command in runs]
 
 
-def _study(
+def make_study(
     name: str,
     channels: Mapping[str, str],
     t: Array,

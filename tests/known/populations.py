@@ -245,12 +245,15 @@ def late_cart(folder: Path) -> None:
 
 
 def faulty_rig(folder: Path) -> None:
-    """Days of a rig, two of which are at fault."""
+    """Days of a rig, two of which are at fault, and new ones."""
     random = np.random.default_rng(0)
     for n in range(8):
         write_day(folder / f"sound{n}.csv", random)
     for n in range(2):
         write_day(folder / f"cut{n}.csv", random, (1.2, 1.0))
+    (folder / "new").mkdir()
+    for name in ("weak", "weaker", "sound"):
+        write_day(folder / "new" / f"{name}.csv", random, (1.0 if name == "sound" else 1.25, 1.0))
     (folder / "study.yaml").write_text(FAULTS, "utf-8")
 
 
@@ -314,7 +317,11 @@ COMMANDS = {
         "diagnose command study --task task.yaml --out out",
         "diagnose worth study --task task.yaml --out out",
     ),
-    "faults": (faulty_rig, "diagnose faults . --out out"),
+    "faults": (
+        faulty_rig,
+        "diagnose faults . --out out",
+        "diagnose faults . --out out --new new/weak.csv new/weaker.csv --new new/sound.csv",
+    ),
     "copter": (
         nothing,
         "fly pentacopter --seconds 0.5 --payload 0.2 --out fly",

@@ -266,8 +266,9 @@ def test_what_is_kept_has_no_gradient_and_keeps_no_body():
 
 def test_ensembles_and_graphs_take_a_body():
     """A stack of bodies of one mesh is its loop; graphs ask no values; shapes have no gradient."""
-    bodies = [forced()[0] for _ in range(2)]
-    bodies[1].youngs_modulus.data *= 1.5
+    bodies = [
+        forced(youngs_modulus=torch.nn.Parameter(torch.tensor(E).double()))[0] for E in (30.0, 45.0)
+    ]
     start = bodies[0].rest_state()
     start = soft.State(start.x, 0.1 * noise(*start.x.shape, seed=6) * ~bodies[0].fixed)
     stacked = torch.func.stack_module_state(bodies)
@@ -279,6 +280,10 @@ def test_ensembles_and_graphs_take_a_body():
     alone = torch.stack([body(start).x for body in bodies])
     assert not torch.equal(alone[0], alone[1])
     torch.testing.assert_close(together, alone, rtol=1e-12, atol=0.0)
+    slopes = torch.func.vmap(torch.func.grad(lambda p, b: run(p, b).square().sum()))(*stacked)
+    moduli = [body.youngs_modulus for body in bodies]
+    loop = torch.autograd.grad(sum(body(start).x.square().sum() for body in bodies), moduli)
+    torch.testing.assert_close(slopes["youngs_modulus"], torch.stack(loop), rtol=1e-12, atol=0.0)
 
     class Scene(torch.nn.Module):
         def __init__(self):

@@ -547,28 +547,40 @@ def rows_are_judged_or_refused(ready: Ready) -> None:
 
 
 def slopes_are_those_of_differences(ready: Ready) -> None:
-    """Columns of base parameters and of smooth causes, and the gradient of the misfit.
+    """Columns of base parameters, smooth causes and shapes of causes; gradient of the misfit.
 
     Beside others tangents of a body that moves are off by a percent, and its adjoint by seven
     (stiffness_loss beside stiffening): there each third cause is taken alone. With all causes of a
     rod at once a tendon that is not commanded is at the edge of slack, where its tension has a
     kink: there each is taken alone, too.
     """
-    smooth = tuple(e for e in ready.setup.effects if e.smooth)
+    effects = ready.setup.effects
+    smooth = tuple(e for e in effects if e.smooth)
     moves = ready.study.model["system"] == "soft_body" and not ready.study.commands
     is_pulled = ready.study.model["system"] == "rod"
     alone = [(cause,) for cause in (smooth if is_pulled else smooth[::3])]
     for causes in alone if moves or is_pulled else [smooth]:
-        problem = Problem(ready.setup.model, (ready.run,), WhiteNoise(ready.channels), causes)
-        x = np.full(len(problem.names), SHARE)
-        residual, columns = problem.linearize(x)
-        _, gradient = problem.gradient(x)
-        for i, name in enumerate(problem.names):
-            step = np.eye(len(x))[i] * 1e-3
-            slope = -(problem.residual(x + step) - problem.residual(x - step)) / 2e-3
-            assert np.abs(columns[:, i] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-6, name
-            reach = np.linalg.norm(residual) * np.linalg.norm(slope)
-            assert abs(gradient[i] + columns[:, i] @ residual) <= 1e-3 * reach + 1e-6, name
+        _columns_are_slopes(ready, causes)
+    for cause in effects:
+        if cause.shapes:
+            _columns_are_slopes(ready, (cause,), cause.shapes)
+
+
+def _columns_are_slopes(
+    ready: Ready, causes: Sequence[Effect], only: Sequence[str] | None = None
+) -> None:
+    problem = Problem(ready.setup.model, (ready.run,), WhiteNoise(ready.channels), causes)
+    x = np.full(len(problem.names), SHARE)
+    residual, columns = problem.linearize(x)
+    _, gradient = problem.gradient(x)
+    for i, name in enumerate(problem.names):
+        if only is not None and name not in only:
+            continue
+        step = np.eye(len(x))[i] * 1e-3
+        slope = -(problem.residual(x + step) - problem.residual(x - step)) / 2e-3
+        assert np.abs(columns[:, i] - slope).max() <= 2e-3 * np.abs(slope).max() + 1e-6, name
+        reach = np.linalg.norm(residual) * np.linalg.norm(slope)
+        assert abs(gradient[i] + columns[:, i] @ residual) <= 1e-3 * reach + 1e-6, name
 
 
 def many_points_are_as_one_by_one(ready: Ready) -> None:

@@ -24,12 +24,9 @@ def _require_order(interval: tuple[float, float]) -> tuple[float, float]:
 
 Interval = Annotated[tuple[Meters, Meters], AfterValidator(_require_order)]
 Place = Annotated[
-    tuple[Meters, ...], BeforeValidator(lambda given: [given] if _is_single(given) else given)
+    tuple[Meters, ...],
+    BeforeValidator(lambda given: [given] if isinstance(given, (int, float, str)) else given),
 ]
-
-
-def _is_single(given: Any) -> bool:
-    return isinstance(given, (int, float, str))
 
 
 class PartKeys(FinitePart):

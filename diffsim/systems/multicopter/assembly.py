@@ -43,7 +43,8 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
         of: Description of the multicopter.
         study: Study whose channels and commands the description names.
     """
-    design, rotor = _load_vehicle(of, study), _load_rotor(of)
+    design = _load_vehicle(of, study)
+    rotor = None if of.rotor_model is None else rotor_model(of.rotor_model)
     frames = RecordingFrames(of.frames.world, of.frames.body)
     parameters = BaseParameters(dict(_list_quantities(of, design, rotor)), study.runs)
     law = ThrustLaw(commands=of.commands, thrust=of.thrust, rotor=rotor, battery=of.battery)
@@ -271,10 +272,6 @@ def _find_radius(of: MulticopterKeys, rotor: RotorModel | None) -> float:
     if of.radius is not None:
         return float(of.radius)
     return 0.0 if rotor is None else float(rotor.radius)
-
-
-def _load_rotor(of: MulticopterKeys) -> RotorModel | None:
-    return None if of.rotor_model is None else rotor_model(of.rotor_model)
 
 
 def _load_vehicle(of: MulticopterKeys, study: Study) -> Multicopter | None:

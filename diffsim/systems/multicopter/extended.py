@@ -147,7 +147,10 @@ class CopterSizes:
             num_rotors: Of the vehicle.
         """
         v = self._by_name(sizes)
-        gains = _ones(sizes, num_rotors) * v.get("thrust_gain", sizes.new_ones(1))[:, None]
+        gains = (
+            sizes.new_ones(len(sizes), num_rotors)
+            * v.get("thrust_gain", sizes.new_ones(1))[:, None]
+        )
         return gains * self._kept_share(v, sizes, num_rotors, "weak_rotor", "thrust_loss")
 
     def delay(self, sizes: Tensor) -> Tensor:
@@ -366,10 +369,6 @@ def _frames_of(saved: SavedModel, names: list[str]) -> RecordingFrames:
             "`diffsim diagnose explain`"
         )
     return RecordingFrames()
-
-
-def _ones(sizes: Tensor, count: int) -> Tensor:
-    return sizes.new_ones(len(sizes), count)
 
 
 def _inertias(nominal: Tensor, v: Mapping[str, Tensor]) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -63,6 +63,31 @@ def _apply_change(
     scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbols: Sequence[str]
 ) -> OdeScene:
     return scene.with_change(change, {s: size[..., i] for i, s in enumerate(symbols)})
+
+
+def with_inputs(
+    change: Change, symbol: str, make: Callable[[OdeScene, Tensor], Mapping[str, Tensor]]
+) -> Apply:
+    """An effect that changes formulas, which use inputs made of those of the scene.
+
+    Args:
+        change: Formulas in which the first size is called ``symbol``.
+        symbol: Name of the first size.
+        make: Function (scene, sizes) that gives the further inputs by name, (..., num_times).
+    """
+    return partial(_apply_with_inputs, change=change, symbol=symbol, make=make)
+
+
+def _apply_with_inputs(
+    scene: OdeScene,
+    size: Tensor,
+    run: Run,
+    *,
+    change: Change,
+    symbol: str,
+    make: Callable[[OdeScene, Tensor], Mapping[str, Tensor]],
+) -> OdeScene:
+    return scene.with_further_inputs(make(scene, size), change, {symbol: size[..., 0]})
 
 
 LABELS = "labels"  # place of the values of facts in a study's frame

@@ -12,9 +12,8 @@ from diffsim.causes.commands import CommandGroup
 from diffsim.causes.readings import usual_sample
 from diffsim.causes.signals import Grid, accelerated
 from diffsim.core.expression import parse_expression
-from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
-from diffsim.systems.ode.applying import by_formulas, symbol
+from diffsim.systems.ode.applying import by_formulas, symbol, with_inputs
 from diffsim.systems.ode.joint_effects import current_of
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import Change, filled, named
@@ -73,29 +72,18 @@ def between_samples(name: str, own: str, *, held: bool) -> Apply:
         inputs=() if held else (other,),
         held_inputs=(other,) if held else (),
     )
-    return partial(
-        _replace_input,
-        name=name,
-        other=other,
-        change=change,
-        symbol=symbol(own),
-        between=_hold_input if held else _join_samples,
-    )
+    between = _hold_input if held else _join_samples
+    return with_inputs(change, symbol(own), partial(_between_samples, name, other, between))
 
 
-def _replace_input(
-    scene: OdeScene,
-    size: Tensor,
-    run: Run,
-    *,
+def _between_samples(
     name: str,
     other: str,
-    change: Change,
-    symbol: str,
     between: Callable[[Tensor, Grid], Tensor],
-) -> OdeScene:
-    values = between(scene.inputs[name], scene.grid)
-    return scene.with_further_input(other, values, change, {symbol: size[..., 0]})
+    scene: OdeScene,
+    size: Tensor,
+) -> dict[str, Tensor]:
+    return {other: between(scene.inputs[name], scene.grid)}
 
 
 def _hold_input(u: Tensor, grid: Grid) -> Tensor:
@@ -145,29 +133,14 @@ def follow_profile(name: str, own: str, *, held: Mapping[str, bool]) -> Apply:
     change = Change(
         names={name: filled(parse_expression("where(size, other, u)"), parts)}, inputs=(other,)
     )
-    return partial(
-        _accelerate_input,
-        name=name,
-        other=other,
-        change=change,
-        symbol=symbol(own),
-        is_held=held[name],
-    )
+    return with_inputs(change, symbol(own), partial(_accelerate_input, name, other, held[name]))
 
 
 def _accelerate_input(
-    scene: OdeScene,
-    size: Tensor,
-    run: Run,
-    *,
-    name: str,
-    other: str,
-    change: Change,
-    symbol: str,
-    is_held: bool,
-) -> OdeScene:
-    values = accelerated(scene.inputs[name], scene.grid, size[..., 0], size[..., 1], held=is_held)
-    return scene.with_further_input(other, values, change, {symbol: size[..., 0]})
+    name: str, other: str, is_held: bool, scene: OdeScene, size: Tensor
+) -> dict[str, Tensor]:
+    most, fastest = size[..., 0], size[..., 1]
+    return {other: accelerated(scene.inputs[name], scene.grid, most, fastest, held=is_held)}
 
 
 def drift_in_order(name: str, own: str) -> Apply:

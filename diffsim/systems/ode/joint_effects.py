@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 
 from torch import Tensor
 
 from diffsim.causes.signals import delayed, held_delayed
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.data.study import Channel, Run
+from diffsim.data.study import Channel
 from diffsim.identify.effect import Apply
-from diffsim.systems.ode.applying import by_formulas, symbol
+from diffsim.systems.ode.applying import by_formulas, symbol, with_inputs
 from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import READING, Change, Network, filled, named
@@ -159,27 +159,17 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
         inputs=tuple(f"{n} for {name}" for n in inputs if not network.inputs[n]),
         held_inputs=tuple(f"{n} for {name}" for n in inputs if network.inputs[n]),
     )
-    return partial(_come_late, inputs=inputs, name=name, change=change, held=network.inputs)
+    late_names = {n: f"{n} for {name}" for n in inputs}
+    return with_inputs(change, symbol(name), partial(_come_late, late_names, network.inputs))
 
 
 def _come_late(
-    scene: OdeScene,
-    size: Tensor,
-    run: Run,
-    *,
-    inputs: Sequence[str],
-    name: str,
-    change: Change,
-    held: Mapping[str, bool],
-) -> OdeScene:
-    late = {
-        f"{n} for {name}": (held_delayed if held[n] else delayed)(
-            scene.inputs[n], scene.grid, size[..., 0]
-        )
-        for n in inputs
+    names: Mapping[str, str], held: Mapping[str, bool], scene: OdeScene, size: Tensor
+) -> dict[str, Tensor]:
+    return {
+        late: (held_delayed if held[n] else delayed)(scene.inputs[n], scene.grid, size[..., 0])
+        for n, late in names.items()
     }
-    further = scene.changed(further={**scene.further, **late})
-    return further.with_change(change, {symbol(name): size[..., 0]})
 
 
 def closed_loops(network: Network) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ class Change:
 
     Attributes:
         rates: Terms that are added to the rates of states, by state.
+        held_rates: New rates of states, made of ``rate``, what all other terms make it.
         factors: Factors on the rates of states, by state.
         names: New formulas of definitions, inputs and parameters, by name, made of the old value.
         readings: New formulas of channels, made of ``reading``, the old one.
@@ -34,6 +35,7 @@ class Change:
     """
 
     rates: Mapping[str, Expression] = field(default_factory=dict)
+    held_rates: Mapping[str, Expression] = field(default_factory=dict)
     factors: Mapping[str, Expression] = field(default_factory=dict)
     names: Mapping[str, Expression] = field(default_factory=dict)
     readings: Mapping[str, Expression] = field(default_factory=dict)
@@ -43,7 +45,7 @@ class Change:
     held_inputs: tuple[str, ...] = ()
 
 
-READING = "reading"
+READING, RATE = "reading", "rate"
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +138,9 @@ class Network:
                 readings[channel] = _substitute_names(
                     formula.root, {READING: readings[channel]}, {}
                 )
+        for change in changes:
+            for state, formula in change.held_rates.items():
+                rates[state] = _substitute_names(formula.root, {RATE: rates[state]}, {})
         raw = {_RAW.format(n): n for n in bodies if n not in self.definitions}
         resolved = _ResolvedFormulas(bodies)
         own_rates = {s: _make_expression(resolved(n)) for s, n in rates.items()}

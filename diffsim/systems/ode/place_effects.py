@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from diffsim.causes.row import Row
@@ -11,10 +12,11 @@ from diffsim.systems.description import Quantity
 from diffsim.systems.ode.applying import by_formulas, entering, symbol
 from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library, PlaceScale
-from diffsim.systems.ode.network import Change, filled, named
+from diffsim.systems.ode.network import RATE, Change, filled, named
 from diffsim.systems.ode.scene import at_start
 
 STICK = 0.01  # of the usual velocity: below it dry friction fades
+SLIDING = "tanh(v/w)"  # of a law of dry friction
 STRIBECK = 0.2  # of the usual velocity: where friction has fallen to that of sliding
 STOP_STIFFNESS = 50.0  # usual forces per usual distance, times e^stop_hardness
 STOP_LIMIT = 2.0  # inertias per square of a step: what an explicit step follows on a stiffer stop
@@ -114,14 +116,37 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
     name = row.name
     parts = _list_letters(library, place, scale, name)
     slow = f"slow state of {name}"
-    letters = parse_expression(row.said("law", "ode"), parts)
+    law = row.said("law", "ode")
+    letters = parse_expression(law, parts)
     creeps = "slow" in letters.names
+    is_friction = law.count(SLIDING) == 1 and f"{SLIDING}**" not in law
+    enters = entering(library.system, "force", place.name, filled(letters, parts))
     change = replace(
-        entering(library.system, "force", place.name, filled(letters, parts)),
+        _holding(library, place, law, parts) if is_friction and place.force is None else enters,
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
     return by_formulas(change, symbol(name))
+
+
+def _holding(library: Library, place: Place, law: str, parts: Mapping[str, Expression]) -> Change:
+    """Dry friction that holds at rest, however long the step is.
+
+    Where friction could turn the velocity within a step (most > w/step), tanh(v/w) is not followed:
+    the velocity rattles about zero, and what should stick slides. There friction acts against the
+    velocity that all else makes of a step, v + step*rate, and is at most what stops that.
+    """
+    strength = law.replace(SLIDING, "(-1)")
+    most = filled(parse_expression(f"({strength})/inertia", parts), parts)
+    step = parse_expression(repr(library.system.step))
+    unfollowed = "clip(most*step/w - 1, 0, 1)"
+    after = filled(
+        parse_expression(f"v + step*rate*{unfollowed}"),
+        {"most": most, "step": step, "w": parts["w"], "v": parts["v"], "rate": named(RATE)},
+    )
+    text = "rate - clip(most*tanh(after/w), -abs(after)/step, abs(after)/step)"
+    new = {"rate": named(RATE), "most": most, "after": after, "w": parts["w"], "step": step}
+    return Change(held_rates={place.velocity: filled(parse_expression(text), new)})
 
 
 def add_inertia(library: Library, place: Place, name: str) -> Apply:

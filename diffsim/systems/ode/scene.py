@@ -58,11 +58,14 @@ class OdeScene(Scene):
         numbers = {**self.numbers, **sizes}
         return self.changed(changes=(*self.changes, change), numbers=numbers)
 
-    def with_further_input(
-        self, name: str, values: Tensor, change: Change, sizes: Mapping[str, Tensor] | None = None
+    def with_further_inputs(
+        self,
+        inputs: Mapping[str, Tensor],
+        change: Change,
+        sizes: Mapping[str, Tensor] | None = None,
     ) -> OdeScene:
-        """A copy with one more input (..., num_times), which ``change`` puts into formulas."""
-        scene = self.changed(further={**self.further, name: values})
+        """A copy with more inputs (..., num_times), which ``change`` puts into formulas."""
+        scene = self.changed(further={**self.further, **inputs})
         return scene.with_change(change, sizes or {})
 
     def simulate(self) -> Tensor:

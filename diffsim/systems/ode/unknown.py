@@ -112,4 +112,4 @@ def apply_knots(
     columns = torch.arange(len(place))
     weights[left, columns] = 1.0 - share
     weights[left + 1, columns] += share
-    return scene.with_further_input(name, size @ weights, change)
+    return scene.with_further_inputs({name: size @ weights}, change)

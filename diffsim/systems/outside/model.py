@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -18,6 +17,8 @@ from torch import Tensor
 from diffsim.causes.ports import SignalChange
 from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import Grid, SignalMap
+from diffsim.core.runs import run_each
+from diffsim.core.workers import Processes
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
@@ -251,7 +252,7 @@ class OutsideModel(SimModel):
         simulator = getattr(self.predict_run, "__self__", None)
         self.run_many: PredictMany | None = getattr(simulator, "predict_many", None)
         self._count_steps = getattr(simulator, "count_steps", None)
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: Processes | None = None
 
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction; counted where the simulator counts its own."""
@@ -283,13 +284,13 @@ class OutsideModel(SimModel):
             with self.one_at_a_time:
                 return call_many(self.run_many, self.source.label, jobs, self.workers)
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                self.workers,
-                get_context("spawn"),
-                initializer=_begin_process,
-                initargs=(self.source,),
-            )
-        return list(self._pool.map(_run_job, jobs))
+            self._pool = Processes(self.workers)
+        try:
+            return run_each(partial(_run_job, self.source), jobs, self._pool)
+        except KeyboardInterrupt:  # workers leave it to this process
+            self._pool.end()
+            self._pool = None
+            raise
 
     def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics
@@ -308,13 +309,11 @@ class OutsideModel(SimModel):
         )
 
 
-_OWN: dict[str, Any] = {}
+_OWN: dict[str, Predict] = {}  # simulators of this process by label
 
 
-def _begin_process(source: Source) -> None:
-    """Make the simulator of this process."""
-    _OWN["predict"], _OWN["label"] = source.make(), source.label
-
-
-def _run_job(job: Job) -> Array:
-    return call(_OWN["predict"], _OWN["label"], job)
+def _run_job(source: Source, job: Job) -> Array:
+    label = source.label
+    if label not in _OWN:
+        _OWN[label] = source.make()
+    return call(_OWN[label], label, job)

@@ -11,10 +11,9 @@ import torch
 
 from diffsim.data import load_study
 from diffsim.data.study_check import check_study
-from diffsim.identify import fit
 from diffsim.systems import published
-from diffsim.systems.registry import setup_of
 from tests.measured import data_folder
+from tests.systems.published.fits import fitted
 
 pytestmark = pytest.mark.reference
 #: study: folder of its data, runs to fit and to test
@@ -26,7 +25,7 @@ SETS = {
     "rotor_drive": ("rotor_bench", 23, 4),
     "silicone_tensile": ("silicone_tensile", 15, 15),
     "f1tenth_car": ("f1tenth_car", 13, 4),
-    "motor_pendulum": ("motor_pendulum", 16, 3),
+    "motor_pendulum": ("motor_pendulum", 32, 6),
     "so101": ("so101", 3, 1),
 }
 
@@ -34,13 +33,6 @@ SETS = {
 def read(name):
     data_folder(SETS[name][0])
     return load_study(Path(published.__file__).parent / f"{name}.yaml")
-
-
-def fitted(study, *names):
-    s = setup_of(study)
-    chosen = [e for e in s.effects if e.name in names]
-    assert len(chosen) == len(names)
-    return fit(s.model, study.fit_runs, study.channels, effects=chosen, max_evaluations=60)
 
 
 def left(found, run):

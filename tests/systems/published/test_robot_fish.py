@@ -12,10 +12,10 @@ import yaml
 
 from diffsim.data import load_study
 from diffsim.data.study import Run
-from diffsim.identify import fit
 from diffsim.systems import published
 from diffsim.systems.registry import setup_of
 from tests.measured import data_folder
+from tests.systems.published.fits import fitted
 
 pytestmark = pytest.mark.reference
 FILE = Path(published.__file__).parent / "robot_fish.yaml"
@@ -77,13 +77,6 @@ def write_twin(folder: Path, fast: float, seconds: float = 4.0) -> Path:
             fmt="%.5f",
         )
     return path
-
-
-def fitted(study, *names):
-    setup = setup_of(study)
-    chosen = [e for e in setup.effects if e.name in names]
-    assert len(chosen) == len(names)
-    return fit(setup.model, study.fit_runs, study.channels, effects=chosen, max_evaluations=60)
 
 
 def test_a_fast_camera_is_seen_with_its_size_and_looks_like_a_slow_motor(tmp_path):

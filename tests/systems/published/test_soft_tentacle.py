@@ -11,10 +11,11 @@ import torch
 from diffsim.data import load_study
 from diffsim.data.study_check import check_study
 from diffsim.diagnose import diagnose
-from diffsim.identify import Numerics, fit
+from diffsim.identify import Numerics
 from diffsim.systems import published
 from diffsim.systems.registry import setup_of
 from tests.measured import data_folder
+from tests.systems.published.fits import fitted
 
 pytestmark = pytest.mark.reference
 FILE = Path(published.__file__).parent / "soft_tentacle.yaml"
@@ -67,13 +68,6 @@ def test_markers_one_and_two_are_farther_apart_in_one_session(study):
         places = run.measured.reshape(4, 3)
         apart[int(run.setup["camera_Hz"])].append(1e3 * np.linalg.norm(places[1] - places[0]))
     assert min(apart[200]) > 92.0 > 91.0 > max(apart[240])
-
-
-def fitted(study, *names):
-    s = setup_of(study)
-    chosen = [e for e in s.effects if e.name in names]
-    assert len(chosen) == len(names)
-    return fit(s.model, study.fit_runs, study.channels, effects=chosen, max_evaluations=60)
 
 
 def left_out(found, study):

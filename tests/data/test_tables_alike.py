@@ -1,0 +1,58 @@
+"""One recording written as several programs would write it: one study, one set of numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from diffsim.cli import main
+from diffsim.data.table import read_numbers
+
+T = 0.01 * np.arange(60)
+COLUMNS = {
+    "time_s": T,
+    "angle (deg)": 40.0 * np.sin(5.0 * T) + 0.01 * np.cos(700.0 * T),
+    "duty": np.sign(np.sin(9.0 * T)),
+}
+LINES = [
+    ",".join(COLUMNS),
+    *(",".join(f"{v:.6f}" for v in row) for row in zip(*COLUMNS.values(), strict=True)),
+]
+WAYS = {
+    "commas at the ends": lambda lines: "\n".join(f"{line}," for line in lines),
+    "ends of lines of Windows": lambda lines: "\r\n".join(lines) + "\r\n",
+    "a mark of bytes before": lambda lines: "\ufeff" + "\n".join(lines),
+    "semicolons": lambda lines: "\n".join(line.replace(",", ";") for line in lines),
+    "tabs": lambda lines: "\n".join(line.replace(",", "\t") for line in lines),
+    "commas in numbers": lambda lines: "\n".join(
+        line.replace(",", ";").replace(".", ",") for line in lines
+    ),
+    "quotes": lambda lines: "\n".join(
+        ",".join(f'"{cell}"' for cell in line.split(",")) for line in lines
+    ),
+    "blanks": lambda lines: "\n".join(line.replace(",", ", ") for line in lines),
+    "rows that pandas numbers": lambda lines: "\n".join(
+        [f",{lines[0]}", *(f"{k},{line}" for k, line in enumerate(lines[1:]))]
+    ),
+    "empty lines at the end": lambda lines: "\n".join(lines) + "\n\n\n",
+}
+
+
+def study_of(folder, text):
+    for name in "ab":
+        (folder / f"{name}.csv").write_text(text, "utf-8", newline="")
+    assert main(["diagnose", "init", str(folder), "--out", str(folder / "study.yaml")]) == 0
+    return (folder / "study.yaml").read_text("utf-8").splitlines()
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_one_recording_written_in_another_way_is_the_same(tmp_path, way):
+    folders = [tmp_path / name / "records" for name in ("usual", "other")]
+    studies = []
+    for folder, text in zip(folders, ("\n".join(LINES), WAYS[way](LINES)), strict=True):
+        folder.mkdir(parents=True)
+        studies.append(study_of(folder, text))
+    assert studies[0] == studies[1]
+    numbers = read_numbers(folders[1] / "a.csv", list(COLUMNS))
+    for name, wanted in COLUMNS.items():
+        np.testing.assert_allclose(numbers[name], wanted, atol=1e-6)

@@ -1,0 +1,55 @@
+"""Dry friction that holds at rest, where the step is far too long to follow it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.data.study import Run
+from diffsim.identify import Problem, WhiteNoise
+from diffsim.systems.registry import setup_of
+from tests.systems.toy_cart import cart_study, described
+
+WIDTH = 1e-4  # m/s, below which friction fades
+TIME = 0.01 * np.arange(200.0)
+
+
+def position(force, friction, *, constant=0.0, step=0.01):
+    """Where a cart without a spring is under a steady force, (num_samples,) [m]."""
+    place = {"name": "cart", "position": "x", "velocity": "v", "inertia": "m"}
+    model = described(
+        rates={"x": "v", "v": "(force - c*v)/m"},
+        parameters={"m": {"value": 1.0, "percent": 3}, "c": {"value": 0.5, "percent": 3}},
+        places=[{**place, "stick_velocity": WIDTH}],
+        time_step=step,
+    )
+    study = cart_study(model=model)
+    setup = setup_of(study)
+    sizes = {"dry_friction": friction, "constant_force": constant}
+    effects = tuple(e for e in setup.effects if e.name in sizes)
+    run = Run("a", TIME, np.zeros((len(TIME), 1)), {"force": np.full(len(TIME), force)}, "a")
+    problem = Problem(setup.model, (run,), WhiteNoise(study.channels), effects)
+    scaled = [sizes[e.name] / unit for e, unit in zip(effects, problem.size_units, strict=True)]
+    x = problem.standardized(np.array([*np.zeros(problem.num_base), *scaled]))
+    with torch.no_grad():
+        return problem.predict(run, torch.from_numpy(x)).numpy()[:, 0]
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.6])
+def test_what_sticks_stays(constant):
+    """It slid with the load at once: steps of 10 ms follow no friction that fades in 0.1 mm/s."""
+    assert np.abs(position(1.0, 2.0, constant=constant)).max() < WIDTH * TIME[-1]
+
+
+def test_what_slides_is_slowed_by_all_of_it():
+    """Force less friction, against the closed form of v = (1 - exp(-c t/m)) F/c."""
+    exact = 2.0 * (TIME / 0.5 - (1.0 - np.exp(-0.5 * TIME)) / 0.25)
+    assert position(3.0, 1.0) == pytest.approx(exact, abs=1e-3)
+
+
+def test_a_step_that_follows_friction_is_as_it_was():
+    """Of 10 us and 5 us: there friction fades by tanh(v/w), to the digits of the integrator."""
+    coarse, fine = (position(1.0, 2.0, step=step)[:5] for step in (1e-5, 5e-6))
+    assert coarse == pytest.approx(fine, rel=1e-4)
+    assert coarse[4] == pytest.approx(WIDTH * np.arctanh(0.5) * 0.04, rel=0.02)
