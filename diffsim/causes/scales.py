@@ -18,6 +18,7 @@ from diffsim.data.study import Run, Study
 
 Array = NDArray[np.float64]
 SCALES = "scales"  # place in a study's frame
+HELD = "held"  # another: commands that are held; a long record has it before it has scales
 _NO_RANGE = 1e-12  # of a command that is the same throughout
 _MOSTLY = 90  # percentile of rates of change that a record mostly stays below
 
@@ -91,9 +92,19 @@ class Scales:
 
     @classmethod
     def kept_in(cls, study: Study) -> Scales | None:
-        """The record that a study's ``frame`` has; None: it has none."""
-        kept = study.frame.get(SCALES)
-        return None if kept is None else cls.read(kept)
+        """The record that a study's ``frame`` has; None: it has none, as of no saved model.
+
+        Raises:
+            ValueError: the frame is that of a model which was saved before version 0.2.
+        """
+        if SCALES in study.frame:
+            return cls.read(study.frame[SCALES])
+        if study.frame.keys() - {HELD}:
+            raise ValueError(
+                f"study {study.name}: the saved model has no {SCALES!r}, by which its sizes mean "
+                "what they mean; it is from before version 0.2: fit it again"
+            )
+        return None
 
     @classmethod
     def read(cls, saved: Mapping[str, Any]) -> Scales:

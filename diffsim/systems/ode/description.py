@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS
-from diffsim.causes.scales import SCALES
+from diffsim.causes.scales import HELD, SCALES
 from diffsim.core.schema_numbers import Seconds
 from diffsim.core.schema_paths import NAMED_CODE, PathWords
 from diffsim.data.study import Study
@@ -35,7 +35,7 @@ from diffsim.systems.ode.law_port import OdeLaws
 from diffsim.systems.ode.library import library_of
 from diffsim.systems.ode.mends import PARTS
 from diffsim.systems.ode.names import RESTS, Reader, longest, rests_of, where_of
-from diffsim.systems.ode.reading import HELD, LONGEST, read_system
+from diffsim.systems.ode.reading import LONGEST, read_system
 from diffsim.systems.ode.refresh_effects import REFRESH, refresh_periods
 from diffsim.systems.ode.repeat import MOST_REPEATS, write_out
 from diffsim.systems.ode.thinning import INTERVAL, interval_of, simulated

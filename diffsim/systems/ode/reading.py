@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from diffsim.causes.channel_groups import channels_of, clock_of
+from diffsim.causes.scales import HELD
 from diffsim.causes.scene import PLAY_START
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression, parse_expression
@@ -22,7 +23,7 @@ from diffsim.systems.ode.network import TIME, Network, filled, named, ordered, p
 from diffsim.systems.ode.own_effects import own_effect, shape_name
 from diffsim.systems.quantities import START_IN_PLAY
 
-HELD, LONGEST = "held", "longest"  # places in a study's frame
+LONGEST = "longest"  # place in a study's frame
 _WORDS = re.compile(r"\w+")
 _NOISE = "_noise"  # after the name of a first sample: how far noise put it off
 _FEWEST = 8  # samples that tell their noise

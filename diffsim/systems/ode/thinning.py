@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.ndimage import median_filter
 
+from diffsim.causes.scales import HELD
 from diffsim.core.memo import Memo
 from diffsim.data.command_jumps import WIDTH
 from diffsim.data.signal import scatter
 from diffsim.data.steps import moves_on, rest_and_jump
 from diffsim.data.study import Channel, Run, Study
 from diffsim.systems.ode.keys import Input
-from diffsim.systems.ode.reading import HELD, is_held, list_commands_of
+from diffsim.systems.ode.reading import is_held, list_commands_of
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

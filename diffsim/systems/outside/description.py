@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS, channels_of
 from diffsim.causes.plant import Plant
+from diffsim.causes.scales import HELD
 from diffsim.copter.exchange.mjcf_text import whole_scene
 from diffsim.core.inside import inside
 from diffsim.core.schema import Part
@@ -36,7 +37,6 @@ from diffsim.systems.outside.setup import outside_plant, outside_setup
 from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import Time
 
-HELD = "held"  # place in a study's frame: whether commands of the fitted runs are held
 _MAX_NAME = 255  # letters; what is longer is a text, and no file
 MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 
