@@ -89,8 +89,8 @@ def warn_of_locking(mesh: HexMesh | TetMesh, poissons_ratio: Tensor) -> None:
         else "element='quadratic' on mesh.split_tets(...) bends as it should"
     )
     warn(
-        f"the body is thin in bending: {cells} through the thickness at nu {nu:.3g} make it about "
-        f"{stiffness:.1f} times too stiff; {better}, element='standard' keeps it",
+        f"the body is thin in bending, about {stiffness:.1f} times too stiff with {cells} through "
+        f"the thickness at nu {nu:.3g}; {better}, element='standard' keeps it",
         LockingWarning,
         stacklevel=3,
     )
