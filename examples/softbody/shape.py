@@ -2,7 +2,8 @@
 
 A finger of silicone is clamped at one end; a muscle along its back contracts. ``lift``: it holds a
 weight at its tip, and rises. ``hold``: it curls around a peg, which is then pulled slowly out of
-the hand, and the highest force against that counts, with contact and friction. Its shape is a cage
+the hand, and the highest force against that counts, with contact and friction; ``rest`` is the same
+by equilibria, where ``hold`` has long time steps. Its shape is a cage
 of control points: width, bottom and top at five stations. L-BFGS by the gradient of the rest shape,
 from random starts, is compared with CMA-ES (``pip install cma``) at as many equilibria, an adjoint
 counted as one. All are stated on a finer mesh, too, where none was optimized.
@@ -111,11 +112,16 @@ class Gripper(Finger):
             if k == CURL_STEPS:
                 peg = replace(peg, velocity=torch.tensor([PULLED / DT, 0.0, 0.0]).double())
             stretch = 1.0 + (CURLED - 1.0) * min(1.0, (k + 1) / CURL_STEPS)
-            activation = torch.tensor([stretch], dtype=torch.float64)
-            state = self.body(states[-1], activation=activation, obstacles=peg, physics=physics)
-            states.append(state)
+            states.append(self.follow(states[-1], stretch, peg, physics))
             peg = peg.after(DT)
         return states[-PULL_STEPS:]
+
+    def follow(
+        self, state: soft.State, stretch: float, peg: contact.Obstacle, physics: soft.Physics
+    ) -> soft.State:
+        """The state after the next step of the muscle or the peg, nearly an equilibrium."""
+        activation = torch.tensor([stretch], dtype=torch.float64)
+        return self.body(state, activation=activation, obstacles=peg, physics=physics)
 
     def bent(self, x: Tensor) -> Tensor:
         """Positions of the nodes (n_nodes, 3) of a rest shape, where it holds most [m]."""
@@ -126,13 +132,30 @@ class Gripper(Finger):
         return torch.stack([held(state) for state in self.pull(self.shape(moves))]).max()
 
 
+class RestingGripper(Gripper):
+    """The same by equilibria: none may be left where the finger snaps past the peg."""
+
+    def follow(
+        self, state: soft.State, stretch: float, peg: contact.Obstacle, physics: soft.Physics
+    ) -> soft.State:
+        """The equilibrium that is found from the one before."""
+        activation = torch.tensor([stretch], dtype=torch.float64)
+        return self.body.static_equilibrium(
+            guess=state.x, activation=activation, obstacles=peg, physics=physics
+        )
+
+
 def held(state: soft.State) -> Tensor:
     """Force of the peg along its way [N]."""
     assert state.contact_force is not None  # obstacles were given
     return state.contact_force[:, 0].sum()
 
 
-TASKS = {"lift": (Finger, 25, "mm"), "hold": (Gripper, 40, "N")}  # with evaluations, and unit
+TASKS = {  # with evaluations, and unit
+    "lift": (Finger, 25, "mm"),
+    "hold": (Gripper, 40, "N"),
+    "rest": (RestingGripper, 40, "N"),
+}
 
 
 def main(
@@ -141,7 +164,7 @@ def main(
     """Gain of the first finger and of the shaped ones on a finer mesh, too, mean and spread.
 
     Args:
-        task: ``lift`` [mm] or ``hold`` [N].
+        task: ``lift`` [mm], ``hold`` or ``rest`` [N].
         seeds: Random starts.
         evaluations: Gains with gradient of each; CMA-ES has twice as many, for an adjoint counts as
             an equilibrium; None: the task's.
@@ -202,10 +225,11 @@ def draw(task: str, moves: Tensor, path: str) -> None:
                         ax.fill(*face.T, facecolor=color, edgecolor="0.4", lw=0.3, alpha=0.5)
                 ax.set_aspect("equal")
                 ax.set_ylabel(label)
-            if task == "hold":  # the peg before it is pulled
+            if isinstance(finger, Gripper):  # the peg before it is pulled
                 center = (1e3 * PLACE, 1e3 * (SIZE[2] + RADIUS + GAP))
                 axes[0, column].add_patch(Circle(center, 1e3 * RADIUS, fill=False, ls="--"))
-            axes[0, column].set_title(f"{title}: {task}s {finger.gain(given).item():.3g} {unit}")
+            verb = "lifts" if task == "lift" else "holds"
+            axes[0, column].set_title(f"{title}: {verb} {finger.gain(given).item():.3g} {unit}")
             axes[1, column].set_xlabel("x [mm]")
     plt.tight_layout()
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -217,7 +241,7 @@ if __name__ == "__main__":
         parser = argparse.ArgumentParser(description=__doc__)
         parser.add_argument("--task", choices=TASKS, default="lift")
         parser.add_argument("--seeds", type=int, default=3)
-        parser.add_argument("--evaluations", type=int, help="25 to lift, 40 to hold")
+        parser.add_argument("--evaluations", type=int, help="25 to lift, else 40")
         parser.add_argument("--no-evolution", action="store_true")
         parser.add_argument("--plot", metavar="FILE")
         args = parser.parse_args()

@@ -33,6 +33,13 @@ def test_a_shaped_finger_holds_more_on_a_finer_mesh_too():
     assert found["gradient fine"] > 1.5 * found["plain fine"]
 
 
+def test_long_steps_around_a_peg_are_nearly_equilibria():
+    story = load_story("softbody/shape.py")
+    plain = torch.zeros(3 * story.STATIONS, dtype=torch.float64)
+    held = [kind((10, 2, 2)).gain(plain).item() for kind in (story.Gripper, story.RestingGripper)]
+    assert held[1] == pytest.approx(held[0], rel=0.02)
+
+
 def test_a_fish_swims_faster_with_its_shape_and_every_result_is_kept(tmp_path):
     story = load_story("softbody/shape_swimmer.py")
     found = story.main(out=str(tmp_path), **story.QUICK)
