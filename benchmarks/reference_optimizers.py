@@ -179,7 +179,7 @@ def recording_fit() -> Mapping[str, Any]:
     """Fits to recordings: Gauss-Newton, L-BFGS by both gradients, random starts and descents."""
     from diffsim.data import Channel, Run
     from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise, fit
-    from diffsim.identify.multi_start import descend, random_starts
+    from labs.balls.multi_start import descend, random_starts
 
     noise = 0.01 * np.random.default_rng(0).standard_normal((len(TIME), 1))
     run = Run("only", TIME, (2.5 * np.exp(-0.6 * TIME))[:, None] + noise, {}, "only")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from diffsim.core.script import interruptible
+
 import argparse
 import json
 import subprocess
@@ -48,4 +50,5 @@ def _rounded(value: Any) -> Any:
 
 
 if __name__ == "__main__":
-    main()
+    with interruptible():
+        main()

@@ -21,7 +21,7 @@ GAINS = {
 #: Components of a placement or a zero, by the laboratory's name, and what is added to each.
 PLACES = {
     "camera_to_body_rad": ("attitude_offset_{}", "xyz", 0.0),
-    "accelerometer_offset_m_s2": ("accelerometer_offset_{}", "xyz", 0.0),
+    "accelerometer_offset_m_s2": ("specific_force_offset_{}", "xyz", 0.0),
     "meter_gain": ("flow_gain_{}", "123", 1.0),
     "pressure_zero_Pa": ("pressure_zero_{}", "12", 0.0),
     "marker_place_m": ("place_{}", ("tip_y_m", "mid_y_m"), 0.0),

@@ -51,10 +51,9 @@ def test_warnings_of_arrays_reach_no_user(debug, monkeypatch):
 
 def test_demo_receives_every_option(fake_demo, tmp_path):
     argv = ["demo", "--data", str(tmp_path), "--out", "o", "--quick", "--resume", "--threads", "3"]
-    assert cli.main(argv) == 0
-    assert fake_demo.calls == [
-        {"data": tmp_path, "out": Path("o"), "quick": True, "resume": True, "threads": 3}
-    ]
+    assert cli.main([*argv, "--all"]) == 0
+    given = {"data": tmp_path, "out": Path("o"), "quick": True, "resume": True, "threads": 3}
+    assert fake_demo.calls == [{**given, "anew": True}]
 
 
 def test_demo_defaults(fake_demo):

@@ -14,7 +14,7 @@ if not torch.distributed.is_available():
     pytest.skip("this PyTorch is built without torch.distributed", allow_module_level=True)
 
 from diffsim.core.workers import Worker
-from diffsim.learn import options, parallel
+from diffsim.learn import parallel
 from diffsim.learn.run import read_rows, train
 from rl import train_mixed
 from tests.learn import parallel_for_workers as work
@@ -79,4 +79,4 @@ def test_other_methods_do_not_share(monkeypatch: pytest.MonkeyPatch, capsys: Any
     with pytest.raises(SystemExit):
         train_mixed.main(["--quick"])
     assert "rl/train_gradient.py alone shares its episodes" in capsys.readouterr().err
-    assert options.launched_together()
+    assert parallel.launched_together()

@@ -78,7 +78,7 @@ class Ready:
         described, known = description_of(self.study), self.study.without_tests()
         if not isinstance(described, OdeDescription):
             return described.plant(known)
-        return plant_of(library_of(described._read_model(known, Reader(known))))
+        return plant_of(library_of(described._read_model(described.inputs, known, Reader(known))))
 
     @cached_property
     def effects(self) -> Mapping[str, Effect]:

@@ -11,6 +11,7 @@ import pytest
 
 from diffsim.viz import figures
 from diffsim.viz import report as rp
+from examples.demo import panels
 from tests.optional import needs
 
 needs("matplotlib", reason="reports need pip install -e '.[viz]'")
@@ -19,9 +20,9 @@ needs("jinja2", reason="reports need pip install -e '.[viz]'")
 
 def example(**changes) -> rp.Report:
     t = np.linspace(0, 1, 50)
-    curve = figures.Curve(x=t, y=np.sin(9 * t) * 1e-3, label="measured <b>", points=True)
+    curve = panels.Curve(x=t, y=np.sin(9 * t) * 1e-3, label="measured <b>", points=True)
     picture = rp.Picture(
-        uri=figures.data_uri(figures.trajectories([("a", [curve])], ylabel="z [mm]")),
+        uri=figures.data_uri(panels.trajectories([("a", [curve])], ylabel="z [mm]")),
         caption="Tip height & time",
     )
     table = rp.Table(columns=["trial", "f [Hz]"], rows=[["a", "7.75"], ["b", "7.73"]], emphasis=[1])
@@ -107,14 +108,14 @@ def test_every_figure_draws_and_leaves_matplotlib_alone():
 
     before = dict(matplotlib.rcParams)
     t = np.linspace(0.01, 1, 60)
-    a = figures.Curve(x=t, y=1e-3 * np.exp(-t), label="a")
-    b = figures.Curve(x=t, y=2e-3 * np.exp(-t), label="b", role="fitted", dashed=True)
+    a = panels.Curve(x=t, y=1e-3 * np.exp(-t), label="a")
+    b = panels.Curve(x=t, y=2e-3 * np.exp(-t), label="b", role="fitted", dashed=True)
     drawn = [
-        figures.trajectories([("one", [a, b]), ("two", [b])], ylabel="z [mm]"),
-        figures.spectra([("one", [a, b])], max_Hz=30.0, floor_m=1e-6),
-        figures.decay_envelopes([("one", [a]), ("two", [b])]),
-        figures.residuals([("one", [a], b), ("two", [b], None)], ylabel="error [mm]"),
-        figures.bars(["g", "l"], [("m", [1.0, 2.0], "measured"), ("s", [1.5, np.nan], "fitted")],
+        panels.trajectories([("one", [a, b]), ("two", [b])], ylabel="z [mm]"),
+        panels.spectra([("one", [a, b])], max_Hz=30.0, floor_m=1e-6),
+        panels.decay_envelopes([("one", [a]), ("two", [b])]),
+        panels.residuals([("one", [a], b), ("two", [b], None)], ylabel="error [mm]"),
+        panels.bars(["g", "l"], [("m", [1.0, 2.0], "measured"), ("s", [1.5, np.nan], "fitted")],
                      ylabel="f [Hz]", reference=[1.2, 1.9], reference_label="floor"),
     ]  # fmt: skip
     for figure in drawn:

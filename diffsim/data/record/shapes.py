@@ -458,7 +458,8 @@ def _repeats_of(record: Record, samples: Samples) -> float | None:
     is_even = np.mean((gaps == np.floor(rate)) | (gaps == np.ceil(rate))) > EVEN
     # an encoder that turns evenly goes on by one count each time
     leaps = np.median(np.abs(samples.changes[new])) > 3.0 * samples.digit
-    if rate > MAX_RATE or not is_even or not leaps:
+    # quicker than their share of all rows: a pause is in it, not a slow sensor
+    if not 1.0 / MOST_NEW <= rate <= MAX_RATE or not is_even or not leaps:
         return None
     others = (o for s in record.signals if (o := s.of_run(samples.run)) is not None)
     is_alone = not any(o.range > 0.0 and o.shares_equal < 1.0 - MOST_NEW for o in others)
