@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
@@ -67,6 +68,7 @@ def set_moments(venv: VecNormalize, moments: dict[str, list[Any]]) -> None:
 
 def learn(model: Any, steps: int) -> Update:
     """Let a model take ``steps`` steps and train on them; its own figures are the update's."""
+    model.set_logger(Logger(folder=None, output_formats=[]))  # its own would leave a folder each
     model.learn(total_timesteps=steps, reset_num_timesteps=False)
     values = model.logger.name_to_value
     return Update(steps, 0, {k: float(v) for k, v in values.items() if k.startswith("train/")})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+
 import numpy as np
 import pytest
 
@@ -52,7 +54,8 @@ def test_failed_episodes_are_not_truncated() -> None:
     assert infos[0]["TimeLimit.truncated"] is False
 
 
-def test_ppo_learns_something_runnable() -> None:
+def test_ppo_learns_something_runnable(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("SB3_LOGDIR", str(tmp_path))  # a folder in /tmp otherwise
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
@@ -62,6 +65,18 @@ def test_ppo_learns_something_runnable() -> None:
     model.learn(64)
     action, _ = model.predict(env.reset(), deterministic=True)
     assert action.shape == (4, 4)
+
+
+def test_training_leaves_no_folder_behind(tmp_path, monkeypatch) -> None:
+    from stable_baselines3 import PPO
+
+    from diffsim.learn.stable_baselines3 import learn
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    env = envs.Sb3VecEnv(envs.make_vector("CopterHover", 2, **OPTIONS["CopterHover"]))
+    model = PPO("MlpPolicy", env, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    assert learn(model, 32).steps == 32
+    assert not list(tmp_path.iterdir())
 
 
 def test_interface_of_vec_env() -> None:
