@@ -9,8 +9,8 @@ from random starts, is compared with CMA-ES (``pip install cma``) at as many equ
 counted as one. All are stated on a finer mesh, too, where none was optimized.
 
 Expected: lifts 13.4 mm (spread of three starts 0.04 mm) instead of 1.0 mm, CMA-ES 11.4 mm (1.0 mm);
-on the finer mesh 12.0, 0.1 and 10.0 mm. Holds 3.0 N (spread of five starts 0.5 N) instead of 1.3 N,
-CMA-ES 2.3 N (0.6 N); on the finer mesh 2.4, 1.1 and 1.8 N. Running time: 30 s, and 25 s a start.
+on the finer mesh 12.0, 0.1 and 10.0 mm. Holds 3.2 N (spread of five starts 0.1 N) instead of 1.3 N,
+CMA-ES 2.2 N (0.3 N); on the finer mesh 2.5, 1.1 and 1.8 N. Running time: 30 s, and 20 s a start.
 
     python examples/softbody/shape.py --plot finger.png
     python examples/softbody/shape.py --task hold --seeds 5 --plot gripper.png
