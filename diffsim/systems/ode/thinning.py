@@ -155,7 +155,8 @@ def _with_needed(rows: Rows, times: Array, values: Array, limit: float) -> Rows:
         values: At all rows, (num_rows,).
         limit: By how much lines may be off [unit of the values].
     """
-    place = np.arange(len(values))
+    place, kept = np.arange(len(values)), np.zeros(len(values), dtype=bool)
+    kept[rows] = True
     while True:
         off = np.abs(values - np.interp(times, times[rows], values[rows]))
         most = np.maximum.reduceat(off, rows)
@@ -163,7 +164,8 @@ def _with_needed(rows: Rows, times: Array, values: Array, limit: float) -> Rows:
         needed = np.flatnonzero((off == most[part]) & (off > limit))
         if not len(needed):
             return rows
-        rows = np.union1d(rows, needed)
+        kept[needed] = True
+        rows = np.flatnonzero(kept)
 
 
 def _best_lines(times: Array, values: Array, rows: Rows) -> Array:
