@@ -365,12 +365,12 @@ def _answer(
     null = null_fit(case)
     null.case.progress("checks", 0.15, "numerical settings")
     null, checks, simulations = _check_null(null, gates, cache, once)
+    at = checks.center.evidence
+    screened = screen(at)
     if checks.numerics_failed and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
-        screened = screen(checks.center.evidence)
         return _Answer(report_of(null, checks, Judgment(decision), screened, seed, bank))
-    at = checks.center.evidence
-    seen = first_look(screen(at), at.problem.effects, null.fit.chi2)
+    seen = first_look(screened, at.problem.effects, null.fit.chi2)
     null.case.progress(FIRST_LOOK, 0.27, seen)
     null = replace(null, case=replace(null.case, searching=model.simulations.steps))
     search, renewal = _renew_correction(search_rounds(null, simulations))

@@ -71,7 +71,7 @@ def run(
     study = load_study(data)
     question = stored.asked(study, plan)
     code = {"version": __version__, "code": code_digest(Path(__file__).parent)}
-    stages = Stages(out, code | question | {"anew": anew}, resume=resume)
+    stages = Stages(out, code | question, resume=resume)
     kept = stored.answers(question)
     known = stored.Stored() if anew else kept
     workers = Workers(threads or os.cpu_count() or 1, _num_steps(plan, known))

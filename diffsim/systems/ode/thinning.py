@@ -182,6 +182,3 @@ def _best_lines(times: Array, values: Array, rows: Rows) -> Array:
     beside = np.bincount(left + 1, share * (1.0 - share), count)
     matrix = np.stack([beside, summed((1.0 - share) ** 2, share**2)])  # its upper half
     return np.asarray(solveh_banded(matrix, summed((1.0 - share) * values, share * values)))
-
-
-__all__ = ["INTERVAL", "interval_of", "simulated"]
