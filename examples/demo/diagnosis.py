@@ -28,6 +28,13 @@ SKIPPED = (
 NOT_RUN = "The diagnosis of these recordings was switched off: Plan(diagnosis_effects=...) runs it."
 
 
+def why_skipped(study: BeamStudy, plan: Plan) -> str | None:
+    """Why there is no diagnosis of these recordings; None: there is one."""
+    if study.is_virtual:
+        return SKIPPED
+    return None if plan.diagnosis_effects else NOT_RUN
+
+
 def describe(
     study: BeamStudy,
     plan: Plan,
@@ -42,10 +49,8 @@ def describe(
         out: Folder for ``study.yaml``, the study that is diagnosed.
         tell: Receives what is being done, and which share of all is done.
     """
-    if study.is_virtual:
-        return {"skipped": SKIPPED}
-    if not plan.diagnosis_effects:
-        return {"skipped": NOT_RUN}
+    if (why := why_skipped(study, plan)) is not None:
+        return {"skipped": why}
     began = time.process_time()
     described = write_study(study.folder, out)
     given = setup_of(described)

@@ -14,7 +14,7 @@ from typing import Any
 from diffsim.core.files import read_kept, write_text_atomic
 from examples.data.beam import load_beam_study
 from examples.demo.plan import FULL
-from examples.demo.stored import PATH, STAGES, asked
+from examples.demo.stored import FOLDER, STAGES, asked
 
 DIGITS = 5  # significant ones; a step is solved to 1e-5
 
@@ -30,14 +30,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         kept = read_kept(given.folder / "stages" / f"{name}.json")
         if kept is None:
             parser.error(f"{given.folder} has no finished stage {name}")
-        results[name] = kept["result"]
+        if "skipped" not in kept["result"]:
+            results[name] = kept["result"]
     commit = subprocess.run(
         ["git", "rev-parse", "--short=10", "HEAD"], capture_output=True, text=True, check=True
     ).stdout.strip()
     question = asked(load_beam_study(given.data), FULL)
     content = {"commit": commit, "of": question, "results": _rounded(results)}
-    write_text_atomic(PATH, json.dumps(content, separators=(",", ":")) + "\n")
-    print(f"wrote {PATH}")
+    path = FOLDER / f"{given.data.resolve().name}.json"
+    write_text_atomic(path, json.dumps(content, separators=(",", ":")) + "\n")
+    print(f"wrote {path}")
 
 
 def _rounded(value: Any) -> Any:

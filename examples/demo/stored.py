@@ -1,8 +1,8 @@
 """Answers that are dear to compute and come with the demo: fits to motion, and the diagnosis.
 
-They are of the measured beam and of the full plan; of other recordings and sizes everything is
-computed. ``diffsim demo --all`` computes them again and says how far they are off; then
-``python -m examples.demo.store runs/demo RECORDINGS`` writes ``stored.json`` anew.
+They are of the measured and of the virtual beam, and of the full plan; of other recordings and
+sizes everything is computed. ``diffsim demo --all`` computes them again and says how far they are
+off; then ``python -m examples.demo.store runs/demo RECORDINGS`` writes their file anew.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from examples.data.beam import BeamStudy
 from examples.demo.plan import Plan
 from examples.demo.stages import file_digest
 
-PATH = Path(__file__).with_name("stored.json")
+FOLDER = Path(__file__).with_name("answers")  # a file for each set of recordings
 STAGES = ("identified", "joint", "diagnosis")
 
 
@@ -37,10 +37,13 @@ class Stored:
         """Where they come from, for the page; nothing without answers."""
         if not self.results:
             return []
+        what = "Fits to the motion"
+        if "diagnosis" in self.results:
+            what += " and the diagnosis"
         return [
-            "Fits to the motion and the diagnosis are stored answers of these recordings, computed "
-            f"at commit {self.commit}. All else was computed now. `./scripts/demo --all` computes "
-            "them again and says how far they are off."
+            f"{what} are stored answers of these recordings, computed at commit {self.commit}. All "
+            "else was computed now. `./scripts/demo --all` computes them again and says how far "
+            "they are off."
         ]
 
 
@@ -50,17 +53,18 @@ def asked(study: BeamStudy, plan: Plan) -> dict[str, str]:
     return {"plan": repr(plan), "data": file_digest([path for path in files if path is not None])}
 
 
-def answers(question: Mapping[str, str], path: Path | None = None) -> Stored:
+def answers(question: Mapping[str, str], folder: Path | None = None) -> Stored:
     """Stored answers to what is asked; none where recordings or sizes are others.
 
     Args:
         question: As of ``asked``.
-        path: File of the answers; None: the one beside this module.
+        folder: Folder of their files; None: the one beside this module.
     """
-    content = read_kept(path or PATH) or {}
-    if content.get("of") != question:
-        return Stored()
-    return Stored(content["commit"], content["results"])
+    for path in sorted((folder or FOLDER).glob("*.json")):
+        content = read_kept(path) or {}
+        if content.get("of") == question:
+            return Stored(content["commit"], content["results"])
+    return Stored()
 
 
 def distances(stored: Stored, results: Mapping[str, Any]) -> list[str]:

@@ -74,7 +74,7 @@ def run(
     stages = Stages(out, code | question, resume=resume)
     kept = stored.answers(question)
     known = stored.Stored() if anew else kept
-    workers = Workers(threads or os.cpu_count() or 1, _num_steps(plan, known))
+    workers = Workers(threads or os.cpu_count() or 1, _num_steps(study, plan, known))
     if study.is_virtual:
         workers.say(VIRTUAL_BANNER)
     try:
@@ -112,15 +112,17 @@ def load_study(data: str | Path | None) -> BeamStudy:
     return study
 
 
-def _num_steps(plan: Plan, known: stored.Stored) -> int:
-    dear = sum(_dear_steps(plan, known, name) for name in stored.STAGES)
+def _num_steps(study: BeamStudy, plan: Plan, known: stored.Stored) -> int:
+    dear = sum(_dear_steps(study, plan, known, name) for name in stored.STAGES)
     return numerics.num_steps(plan) + ladder.num_steps(plan) + dear + PAGE_STEPS
 
 
-def _dear_steps(plan: Plan, known: stored.Stored, name: str) -> int:
+def _dear_steps(study: BeamStudy, plan: Plan, known: stored.Stored, name: str) -> int:
     if name in known.results:
         return 0
-    return _fit_steps(plan, FITTED[name]) if name in FITTED else DIAGNOSIS_STEPS
+    if name in FITTED:
+        return _fit_steps(plan, FITTED[name])
+    return 0 if diagnosis.why_skipped(study, plan) else DIAGNOSIS_STEPS
 
 
 def _fit_steps(plan: Plan, runs: int) -> int:
@@ -132,7 +134,7 @@ def _compute(
     study: BeamStudy, plan: Plan, stages: Stages, workers: Workers, out: Path, known: stored.Stored
 ) -> tuple[dict[str, Any], list[ladder.Rung]]:
     def dear(name: str, title: str, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        workers.stage(title, _dear_steps(plan, known, name))
+        workers.stage(title, _dear_steps(study, plan, known, name))
         return stages.run(name, lambda: known.results.get(name) or compute(), of=known.commit)
 
     bar = study.geometry

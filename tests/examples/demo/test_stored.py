@@ -22,17 +22,17 @@ QUESTION = stored.asked(load_beam_study(VIRTUAL_BEAM), SHORT)
 
 
 def _answers_of(run: tuple[Path, dict], folder: Path, **other: str) -> Path:
-    """A file with the answers of a run, said to be those of its question."""
+    """A folder with the answers of a run, said to be those of its question."""
     results = run[1]
     kept = {name: results[name] for name in stored.STAGES}
-    path = folder / "stored.json"
-    path.write_text(json.dumps({"commit": "abc", "of": QUESTION | other, "results": kept}))
-    return path
+    content = {"commit": "abc", "of": QUESTION | other, "results": kept}
+    (folder / "beam.json").write_text(json.dumps(content))
+    return folder
 
 
 def test_a_fit_that_is_stored_is_not_made_again(short_run, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="the demo's page needs the extra viz")
-    monkeypatch.setattr(stored, "PATH", _answers_of(short_run, tmp_path))
+    monkeypatch.setattr(stored, "FOLDER", _answers_of(short_run, tmp_path))
     monkeypatch.setattr("examples.demo.story.find_dataset", lambda *_: None)
     monkeypatch.setattr(fitting, "fit_motion", None)
     monkeypatch.setattr("examples.demo.story._write_page", lambda *_: None)  # seconds of pictures
@@ -48,22 +48,28 @@ def test_answers_of_other_recordings_or_sizes_are_none(short_run, tmp_path):
     for other in ({}, {"data": "else"}, {"plan": "else"}):
         found = stored.answers(QUESTION, _answers_of(short_run, tmp_path, **other))
         assert bool(found.results) == (not other) and bool(found.words()) == (not other)
-    assert not stored.answers(QUESTION, tmp_path / "none.json").results
+    assert not stored.answers(QUESTION, tmp_path / "none").results
 
 
 def test_what_is_computed_again_is_compared(short_run, tmp_path):
-    path = _answers_of(short_run, tmp_path)
+    path = _answers_of(short_run, tmp_path) / "beam.json"
     content = json.loads(path.read_text())
     content["results"]["joint"]["value"]["youngs_modulus"] *= 1.01
     content["results"]["diagnosis"] = {"named": ["a"], "verdict": "named"}
     path.write_text(json.dumps(content))
     now = {**short_run[1], "diagnosis": {"named": ["b"], "verdict": "named"}}
-    said = stored.distances(stored.answers(QUESTION, path), now)
+    said = stored.distances(stored.answers(QUESTION, tmp_path), now)
     assert said == [
         "identified: within 0 % of the answer of abc",
         "joint: within 0.99 % of the answer of abc",
         "diagnosis: other causes than at abc",
     ]
+
+
+def test_who_has_no_recordings_gets_stored_answers_too():
+    found = stored.answers(stored.asked(load_beam_study(VIRTUAL_BEAM), FULL))
+    assert set(found.results) == {"identified", "joint"}
+    assert found.words()[0].startswith("Fits to the motion are stored answers")
 
 
 @pytest.mark.skipif(DATA is None, reason="needs the measured beam (DIFFSIM_DATA)")
