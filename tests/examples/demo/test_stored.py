@@ -19,45 +19,44 @@ from tests.examples.demo.conftest import SHORT
 pytestmark = pytest.mark.example
 DATA = find_dataset("silicone_beam")
 QUESTION = stored.asked(load_beam_study(VIRTUAL_BEAM), SHORT)
+FITS = stored.answers(stored.asked(load_beam_study(VIRTUAL_BEAM), FULL)).results
 
 
-def _answers_of(run: tuple[Path, dict], folder: Path, **other: str) -> Path:
-    """A folder with the answers of a run, said to be those of its question."""
-    results = run[1]
-    kept = {name: results[name] for name in stored.STAGES}
-    content = {"commit": "abc", "of": QUESTION | other, "results": kept}
+def _short_answers(folder: Path, **other: str) -> Path:
+    """A folder with the fits that come with the demo, said to be those of the short plan."""
+    content = {"commit": "abc", "of": QUESTION | other, "results": FITS}
     (folder / "beam.json").write_text(json.dumps(content))
     return folder
 
 
-def test_a_fit_that_is_stored_is_not_made_again(short_run, tmp_path, monkeypatch):
+def test_a_fit_that_is_stored_is_not_made_again(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="the demo's page needs the extra viz")
-    monkeypatch.setattr(stored, "FOLDER", _answers_of(short_run, tmp_path))
+    monkeypatch.setattr(stored, "FOLDER", _short_answers(tmp_path))
     monkeypatch.setattr("examples.demo.story.find_dataset", lambda *_: None)
     monkeypatch.setattr(fitting, "fit_motion", None)
     monkeypatch.setattr("examples.demo.story._write_page", lambda *_: None)  # seconds of pictures
     monkeypatch.setattr("examples.demo.story._write_extras", lambda *_: {})
     results = demo.run(out=tmp_path / "run", plan=SHORT, threads=1)
-    assert results["joint"] == short_run[1]["joint"]
-    assert "computed at commit abc" in results["stored"][0] and not short_run[1]["stored"]
+    assert {name: results[name] for name in FITS} == FITS
+    assert "computed at commit abc" in results["stored"][0]
     # all else was computed
     assert results["simulated"]["joint"]["gravity"]["time_s"]
 
 
-def test_answers_of_other_recordings_or_sizes_are_none(short_run, tmp_path):
+def test_answers_of_other_recordings_or_sizes_are_none(tmp_path):
     for other in ({}, {"data": "else"}, {"plan": "else"}):
-        found = stored.answers(QUESTION, _answers_of(short_run, tmp_path, **other))
+        found = stored.answers(QUESTION, _short_answers(tmp_path, **other))
         assert bool(found.results) == (not other) and bool(found.words()) == (not other)
     assert not stored.answers(QUESTION, tmp_path / "none").results
 
 
-def test_what_is_computed_again_is_compared(short_run, tmp_path):
-    path = _answers_of(short_run, tmp_path) / "beam.json"
+def test_what_is_computed_again_is_compared(tmp_path):
+    path = _short_answers(tmp_path) / "beam.json"
     content = json.loads(path.read_text())
     content["results"]["joint"]["value"]["youngs_modulus"] *= 1.01
     content["results"]["diagnosis"] = {"named": ["a"], "verdict": "named"}
     path.write_text(json.dumps(content))
-    now = {**short_run[1], "diagnosis": {"named": ["b"], "verdict": "named"}}
+    now = {**FITS, "diagnosis": {"named": ["b"], "verdict": "named"}}
     said = stored.distances(stored.answers(QUESTION, tmp_path), now)
     assert said == [
         "identified: within 0 % of the answer of abc",
