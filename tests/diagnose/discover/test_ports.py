@@ -100,7 +100,7 @@ def test_place_and_variable_are_found(hidden, entry):
     assert is_confirmed(report)
 
 
-@pytest.mark.story  # of a command every term is simulated: 30 CPU s
+@pytest.mark.story  # of a command every term is simulated: 13 CPU s
 def test_a_pump_that_warms_is_found_with_its_time():
     report = found(recorded(pump=weaker_when_warm, uses=FEW))
     assert report.verdict == "described", report.sentences
@@ -110,7 +110,7 @@ def test_a_pump_that_warms_is_found_with_its_time():
     assert is_confirmed(report)
 
 
-@pytest.mark.cpu(22)  # forces have no tangents: every term is simulated
+@pytest.mark.cpu(18)  # forces have no tangents: every term is simulated
 def test_a_force_at_a_place_of_an_outside_simulator_is_found():
     """A brake that begins at 1 rad/s, one way only: position, speed and command are weighed."""
     brake = parse_expression("-size*max(v - 1.0, 0)", OF_FORCES)

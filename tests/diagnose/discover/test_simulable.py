@@ -8,7 +8,7 @@ from tests.diagnose.discover.answers import found_beside_commands
 from tests.diagnose.discover.pump_rig import recorded
 
 
-@pytest.mark.cpu(14)  # a whole diagnosis, laws looked for
+@pytest.mark.cpu(8)  # a whole diagnosis, laws looked for
 def test_an_answer_stands_where_laws_cannot_be_simulated(monkeypatch):
     answer, asked = diagnosis._answer, []
 
