@@ -12,6 +12,8 @@ using Vec3 = Eigen::Vector3d;
 constexpr double kConeEdge = 1.0 - 1e-9;
 // The dense operator has (3 k)^2 entries: 160 MB for so many contacts.
 constexpr std::size_t kMaxRelaxed = 1500;
+// Contacts whose columns of the inverse are solved for at once: a pass over the factor serves all.
+constexpr std::size_t kTogether = 8;
 // Linearizations are 1, 4, 16, 32, 32, ...: doubled twice each time, five times at most. Status
 // cycles that one does not resolve need more.
 constexpr int kDoublingsEachTime = 2, kMaxDoublings = 5;
@@ -31,6 +33,27 @@ void move_relaxed(StepProblem& objective, const ContactSpace& space, const Vecto
         (!lowers_merit || merit(space, limits, at.x, at.value) <= before))
       return;
   }
+}
+
+/// W[3 i + b, 3 j + a] = H^-1 between contacts i and j, from the factor of H.
+Eigen::MatrixXd inverse_between(StepProblem& problem, const ContactSpace& space,
+                                const std::vector<std::size_t>& contacts) {
+  const std::size_t m = contacts.size();
+  Eigen::MatrixXd W(3 * m, 3 * m);
+  Vector columns;  // (size, 3 count) row-major
+  for (std::size_t first = 0; first < m; first += kTogether) {
+    const std::size_t width = 3 * std::min(kTogether, m - first);
+    columns.assign(problem.size() * width, 0.0);
+    for (std::size_t c = 0; c < width; ++c)
+      columns[(3 * space.node(contacts[first + c / 3]) + c % 3) * width + c] = 1.0;
+    problem.solve_factorized_many(columns.data(), static_cast<int>(width));
+    for (std::size_t i = 0; i < m; ++i)
+      for (std::size_t b = 0; b < 3; ++b)
+        for (std::size_t c = 0; c < width; ++c)
+          W(static_cast<Eigen::Index>(3 * i + b), static_cast<Eigen::Index>(3 * first + c)) =
+              columns[(3 * space.node(contacts[i]) + b) * width + c];
+  }
+  return W;
 }
 
 }  // namespace
@@ -80,29 +103,22 @@ bool relax_contacts(StepProblem& problem, ContactSpace& space,
   if (!problem.factorize()) return false;
   const ContactInputs& in = space.inputs();
   const Eigen::Index m = static_cast<Eigen::Index>(contacts.size());
-  Vector step, column, unit(problem.size(), 0.0);
+  Vector step;
   problem.solve_factorized(gradient, step);
   Vector free = x;
   problem.ops().add(-1.0, step, free);
 
   ConeProblem dense(m);
+  dense.W = inverse_between(problem, space, contacts);
   Eigen::VectorXd force = Eigen::VectorXd::Zero(3 * m);
   for (Eigen::Index j = 0; j < m; ++j) {
     const std::size_t k = contacts[static_cast<std::size_t>(j)];
     dense.normal.col(j) = Eigen::Map<const Vec3>(space.normal(k));
     dense.offset(j) = in.offset[k];
     dense.friction(j) = in.friction[k];
-    for (std::size_t a = 0; a < 3; ++a) {
-      const std::size_t entry = 3 * space.node(k) + a;
-      dense.free(3 * j + static_cast<Eigen::Index>(a)) = free[entry] - in.reference[3 * k + a];
-      unit[entry] = 1.0;
-      problem.solve_factorized(unit, column);
-      unit[entry] = 0.0;
-      for (Eigen::Index i = 0; i < m; ++i)
-        for (std::size_t b = 0; b < 3; ++b)
-          dense.W(3 * i + static_cast<Eigen::Index>(b), 3 * j + static_cast<Eigen::Index>(a)) =
-              column[3 * space.node(contacts[static_cast<std::size_t>(i)]) + b];
-    }
+    for (std::size_t a = 0; a < 3; ++a)
+      dense.free(3 * j + static_cast<Eigen::Index>(a)) =
+          free[3 * space.node(k) + a] - in.reference[3 * k + a];
   }
   const bool settled = solve_cones(dense, force);
   Vector load(problem.size(), 0.0);
