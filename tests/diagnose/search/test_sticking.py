@@ -5,9 +5,9 @@ import numpy as np
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.search.fit import Case, null_fit
-from diffsim.diagnose.search.from_prior import center_at_prior, promising_sets
+from diffsim.diagnose.search.from_prior import center_at_prior
 from diffsim.diagnose.search.search import begin
-from diffsim.diagnose.search.simulations import Simulations
+from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.systems.registry import setup_of
 
 STEP, STIFFNESS, DAMPING, INERTIA, FRICTION, NOISE = 0.02, 19.0, 0.8, 0.02, 1.1, 1e-3
@@ -58,7 +58,7 @@ def joint(friction: float) -> Study:
     rng = np.random.default_rng(3)
     runs = []
     for k in range(4):
-        goal = np.repeat(rng.uniform(-0.3, 0.3, 15), 10)
+        goal = np.repeat([0.0, *rng.uniform(-0.3, 0.3, 14)], 10)
         angle = record(goal, friction) + NOISE * rng.normal(size=len(T))
         use = "test" if k == 3 else "fit"
         runs.append(Run(f"r{k}", T, angle[:, None], {"goal": goal}, f"r{k}", k, use))
@@ -67,16 +67,17 @@ def joint(friction: float) -> Study:
     )
 
 
-def test_friction_that_stops_a_joint_leads_at_a_poor_data_sheet():
+def test_sizes_of_friction_that_stops_a_joint_show_it_at_a_poor_data_sheet():
     study = joint(FRICTION)
     setup = setup_of(study)
     null = null_fit(Case(study, setup.model, setup.effects, (), setup.settings))
     search = begin(null, Simulations(null.wide))
     center, _ = center_at_prior(search.simulations, search.settings, search.num_families)
     assert center is not None
-    ranked = promising_sets(center, 1)
-    names = [null.wide.effects[i].name for members, _ in ranked for i in members]
-    assert names[0] == "dry_friction_at_joint", names  # by its slope at no friction it is behind
+    names = [effect.name for effect in null.wide.effects]
+    rubs = frozenset({names.index("dry_friction_at_joint")})
+    # by its slope at no friction 98 % of the misfit would stay
+    assert center.weigh(rubs).nats > 0.4 * center.weigh(NONE).nats
 
 
 def test_nothing_is_named_where_the_joint_is_free():
