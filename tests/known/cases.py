@@ -299,6 +299,57 @@ def own_causes(folder: Path) -> dict[str, Any]:
     return out
 
 
+MEMORIES = {
+    "warm": {"of": "u**2", "lasts": "0.3"},
+    "late": {"of": "u", "lasts": "tau", "start": "zero"},
+}
+OWN_FORMULAS: tuple[dict[str, Any], ...] = (
+    {"at": "command", "map": "u*(1 + size*warm)", "memories": {"warm": MEMORIES["warm"]}},
+    {
+        "at": "reading",
+        "map": "u + size*late*run_order",
+        "memories": {"late": MEMORIES["late"]},
+        "shapes": {"tau": {"value": 0.2, "sd": 0.1, "unit": "s"}},
+    },
+    {"at": "reading", "map": "u + size*t*mean_of_force"},
+)
+
+
+def own_formulas(folder: Path) -> dict[str, Any]:
+    """Causes of a user that remember, and that look at more than their own signal."""
+    from tests.systems.toy_cart import cart_study
+
+    ready, out = Ready(cart_study()), {}
+    for k, row in enumerate(OWN_FORMULAS):
+        name = f"own_{k}"
+        mine = ready.with_own({"name": name, "typical": 0.1, **row})
+        effect = mine.effects[name]
+        size = uniform(effect, 1.0)
+        out[name] = [mine.shown(run, {effect: size}) for run in mine.cut.runs]
+    return out
+
+
+def laws_as_causes(folder: Path) -> dict[str, Any]:
+    """What laws change, wherever they enter, in every form of dependence."""
+    from dataclasses import replace as changed
+
+    from tests.systems.ode import test_law_port as laws
+
+    study = laws.turntable_study(laws.thinner_when_warm, uses=("fit",), count=60)
+    setup, out = laws.setup_of(study), {}
+    angle = next(v for v in setup.laws.variables() if v.name == "angle")
+    for entry in setup.laws.entries:
+        for variable in (laws.WARM, angle, laws.WARM.with_factor(angle)):
+            law = changed(laws.FALLS, entry=entry, variable=variable)
+            made = laws.with_law(setup, law)
+            effect = next(e for e in made.effects if e.name == law.name)
+            with torch.no_grad():
+                size = torch.full((len(effect.components),), 0.1, dtype=torch.float64)
+                seen = made.model.predict(study.runs[0], made.model.at_prior(), {effect: size})
+            out[f"{entry.words} {variable.name}"] = [effect.typical, effect.unit, seen]
+    return out
+
+
 def answers(folder: Path) -> dict[str, Any]:
     """Whole answers about a model of known matrices."""
     from tests.diagnose.say import test_causes as lines
@@ -466,6 +517,8 @@ CASES: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "extended copter": extended_flights,
     "estimator": blind_estimators,
     "own causes": own_causes,
+    "own formulas": own_formulas,
+    "laws as causes": laws_as_causes,
     "answers": answers,
     "waypoints": waypoints,
     "meshes": meshes_in_files,

@@ -46,10 +46,29 @@ def pushed_cart(folder: Path) -> Study:
     return load_study(folder)
 
 
+def estimated(folder: Path) -> Study:
+    """A flight that an estimator shows which knows no drag."""
+    from tests.systems import test_estimator as case
+
+    keys = {
+        "sensors": {
+            "position": ["x", "y", "z"],
+            "velocity": ["vx", "vy", "vz"],
+            "quaternion": {"columns": ["qw", "qx", "qy", "qz"], "order": "wxyz"},
+            "body_rates": ["p", "q", "r"],
+        },
+        "windows": {"length": 0.4},
+        "estimator": {"velocity": case.A, "tilt": case.B, "heading": case.C},
+        "effects": {"only": ["rotor_speed_drag", "blind_estimator"]},
+    }
+    return case.study(kinds=("circle",), **keys)
+
+
 STUDIES: dict[str, Make] = {
     "bar": of("systems.soft_body.test_instruments.bar"),
     "bounced": of("systems.test_rigid_body_description.bouncing", up="y", drag=0.1),
     "cart": of("systems.test_ode_coupled.cart", drag=0.3),
+    "estimated": estimated,
     "events": pushed_cart,
     "flight": of("systems.test_copter_instruments.told"),
     "junction": of("diagnose.discover.pump_rig.recorded", uses=("fit", "test"), count=20),
