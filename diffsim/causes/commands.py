@@ -89,23 +89,25 @@ def cause_of_commands(
         effect = replace(effect, tries=tuple(_USUAL_STEPS / n for n in STEPS))
     if needs is not None:
         effect = replace(effect, needs=needs)
-    return effect if group.unit is None else say_in_unit(effect, row, group.unit, group.shown)
+    return say_in_unit(effect, row, group)
 
 
-def say_in_unit(effect: Effect, row: Row, unit: str, shown: str | None = None) -> Effect:
-    """A cause that says its size in the command's unit, where it has that of the command.
+def say_in_unit(effect: Effect, row: Row, group: CommandGroup) -> Effect:
+    """A cause that says its size in the unit of commands, where it has that of a command.
 
     Args:
         effect: Cause on the way of commands.
         row: Row of the cause in its table.
-        unit: Unit of the command.
-        shown: Unit in which a user reads it; None: ``unit``.
+        group: The commands; without a unit the cause stays as it is.
     """
-    times = 1.0 if shown is None else factor(unit, shown)
-    if effect.unit == "command" and (shown or unit) != "-":
-        effect = replace(effect, shown_unit=shown or unit, shown_times=times)
+    if group.unit is None:
+        return effect
+    shown = group.shown or group.unit
+    times = 1.0 if group.shown is None else factor(group.unit, shown)
+    if effect.unit == "command" and shown != "-":
+        effect = replace(effect, shown_unit=shown, shown_times=times)
     words = _WORDS.get(row.name)
-    return effect if words is None else replace(effect, words=words(unit, times, shown))
+    return effect if words is None else replace(effect, words=words(group.unit, times, group.shown))
 
 
 def _limit_in_words(unit: str, times: float, shown: str | None) -> Callable[[float], str]:

@@ -15,7 +15,7 @@ from itertools import groupby
 
 from diffsim.causes.catalogue import rows_in_order
 from diffsim.causes.channel_groups import TURN, channel_groups
-from diffsim.causes.commands import CommandGroup, cause_of_commands
+from diffsim.causes.commands import CommandGroup, cause_of_commands, say_in_unit
 from diffsim.causes.plant import IN_TIME, LATE_RECORD, Place, Plant, Store
 from diffsim.causes.ports import on_commands, on_numbers, on_numbers_between, on_readings
 from diffsim.causes.readings import (
@@ -145,6 +145,7 @@ def _list_on_the_way(
             usual = {**plant.magnitudes, **group.scales}
             apply = plant.functions[row.name](*group.names, row.name + group.ending)
             effect = row.effect(apply, usual, system=plant.kind, ending=group.ending)
+            effect = say_in_unit(effect, row, group)
         yield row, pace(effect, group.sample_s)
 
 

@@ -21,7 +21,13 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.channel_groups import delays_of
-from diffsim.causes.signals import Grid, SignalMap, change_rows, smoothly_delayed
+from diffsim.causes.signals import (
+    Grid,
+    SignalMap,
+    after_zero,
+    change_rows,
+    smoothly_delayed,
+)
 from diffsim.core.check import require_choice
 from diffsim.core.numbers import values_of
 from diffsim.core.torch_names import on_constants
@@ -145,11 +151,13 @@ class Commands:
         values: As recorded, (..., width, num_times), in the unit of each command.
         rows: Rows of ``values`` that a name stands for.
         changes: Rows and the maps that change them, in the order in which they act.
+        are_from_zero: Whether all were zero before the run; else they had their first values.
     """
 
     values: Tensor
     rows: Mapping[str, tuple[int, ...]]
     changes: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
+    are_from_zero: bool = False
 
     @classmethod
     def named(cls, names: Sequence[str], values: Tensor) -> Commands:
@@ -199,9 +207,20 @@ class Commands:
             parts = [places] if getattr(change, "is_joint", False) else [(k,) for k in places]
             for part in parts:
                 given = torch.stack(torch.broadcast_tensors(*(rows[k] for k in part)), -2)
-                for k, row in zip(part, change(given, grid).unbind(-2), strict=True):
+                changed = self.act(change, given, grid)
+                for k, row in zip(part, changed.unbind(-2), strict=True):
                     rows[k] = row
         return rows
+
+    def act(self, change: SignalMap, u: Tensor, grid: Grid) -> Tensor:
+        """What a change makes of commands, with what they were before the run.
+
+        Args:
+            change: Function of them and of the grid.
+            u: Commands, (..., num_times).
+            grid: Their times.
+        """
+        return after_zero(u, grid, change) if self.are_from_zero else change(u, grid)
 
     def pass_through(self, values: Tensor, grid: Grid) -> Tensor:
         """What becomes of other values of the commands, such as those of a part of the run.

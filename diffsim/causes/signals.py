@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from types import MappingProxyType
 from typing import Literal
 
@@ -105,6 +105,12 @@ class Grid:
         share = (self.times - seconds[left]) / gap
         return values[..., left] + share * (values[..., right] - values[..., left])
 
+    @cached_property
+    def begun_earlier(self) -> Grid:
+        """The grid with one more time in front, as far as the next step reaches."""
+        first = 2.0 * self.times[:1] - self.times[1:2]
+        return Grid(torch.cat([first, self.times]), self.samples + 1, self.seconds)
+
 
 @lru_cache(maxsize=64)
 def _space_evenly(num_times: int, dt: float) -> Grid:
@@ -142,6 +148,21 @@ def _is_alone(grid: Grid) -> bool:
 def _alone(u: Tensor, size: Tensor) -> Tensor:
     """A signal at a single time, at each of the sizes () or (K,)."""
     return u + torch.zeros_like(size)[..., None]
+
+
+def after_zero(u: Tensor, grid: Grid, change: SignalMap) -> Tensor:
+    """A change of signals that were zero until a step before their first time.
+
+    Args:
+        u: Signals, (..., num_times).
+        grid: Times of the signals.
+        change: What happens to them on their way; alone it takes them to have had their first
+            values before.
+    """
+    if _is_alone(grid):
+        return change(u, grid)
+    longer = torch.cat([torch.zeros_like(u[..., :1]), u], -1)
+    return change(longer, grid.begun_earlier)[..., 1:]
 
 
 def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
@@ -446,6 +467,16 @@ def _monotone_slopes(u: Tensor, times: Tensor) -> Tensor:
     inner = torch.where(alike, (w1 + w2) / (w1 / safe_before + w2 / safe_after), 0.0)
     flat = torch.zeros_like(u[..., :1])
     return torch.cat([flat, inner, flat], -1)
+
+
+def late_by(delay: Tensor, *, held: bool) -> SignalMap:
+    """A delay of commands that are held, or straight, between times.
+
+    Args:
+        delay: () or (K,) [s].
+        held: Whether they are held.
+    """
+    return partial(held_delayed if held else delayed, delay=delay)
 
 
 #: What a command does between samples: it is held, goes straight, or is known at samples alone.

@@ -73,5 +73,6 @@ def resolution_words(study: Study) -> str:
     ):
         if (step := step_of(values)) is not None and step > (channel.sd or 0.0):
             steps.append(f", one step of {channel.name} {shown_step(channel, step)}")
-    row_ms = 1e3 * float(np.median(rows_s))
-    return f"One row of the record is {row_ms:.3g} ms{''.join(steps[:MOST_STEPS])}."
+    row_s = float(np.median(rows_s))
+    row = f"{row_s:.3g} s" if row_s >= 1.0 else f"{1e3 * row_s:.3g} ms"
+    return f"One row of the record is {row}{''.join(steps[:MOST_STEPS])}."

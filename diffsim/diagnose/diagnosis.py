@@ -367,7 +367,7 @@ def _answer(
     null, checks, simulations = _check_null(null, gates, cache, once)
     at = checks.center.evidence
     screened = screen(at)
-    if checks.numerics_failed and not null.case.settings.accept_numerics:
+    if checks.numerics_could_be(null.fit) and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         return _Answer(report_of(null, checks, Judgment(decision), screened, seed, bank))
     seen = first_look(screened, at.problem.effects, null.fit.chi2)

@@ -154,7 +154,7 @@ def test_what_is_read_slowly_may_be_late_by_half_a_sample():
         assert (typical["lag"], typical["sensor_delay_of_motor"]) == pytest.approx(usual)
 
 
-def test_a_late_record_is_a_cause_where_runs_begin_with_a_jump():
+def test_a_late_record_is_a_cause_where_runs_begin_in_motion():
     def causes(study):
         return {e.name for e in setup_of(study).effects}
 
@@ -163,4 +163,6 @@ def test_a_late_record_is_a_cause_where_runs_begin_with_a_jump():
     study = replace(study, runs=tuple(replace(r, measured=r.measured[:, :1]) for r in study.runs))
     assert "sensor_delay" not in causes(study)  # a late input, exactly
     jumps = [replace(r, command={"speed": 0.1 + r.command["speed"]}) for r in study.runs]
-    assert "sensor_delay" in causes(replace(study, runs=tuple(jumps)))
+    assert "sensor_delay" not in causes(replace(study, runs=tuple(jumps)))  # from rest
+    falling = model | {"rates": {"x": "gain*speed + 0.2"}}
+    assert "sensor_delay" in causes(replace(study, model=falling))

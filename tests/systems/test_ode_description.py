@@ -113,7 +113,7 @@ STIFF = [
 HIDDEN = {
     "dry_friction": (0.6, {"force": lambda x, v: -0.6 * np.tanh(v / 0.01)}),
     "cubic_stiffness": (60.0, {"force": lambda x, v: -60.0 * x**3}),
-    "delay": (0.03, {"drive": lambda u: np.interp(TIME - 0.03, TIME, u)}),
+    "delay": (0.03, {"drive": lambda u: np.interp(TIME - 0.03, TIME, u, left=0.0)}),
     "dead_band": (1.0, {"drive": lambda u: np.sign(u) * np.maximum(np.abs(u) - 1.0, 0.0)}),
 }
 

@@ -103,7 +103,7 @@ def _find(study: Study) -> tuple[Finding, ...]:
     for rule in RULES:
         if rule.name in silent:
             continue
-        say_stage(f"record: {rule.sees}")
+        say_stage(f"record: looking for {rule.sees}")
         found = list(rule.find(record))
         out += found
         if found:

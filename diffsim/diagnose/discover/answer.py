@@ -127,7 +127,7 @@ def _say_laws(report: Report, laws: Sequence[DescribedLaw], more: str) -> str:
     others = [law for law in rest if law not in same and law not in beside]
     said = f"{'' if best.status == CERTAIN else 'probably '}{best.sentence}"
     if same:
-        said += f" (or {', '.join(law.formula for law in same)})"
+        said += f" (or {', '.join(_shorten(law.formula) for law in same)})"
     if beside:
         said += f"; and {beside[0].sentence}{more}"
     if others:
@@ -238,9 +238,13 @@ def _write_term(law: Law, fit: Fit) -> str:
     for short, name in values.items():
         if name in fit.values:
             text = re.sub(rf"\b{short}\b", f"{fit.values[name]:.3g}", text)
-    text = re.sub(r"\d+\.\d{4,}", lambda m: f"{float(m.group()):.4g}", text)
-    text = re.sub(rf"\b{VALUE}\b", law.variable.own_name, text)
+    text = re.sub(rf"\b{VALUE}\b", law.variable.own_name, _shorten(text))
     return text if law.variable.times is None else f"{law.variable.times.name}*{text}"
+
+
+def _shorten(formula: str) -> str:
+    """A formula whose numbers have four digits."""
+    return re.sub(r"\d+\.\d{4,}", lambda m: f"{float(m.group()):.4g}", formula)
 
 
 def _form_of(law: Law) -> str:

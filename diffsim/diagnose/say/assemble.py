@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -18,7 +19,7 @@ from diffsim.data.shown import resolution_words
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
-from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
+from diffsim.diagnose.checks.numerics import NUMERICS_GATES, NUMERICS_SHARE, SetNumerics
 from diffsim.diagnose.judge.apart import apart_in_fit
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
 from diffsim.diagnose.judge.band import band_of
@@ -83,10 +84,11 @@ class Checks:
     changes: dict[str, Array]
     center: Center
 
-    @property
-    def numerics_failed(self) -> bool:
-        """Whether numerical settings move the record by more than their limit."""
-        return any(not g.passed for g in self.gates if g.name in NUMERICS_GATES)
+    def numerics_could_be(self, fit: Fit) -> bool:
+        """Whether a numerical setting that failed could be a good part of what a fit leaves."""
+        misfit = math.sqrt(max(fit.chi2 - fit.num_samples, 0.0))
+        failed = (g.value for g in self.gates if g.name in NUMERICS_GATES and not g.passed)
+        return any(moved > NUMERICS_SHARE * misfit for moved in failed)
 
     @property
     def unrefined(self) -> dict[str, Array]:

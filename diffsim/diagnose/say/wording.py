@@ -273,7 +273,8 @@ def _first(answer: Answer) -> str:
         nothing = (
             "a wrong data sheet" if any(f.startswith(WRONG_DATA_SHEET) for f in forms) else "none"
         )
-        return f"{asked}, but cannot tell it from {_sets(answer, answer.rivals, nothing)}."
+        others = _other_sets(answer, nothing)
+        return f"{asked}, but cannot tell it from {others or 'its other forms'}."
     if answer.is_taken_back:
         return (
             "Something is missing, and what was named for it does not hold: with "
@@ -416,6 +417,17 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
     shown = " or ".join(" with ".join(names) or nothing for names in words)
     more = len(rivals) - MOST_LISTED
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
+
+
+def _other_sets(answer: Answer, nothing: str) -> str:
+    """Rivals of the best set in words, without those that are the same causes in other forms."""
+    told, others = {frozenset(row.words for row in _members(answer))}, []
+    for names in answer.rivals:
+        words = frozenset(plain_name(answer, name) for name in names)
+        if words not in told:
+            told.add(words)
+            others.append(names)
+    return _sets(answer, others, nothing)
 
 
 def _sizes(rows: Sequence[CauseRow]) -> str:

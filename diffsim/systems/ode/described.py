@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
@@ -14,8 +14,9 @@ from torch import Tensor
 
 from diffsim.causes.readings import with_play_start
 from diffsim.causes.scene import PLAY_START, Commands
-from diffsim.causes.signals import Grid, delayed, held_delayed
+from diffsim.causes.signals import Grid, late_by
 from diffsim.core.expression import Expression
+from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
@@ -76,6 +77,7 @@ class FormulaSystem:
         parts: Steps of the integrator per sample, where the description leaves that open.
         gaps: Gaps of the runs in which held commands changed, by name of the run.
         pieces: Pieces of the runs in which start states stop telling, by name of the run.
+        from_zero: Whether inputs were zero before a run, by the run.
     """
 
     keys: FormulaKeys
@@ -95,6 +97,7 @@ class FormulaSystem:
     parts: int = 1
     gaps: Mapping[str, tuple[Gap, ...]] = field(default_factory=dict)
     pieces: Mapping[str, tuple[Piece, ...]] = field(default_factory=dict)
+    from_zero: Memo[bool] = memo_field()
 
     @property
     def step(self) -> float:
@@ -129,6 +132,25 @@ def model_of(system: FormulaSystem) -> SimModel:
 def _build_scene(
     system: FormulaSystem, values: Mapping[str, Tensor], run: Run, numerics: Numerics
 ) -> OdeScene:
+    """A scene whose inputs were zero before the run if it rests so where the run starts, and not
+    with their first values; this is asked at the priors, so that no fit changes it."""
+
+    def ask() -> bool:
+        priors = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in system.base.base}
+        return _make_scene(system, priors, run, numerics).rests_without_inputs()
+
+    is_from_zero = bool(system.motion.states and system.inputs) and system.from_zero(run, ask)
+    return _make_scene(system, values, run, numerics, is_from_zero=is_from_zero)
+
+
+def _make_scene(
+    system: FormulaSystem,
+    values: Mapping[str, Tensor],
+    run: Run,
+    numerics: Numerics,
+    *,
+    is_from_zero: bool = False,
+) -> OdeScene:
     keys, motion, study = system.keys, system.motion, system.study
     if PLAY_START in system.base.quantities:
         values = with_play_start(values, run)
@@ -147,7 +169,7 @@ def _build_scene(
         grid=grid,
         numbers=known,
         starts=system.starts,
-        commands=_evaluate_inputs(system, run, grid, known, values),
+        commands=_evaluate_inputs(system, run, grid, known, values, is_from_zero),
         channels=tuple(c.name for c in study.channels),
         ranges=keys.ranges,
         columns={
@@ -170,13 +192,18 @@ def _evaluate_inputs(
     grid: Grid,
     known: Mapping[str, Tensor],
     values: Mapping[str, Tensor],
+    is_from_zero: bool,
 ) -> Commands:
     """Inputs (..., num_inputs, num_times), with points in front where any of them has some."""
     found = [_evaluate_input(system, n, run, grid, known, values) for n in system.inputs]
     lead = np.broadcast_shapes(*(u.shape for u in found)) if found else (len(grid.times),)
     none = torch.zeros(0, len(grid.times), dtype=torch.float64)
     stacked = torch.stack([u.expand(lead) for u in found], -2) if found else none
-    return Commands.named(tuple(system.inputs), stacked)
+    commands = replace(Commands.named(tuple(system.inputs), stacked), are_from_zero=is_from_zero)
+    for name in system.inputs:
+        if (late := known.get(f"{name}_delay")) is not None:
+            commands = commands.changed((name,), late_by(late[..., None], held=system.held[name]))
+    return commands
 
 
 def _evaluate_input(
@@ -195,10 +222,7 @@ def _evaluate_input(
         columns = {c: gap.change(u, grid, values[gap.name]) for c, u in columns.items()}
     numbers = {n: known[n][..., None] for n in formula.names if n in known}
     u = formula({**numbers, **columns, TIME: grid.times})
-    u = u.expand(*u.shape[:-1], len(grid.times)) if u.ndim else u.expand(len(grid.times))
-    if (late := known.get(f"{name}_delay")) is not None:
-        u = (held_delayed if held else delayed)(u, grid, late)
-    return u
+    return u.expand(*u.shape[:-1], len(grid.times)) if u.ndim else u.expand(len(grid.times))
 
 
 @lru_cache(maxsize=256)

@@ -8,7 +8,7 @@ from functools import partial
 
 from torch import Tensor
 
-from diffsim.causes.signals import delayed, held_delayed
+from diffsim.causes.signals import late_by
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Channel
 from diffsim.identify.effect import Apply
@@ -167,7 +167,7 @@ def _come_late(
     names: Mapping[str, str], held: Mapping[str, bool], scene: OdeScene, size: Tensor
 ) -> dict[str, Tensor]:
     return {
-        late: (held_delayed if held[n] else delayed)(scene.inputs[n], scene.grid, size[..., 0])
+        late: scene.commands.act(late_by(size[..., 0], held=held[n]), scene.inputs[n], scene.grid)
         for n, late in names.items()
     }
 
@@ -183,7 +183,7 @@ def closed_loops(network: Network) -> tuple[str, ...]:
 
 
 def loses_by_sign(command: str, name: str, *, library: Library, channel: Channel) -> Apply:
-    """A voltage that is less in the direction of the current, as an inverter's dead time makes it.
+    """A voltage that is less in the direction of the current: dead time, brushes, a bridge.
 
     Args:
         command: Name of the voltage.
@@ -192,13 +192,15 @@ def loses_by_sign(command: str, name: str, *, library: Library, channel: Channel
         channel: Channel that shows the current.
     """
     network = library.system.network
-    width = library.scales.of_channels((channel.name,))["width"]
-    parts = {
-        "u": named(command),
-        "size": named(symbol(name)),
-        "i": written_out(network.readings[channel.name], network),
-    }
-    formula = parse_expression(f"u - size*tanh(i/{_SIGN * width!r})")
+    current = written_out(network.readings[channel.name], network)
+    parts = {"u": named(command), "size": named(symbol(name)), "i": current}
+    if command in current.names:
+        # a current that follows at once is zero where the loss could take all that drives it
+        parts["more"] = filled(current, {command: filled(parse_expression("u + 1"), parts)})
+        formula = parse_expression("u - clip(i/(more - i), -size, size)")
+    else:
+        width = library.scales.of_channels((channel.name,))["width"]
+        formula = parse_expression(f"u - size*tanh(i/{_SIGN * width!r})")
     return by_formulas(Change(names={command: filled(formula, parts)}), symbol(name))
 
 

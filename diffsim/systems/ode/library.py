@@ -181,7 +181,7 @@ def _widen_scale(known: CommandScale | None, scene: OdeScene, name: str) -> Comm
 
 
 def _moves_at_first(scene: OdeScene, ranges: Mapping[str, tuple[float, float]]) -> bool:
-    """Whether the plain model would not rest if its inputs stayed as they are at first."""
+    """Whether the plain model would not rest if its inputs stayed as they were before the run."""
     scene = scene.with_command(tuple(scene.inputs), lambda u, grid: u[..., :1].expand_as(u))
     with torch.no_grad():
         seen = scene.simulate()

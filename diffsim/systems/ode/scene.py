@@ -16,6 +16,8 @@ from diffsim.data.study import Run
 from diffsim.ode import Ode
 from diffsim.systems.ode.network import TIME, Change, Network
 
+AT_REST = 1e-9  # of the rates with a run's first inputs: rounding of sums that cancel
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OdeScene(Scene):
@@ -118,6 +120,16 @@ class OdeScene(Scene):
         flow = self._prepare_flow(self.network)
         return tuple(flow.states), flow.start
 
+    def rests_without_inputs(self) -> bool:
+        """Whether the start is a state of rest with inputs of zero, and none with their first
+        values."""
+        flow = self._prepare_flow(self.network)
+        if flow.inputs is None:
+            return False
+        first = flow.inputs[..., 0, :]
+        with_first, without = (flow.rates(u).abs().max() for u in (first, torch.zeros_like(first)))
+        return bool(without <= AT_REST * with_first and with_first > 0.0)
+
     def _prepare_flow(self, network: Network) -> _Flow:
         solver = network.solver(self.changes)
         states = list(solver.ode.rates)
@@ -200,6 +212,19 @@ class _Flow:
     times: Tensor
     inputs: Tensor | None
     parameters: Tensor
+
+    def rates(self, inputs: Tensor) -> Tensor:
+        """Rates of the states in the beginning, (..., num_states).
+
+        Args:
+            inputs: In place of their first values, (..., num_inputs).
+        """
+        values = {TIME: self.times[0], **dict(zip(self.states, self.start.unbind(-1), strict=True))}
+        values |= dict(zip(self.ode.inputs, inputs.unbind(-1), strict=True))
+        values |= dict(zip(self.ode.parameters, self.parameters.unbind(-1), strict=True))
+        formulas = [self.ode.rates[s] for s in self.states]
+        rates = (f(values) for f in formulas if isinstance(f, Expression))
+        return torch.stack(torch.broadcast_tensors(*rates), -1)
 
     def solve(self, start: Tensor, first: int, last: int) -> tuple[Tensor, Tensor]:
         """Readings and states from one time of the grid to another, both included."""
