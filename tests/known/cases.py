@@ -150,10 +150,15 @@ def trainings(folder: Path) -> dict[str, Any]:
     short = replace(TINY, steps=40, evaluate_every=20, warm_up=2)
     for method in ("gradient", "shac", "sapo", "mixed", "cma"):
         place = folder / method
-        train(short, make_learner(method, short, SMALL[method]), place, show=False)
+        learner = make_learner(method, short, SMALL[method])
+        train(short, learner, place, show=False)
         out[method] = [
             {k: v for k, v in row.items() if "seconds" not in k} for row in read_rows(place)
         ]
+        if hasattr(learner, "critics"):
+            with torch.no_grad():
+                seen = noise(4, learner.task.num_observations, seed=5)
+                out[f"{method} critics"] = [c(seen) for c in learner.critics.members]
     return out
 
 
