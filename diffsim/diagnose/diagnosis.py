@@ -287,7 +287,13 @@ def _with_laws(
     held = named or [effect.name for effect in frozen.best.problem.effects]
     if names & set(held) and _may_take_over(frozen, answer.frozen, names):
         return again
-    return answer if again.found is None else _doubted_beside(answer, *again.nats_with(names))
+    if again.found is None:
+        return answer
+    nats, of_law = again.nats_with(names)
+    before, now = (one.search.null.noise.whitener for one in (answer, again))
+    if now.is_like(before):  # a search that was cut short may not have come to that set
+        nats = max(nats, answer.search.nats(Hypothesis(answer.best)))
+    return _doubted_beside(answer, nats, of_law)
 
 
 def _doubted_beside(answer: _Answer, nats: float, of_law: float) -> _Answer:

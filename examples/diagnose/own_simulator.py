@@ -76,7 +76,7 @@ PUSHES = {
 
 def record(folder: Path, friction: float) -> None:
     """What a real cart would have given: CSV files in seconds, millimeters and newtons."""
-    rng, time = np.random.default_rng(0), 0.02 * np.arange(150)
+    rng, time = np.random.default_rng(0), 0.02 * np.arange(100)
     for name in ("sine_a", "sine_b", "steps_a", "steps_b", "chirp"):
         push = PUSHES[name.split("_")[0]](time)
 

@@ -12,8 +12,8 @@ from diffsim.causes.signals import Grid, held_in_steps, in_steps, with_play
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
-from diffsim.diagnose import diagnose
 from diffsim.systems.registry import setup_of
+from tests.diagnose.discover.answers import answer
 
 STEP = 0.37
 TIMES = np.linspace(0.0, 3.0, 61) ** 1.1  # uneven
@@ -119,17 +119,12 @@ def motor(folder, drive=lambda u: u, recorded=lambda u: u, seed=0):
     return load_study(folder)
 
 
-def found(study):
-    s = setup_of(study)
-    return diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
-
-
 def in_whole_steps(u):
     return TRUE_STEP * np.round(u / TRUE_STEP)
 
 
 def test_hidden_steps_are_named_with_their_size(tmp_path):
-    report = found(motor(tmp_path, in_whole_steps))
+    report = answer(motor(tmp_path, in_whole_steps))
     assert (report.verdict, report.named) == ("named", ("quantization",))
     (row,) = (cause for cause in report.causes if cause.name == "quantization")
     (size,) = row.size.values()
@@ -138,14 +133,14 @@ def test_hidden_steps_are_named_with_their_size(tmp_path):
 
 
 def test_nothing_is_named_where_the_actuator_moves_smoothly(tmp_path):
-    report = found(motor(tmp_path))
+    report = answer(motor(tmp_path))
     assert (report.verdict, report.named) == ("none", ())
 
 
 def test_finer_steps_than_are_tried_are_not_ruled_out(tmp_path):
     """Forty steps to the greatest command: not found, and not said to be absent."""
     finer = 6.9 / 40.0
-    report = found(motor(tmp_path, lambda u: finer * np.round(u / finer)))
+    report = answer(motor(tmp_path, lambda u: finer * np.round(u / finer)))
     (row,) = (cause for cause in report.causes if cause.name == "quantization")
     assert report.named == () and row.size["size"].high > finer < row.smallest_visible["size"]
 
@@ -159,7 +154,7 @@ LOOK_ALIKES = {
 
 @pytest.mark.parametrize("name", LOOK_ALIKES)
 def test_a_look_alike_keeps_its_name(name, tmp_path):
-    report = found(motor(tmp_path, LOOK_ALIKES[name]))
+    report = answer(motor(tmp_path, LOOK_ALIKES[name]))
     assert (report.verdict, report.named) == ("named", (name,))
 
 
@@ -169,7 +164,7 @@ def test_steps_that_were_recorded_are_no_cause(tmp_path):
     setup = setup_of(coarse)
     (effect,) = (e for e in setup.effects if e.name == "quantization")
     assert "48 values or more; the recorded one has" in effect.needs(coarse)
-    report = found(coarse)
+    report = answer(coarse)
     assert (report.verdict, report.named) == ("none", ())
 
 

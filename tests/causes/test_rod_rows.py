@@ -13,7 +13,7 @@ from diffsim.identify import fit
 from diffsim.systems.registry import setup_of
 from tests.systems.rod.test_rod_description import MODEL, NOISE, plain_study
 
-TIME = np.arange(0.0, 4.0, 0.1)
+TIME = np.arange(0.0, 4.0, 0.2)
 SWING = 1.5 - 1.5 * np.cos(2.0 * np.pi * TIME / 2.0)  # two pulls
 
 
@@ -50,14 +50,8 @@ def with_hidden(name, size):
     return replace(made, runs=tuple(runs))
 
 
-HIDDEN = {
-    "lag": 0.08,
-    "delay": 0.15,
-    "backlash": 0.2,
-    "saturation": 0.15,
-    "sensor_delay_of_camera": 0.12,
-    "sensor_lag_of_tracker": 0.1,
-}
+# a play and a clock, whose maps no formula writes; those of formulas: tests/systems/kinds.py
+HIDDEN = {"backlash": 0.2, "sensor_delay_of_camera": 0.12}
 
 
 @pytest.mark.parametrize("name", HIDDEN)

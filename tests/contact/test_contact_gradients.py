@@ -326,10 +326,10 @@ def test_steps_on_shapes_are_one_graph(name, beside_a_floor):
 
 
 @pytest.mark.story
-@pytest.mark.parametrize("beside_a_floor", [False, True])
 @pytest.mark.parametrize("name", SHAPES)
-def test_steps_on_every_shape_are_one_graph(name, beside_a_floor):
-    assert_one_graph_on(name, beside_a_floor, "aot_eager")
+def test_steps_on_every_shape_are_one_graph(name):
+    """Every other one beside a floor, whose half space is written into the same graph."""
+    assert_one_graph_on(name, list(SHAPES).index(name) % 2 == 1, "aot_eager")
 
 
 def landing_velocity():

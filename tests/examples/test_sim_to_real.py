@@ -1,5 +1,8 @@
 """Does the story of the sim-to-real loop end, and resume, as told? At its small size."""
 
+from dataclasses import replace
+from functools import partial
+
 import pytest
 
 from tests.examples.stories import load_story
@@ -8,12 +11,20 @@ pytestmark = pytest.mark.example
 
 
 @pytest.mark.story
-def test_starfish_loop_runs_and_resumes(tmp_path):
+def test_starfish_loop_runs_and_resumes(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="needs the extra viz")
     story, out = load_story("sim_to_real/starfish_loop.py"), tmp_path / "loop"
+    short = story.FitSettings(duration_s=1.0, max_evaluations=2)
+    step = story.TrajectorySettings(periods=1, max_evaluations=2)
+    monkeypatch.setattr(story, "QUICK", replace(story.QUICK, fit=short, trajectory=step))
+    laboratory, sine = story.VirtualLaboratory, story.sinusoid
+    brief = lambda **given: laboratory(**given | {"duration_s": 2.2})  # noqa: E731
+    monkeypatch.setattr(story, "VirtualLaboratory", brief)
+    monkeypatch.setattr(story, "sinusoid", partial(sine, period_s=1.0, cycles=1))
     numbers = story.main(str(out), quick=True, real=False)
     assert numbers is not None and {"v_r_0_cm_s", "v_r_1_cm_s", "cpu_s"} <= set(numbers)
     assert (out / "report.html").stat().st_size > 50_000
+    monkeypatch.setattr("labs.loop.report.write_loop", lambda *_, **__: None)  # 6 s of pictures
     again = story.main(str(out), quick=True, real=False, resume=True)
     assert again is not None and again["v_r_1_cm_s"] == numbers["v_r_1_cm_s"]
 

@@ -1,5 +1,5 @@
 """Every public function refuses what it cannot use and says what came, what is needed, what to
-do."""
+do. NaN, infinity, other types and shapes of every argument: tests/test_arguments.py."""
 
 import math
 from contextlib import suppress
@@ -36,10 +36,6 @@ STATE = BODY.rest_state()
 # (arguments of SoftBody, exception, message)
 BAD_BODIES = [
     ({"dt": 0.0}, ValueError, r"dt must lie in \(0, inf\), got 0; unit is s"),
-    ({"dt": -1e-3}, ValueError, "dt must lie in"),
-    ({"dt": NAN}, ValueError, "dt must lie in.*got nan"),
-    ({"dt": INF}, ValueError, "dt must lie in.*got inf"),
-    ({"dt": "0.1"}, TypeError, "dt must be a number, got str"),
     ({"dt": True}, TypeError, "dt must be a number, got bool"),
     (
         {"integrator": "implicit_eular"},
@@ -48,34 +44,21 @@ BAD_BODIES = [
     ),
     ({"volume_weight": "small-strain"}, ValueError, "did you mean 'small_strain'"),
     ({"youngs_modulus": 0.0}, ValueError, "youngs_modulus must lie in .*got 0; unit is Pa"),
-    ({"youngs_modulus": -1e5}, ValueError, "youngs_modulus must lie in .*got -1"),
-    ({"youngs_modulus": NAN}, ValueError, "youngs_modulus must be finite"),
     (
         {"youngs_modulus": zeros(ELEMENTS + 1)},
         ValueError,
         rf"must be a scalar or have shape \(num_elements,\) = \({ELEMENTS},\), got \(3,\)",
     ),
-    (
-        {"youngs_modulus": torch.ones(())},
-        TypeError,
-        r"youngs_modulus must be torch.float64, got torch.float32; convert with",
-    ),
-    ({"youngs_modulus": "stiff"}, TypeError, "youngs_modulus must be a number.*got str"),
-    ({"youngs_modulus": None}, TypeError, "youngs_modulus"),
     ({"poissons_ratio": 0.5}, ValueError, r"poissons_ratio must lie in \(-1, 0.5\), got 0.5.*0.49"),
-    ({"poissons_ratio": 0.7}, ValueError, "poissons_ratio must lie in.*got 0.7"),
     ({"poissons_ratio": -0.1}, ValueError, "poissons_ratio must lie in.*got -0.1.*non-negative"),
     ({"poissons_ratio": [0.3, 0.6]}, ValueError, "poissons_ratio must lie in.*got 0.6"),
     ({"density": 0.0}, ValueError, "density must lie in.*got 0; unit is kg/m"),
-    ({"density": -1.0}, ValueError, "density must lie in.*got -1"),
     (
         {"density": zeros(ELEMENTS + 1)},
         ValueError,
         r"density must be a scalar or have shape \(num_nodes,\)",
     ),
-    ({"gravity": -9.81}, ValueError, r"gravity must have shape \(3\), got \(\)"),
     ({"gravity": (0.0, -9.81)}, ValueError, r"gravity must have shape \(3\), got \(2,\)"),
-    ({"gravity": (0.0, 0.0, INF)}, ValueError, r"gravity must be finite.*first at \(2,\)"),
     ({"rayleigh_alpha": -0.1}, ValueError, "rayleigh_alpha must lie in.*unit is 1/s"),
     ({"rayleigh_alpha": [0.1, 0.2]}, ValueError, "rayleigh_alpha must have shape"),
     ({"rayleigh_beta": -1e-4}, ValueError, "rayleigh_beta must lie in.*unit is s"),
@@ -93,7 +76,6 @@ BAD_BODIES = [
     ({"node_mass": zeros(NODES)}, ValueError, "node_mass must lie in.*got 0"),
     ({"node_mass": zeros(2)}, ValueError, "node_mass must have shape"),
     ({"fixed": [0.0, 1.5]}, TypeError, "fixed must be an array of numbers.*not whole numbers"),
-    ({"fixed": "left"}, TypeError, "fixed must be an array of numbers, got 'left'"),
     (
         {"fixed": torch.tensor([0, NODES])},
         ValueError,
@@ -114,7 +96,6 @@ BAD_BODIES = [
         ValueError,
         rf"muscles\[0\].elements must hold indices of elements in \[0, {ELEMENTS}\), got 9",
     ),
-    ({"solver": {"rtol": 1e-3}}, TypeError, "solver must be a SolverOptions, got dict"),
 ]
 
 
@@ -134,7 +115,6 @@ BAD_PHYSICS = [
     ({"dt": 0.1}, ValueError, "physics override must be one of"),
     ({"youngs_modulus": zeros(())}, ValueError, "youngs_modulus must lie in"),
     ({"poissons_ratio": 0.5}, ValueError, "poissons_ratio must lie in"),
-    ({"density": -1.0}, ValueError, "density must lie in"),
     (
         {"density": zeros((), device="meta")},
         TypeError,
@@ -149,7 +129,6 @@ BAD_PHYSICS = [
     ({"fiber_stiffness": [1.0, -1.0]}, ValueError, "fiber_stiffness must lie in"),
     ({"fiber_stiffness": [1.0, NAN]}, ValueError, "fiber_stiffness must be finite"),
     ({"fiber_stiffness": torch.ones(2)}, TypeError, "fiber_stiffness must be torch.float64"),
-    ({"youngs_modulus": None}, TypeError, "youngs_modulus"),
     ({"gravity": None}, TypeError, "gravity"),
 ]
 
@@ -184,8 +163,6 @@ BAD_STATES = [
     (soft.State(X.numpy(), V), TypeError, "state.x must be a torch.Tensor, got ndarray"),
     (soft.State(X, V, X[:-1], V), ValueError, "state.x_prev must have shape"),
     (soft.State(X, V, X, V * NAN), ValueError, "state.v_prev must be finite"),
-    (X, TypeError, "state must be a State, got Tensor"),
-    (None, TypeError, "state must be a State, got NoneType"),
 ]
 
 
@@ -212,12 +189,6 @@ BAD_INPUTS = [
         ValueError,
         "external_force must broadcast to.*batch axes",
     ),
-    ({"external_force": zeros(NODES, 3) * NAN}, ValueError, "external_force must be finite"),
-    (
-        {"external_force": zeros(NODES, 3, dtype=torch.float32)},
-        TypeError,
-        "external_force must be torch.float64",
-    ),
     (
         {"external_force": zeros(NODES, 3, device="meta")},
         TypeError,
@@ -226,13 +197,9 @@ BAD_INPUTS = [
     ({"external_force": 1.0}, TypeError, "external_force must be a torch.Tensor, got float"),
     ({"dirichlet_target": zeros(4, 3)}, ValueError, "dirichlet_target must have shape"),
     ({"dirichlet_target": zeros(3, NODES, 3)}, ValueError, "dirichlet_target must broadcast to"),
-    ({"dirichlet_target": zeros(NODES, 3) + INF}, ValueError, "dirichlet_target must be finite"),
     ({"activation": zeros(3)}, ValueError, r"activation must have shape \(..., 2\), got \(3,\)"),
     ({"activation": zeros(())}, ValueError, "activation must have shape"),
     ({"activation": zeros(4, 2)}, ValueError, "activation must broadcast to"),
-    ({"activation": zeros(2) * NAN}, ValueError, "activation must be finite"),
-    ({"activation": torch.zeros(2)}, TypeError, "activation must be torch.float64"),
-    ({"activation": [1.0, 1.0]}, TypeError, "activation must be a torch.Tensor, got list"),
     (
         {"physics": {"density": 1.0}},
         TypeError,
@@ -384,10 +351,7 @@ BAD_MUSCLES = [
     ({"direction": [0.0, 0.0, 0.0]}, ValueError, "direction must not be zero"),
     ({"direction": [1.0, 0.0]}, ValueError, "direction must have shape"),
     ({"direction": [[1.0, 0.0, 0.0]] * 3}, ValueError, "direction must have shape"),
-    ({"direction": [NAN, 0.0, 0.0]}, ValueError, "direction must be finite"),
     ({"stiffness": 0.0}, ValueError, "stiffness must lie in.*unit is Pa"),
-    ({"stiffness": -5.0}, ValueError, "stiffness must lie in"),
-    ({"stiffness": INF}, ValueError, "stiffness must lie in"),
     ({"kind": "contract"}, ValueError, "did you mean 'contraction'"),
 ]
 

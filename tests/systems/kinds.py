@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -41,6 +41,7 @@ from diffsim.systems.registry import description_of, setup_of
 SMALL = 1e-9  # added to a number: a leak of 0.01 m^2/(s Pa) is no flow any more
 SHARE = 0.3  # of usual sizes: one-sided causes act there, and no delay is a whole sample
 ROUNDING = 1e-9  # of a channel [noise sd]
+TOGETHER = 4  # causes that are simulated at once where each has its own trace
 SEEN = 1e-2  # change of a channel that is something [noise sd]
 #: kinds whose own code still lists causes: the rules of the tables say nothing of them
 LISTED_BY_CODE = ("multicopter",)
@@ -403,10 +404,8 @@ def with_holes(values: Any) -> np.ndarray:
 
 #: change of commands, of readings, of times
 SPOILED = {
-    "ten times": (lambda v: 10.0 * v, lambda v: 10.0 * v, lambda t: t),
-    "negative": (lambda v: -v - 1.0, lambda v: -v - 1.0, lambda t: t),
-    "not a number": (lambda v: v, with_holes, lambda t: t),
-    "longer": (lambda v: v, lambda v: v, lambda t: 3.0 * t),
+    "larger and longer": (lambda v: 10.0 * v, lambda v: 10.0 * v, lambda t: 3.0 * t),
+    "negative with holes": (lambda v: -v - 1.0, lambda v: with_holes(-v - 1.0), lambda t: t),
 }
 
 
@@ -462,14 +461,30 @@ def saved_means_the_same(ready: Ready) -> None:
         same = framed.effects[name]
         # a drift from run to run is as large as runs are many; its size means the same
         assert "drift" in name or same.typical == effect.typical, name
-        if effect.components[0].startswith("@"):  # each run has its own: only its scale is kept
-            continue
-        assert same.components == effect.components, name
-        there = framed.shown(framed.run, {same: uniform(same, SHARE)})
-        here = whole.shown(run, {whole.effects[name]: uniform(same, SHARE)})
+        assert same.components == effect.components or is_of_runs(effect), name
+    for names in few_at_once(e for e in ready.setup.effects if not is_of_runs(e)):
+        sizes = sized(framed, names, SHARE)
+        there = framed.shown(framed.run, sizes)
+        here = whole.shown(run, {whole.effects[e.name]: size for e, size in sizes.items()})
         torch.testing.assert_close(
-            there, here, rtol=1e-9, atol=1e-9, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
+            there, here, rtol=1e-9, atol=1e-9, equal_nan=True, msg=lambda m, n=names: f"{n}: {m}"
         )
+
+
+def is_of_runs(effect: Effect) -> bool:
+    """Whether each run has a size of its own: only the scale of such causes is kept."""
+    return effect.components[0].startswith("@")
+
+
+def few_at_once(effects: Iterable[Effect], count: int = TOGETHER) -> Iterator[list[str]]:
+    """Names of causes, some of them together: fewer simulations than one for each."""
+    names = [effect.name for effect in effects]
+    return (names[k : k + count] for k in range(0, len(names), count))
+
+
+def sized(ready: Ready, names: Iterable[str], share: float) -> dict[Effect, Tensor]:
+    """Causes at the same share of their usual sizes."""
+    return {ready.effects[name]: uniform(ready.effects[name], share) for name in names}
 
 
 def why_not(row: Row, plant: Plant) -> str | None:
@@ -559,22 +574,27 @@ def slopes_are_those_of_differences(ready: Ready) -> None:
     moves = ready.study.model["system"] == "soft_body" and not ready.study.commands
     is_pulled = ready.study.model["system"] == "rod"
     alone = [(cause,) for cause in (smooth if is_pulled else smooth[::3])]
-    for causes in alone if moves or is_pulled else [smooth]:
-        _columns_are_slopes(ready, causes)
+    first, *others = alone if moves or is_pulled else [smooth]
+    _columns_are_slopes(ready, first)
+    for causes in others:
+        _columns_are_slopes(ready, causes, without_base=True)
     for cause in effects:
         if cause.shapes:
             _columns_are_slopes(ready, (cause,), cause.shapes)
 
 
 def _columns_are_slopes(
-    ready: Ready, causes: Sequence[Effect], only: Sequence[str] | None = None
+    ready: Ready,
+    causes: Sequence[Effect],
+    only: Sequence[str] | None = None,
+    without_base: bool = False,
 ) -> None:
     problem = Problem(ready.setup.model, (ready.run,), WhiteNoise(ready.channels), causes)
     x = np.full(len(problem.names), SHARE)
     residual, columns = problem.linearize(x)
     _, gradient = problem.gradient(x)
     for i, name in enumerate(problem.names):
-        if only is not None and name not in only:
+        if (only is not None and name not in only) or (without_base and i < problem.num_base):
             continue
         step = np.eye(len(x))[i] * 1e-3
         slope = -(problem.residual(x + step) - problem.residual(x - step)) / 2e-3
@@ -593,20 +613,21 @@ def many_points_are_as_one_by_one(ready: Ready) -> None:
     is_flown = ready.study.model["system"] == "multicopter"
     q = torch.zeros(3, base, dtype=torch.float64)
     q[1], q[2] = 0.2, -0.1
-    for name, effect in ready.effects.items():
-        sizes = torch.stack([uniform(effect, share) for share in (0.0, SHARE, 2.0 * SHARE)])
+    for names in few_at_once(ready.setup.effects, 1 if is_flown else TOGETHER):
+        sizes = [sized(ready, names, share) for share in (0.0, SHARE, 2.0 * SHARE)]
         with torch.no_grad():
-            many = model.predict_many(ready.run, q, {effect: sizes}) / ready.noise
+            side_by_side = {e: torch.stack([own[e] for own in sizes]) for e in sizes[0]}
+            many = model.predict_many(ready.run, q, side_by_side) / ready.noise
             alone = [
-                model.predict(ready.run, at, {effect: size}) / ready.noise
-                for at, size in zip(q, sizes, strict=True)
+                model.predict(ready.run, at, own) / ready.noise
+                for at, own in zip(q, sizes, strict=True)
             ]
         off, moved = (many - torch.stack(alone)).nan_to_num(), (many - many[0]).nan_to_num()
         if is_flown and float(off.norm()) < 0.3 * float(moved.norm()):
             continue
         torch.testing.assert_close(
             many, torch.stack(alone), rtol=1e-7, atol=1e-6, equal_nan=True,
-            msg=lambda m, n=name: f"{n}: {m}",
+            msg=lambda m, n=names: f"{n}: {m}",
         )  # fmt: skip
 
 

@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose import diagnose
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.identify import fit
 from diffsim.identify.model_file import read_extended
 from diffsim.systems.registry import setup_of
+from tests.diagnose.discover.answers import answer
 
 SPEED = np.r_[np.linspace(100.0, 900.0, 18), np.linspace(890.0, 110.0, 18)]
 WAY = np.sign(np.gradient(SPEED))
@@ -53,11 +53,6 @@ def bench(law=lambda w: 1e-5 * w**2, runs=RUNS, model=None, seed=0, scales=SCALE
     return Study("bench", "bench", channels, tuple(made), model=model or copy.deepcopy(MODEL))
 
 
-def found(study):
-    s = setup_of(study)
-    return diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
-
-
 HIDDEN = {
     "exponent_of_thrust": (0.12, lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12),
     "hysteresis_of_thrust": (0.03, lambda w: 1e-5 * w**2 * (1.0 + 0.03 * WAY)),
@@ -77,7 +72,7 @@ def test_a_bent_law_is_named_with_its_size(name):
     size, law = HIDDEN[name]
     model = copy.deepcopy(MODEL)
     model["laws"][0]["sweeps"] = "hysteresis" in name
-    report = found(bench(law, model=model))
+    report = answer(bench(law, model=model))
     assert (report.verdict, report.named) == ("named", (name,))
     for label in "ABC":
         own = report.best.values[f"{name}.all"] + report.best.values[f"{name}.[propeller={label}]"]
@@ -89,7 +84,7 @@ def test_what_nobody_listed_is_a_law_of_what_was_set():
     model = copy.deepcopy(MODEL)
     model["effects"] = {"only": ["exponent_of_thrust", "zero_of_thrust"]}
     study = bench(lambda w: 1e-5 * w**2 + 0.06 * np.exp(-(((w - 500.0) / 70.0) ** 2)), model=model)
-    report = found(study)
+    report = answer(study)
     assert report.verdict == "unknown"
     nats = {h.unknown: h.nats for h in report.hypotheses if not h.effects}
     law, drift = "unknown law of thrust_N over speed", "unknown drift of thrust_N"
@@ -103,14 +98,14 @@ def test_what_nobody_listed_is_a_law_of_what_was_set():
 
 
 def test_a_drift_over_an_even_sweep_is_not_told_from_a_loop():
-    report = found(bench(HIDDEN["run_drift_of_thrust"][1]))
+    report = answer(bench(HIDDEN["run_drift_of_thrust"][1]))
     assert report.verdict == "ambiguous"
     told = {c.name for c in report.causes if c.status in ("likely", "cannot be told from")}
     assert {"hysteresis_loop_of_thrust", "run_drift_of_thrust"} <= told
 
 
 def test_nothing_is_named_where_the_law_is_right():
-    assert found(bench()).named == ()
+    assert answer(bench()).named == ()
 
 
 def test_a_propeller_that_was_never_fitted_shares_what_the_others_have():
@@ -170,7 +165,7 @@ def tared(runs=SWEEPS, zeros=ZEROS, seed=0):
 
 
 def test_a_zero_of_each_run_is_named_and_an_unseen_run_tells_its_own():
-    report = found(tared())
+    report = answer(tared())
     assert (report.verdict, report.named) == ("named", ("zero_per_run_of_thrust_n",))
     (cause,) = [c for c in report.causes if c.name in report.named]
     # of the test run, to which nothing was fitted, nothing is said
@@ -185,9 +180,7 @@ def test_a_zero_of_each_run_is_named_and_an_unseen_run_tells_its_own():
 
 def test_a_saved_zero_of_each_run_is_judged_on_runs_of_another_study(tmp_path):
     study = tared()
-    s = setup_of(study)
-    report = diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
-    report.save(tmp_path)
+    answer(study).save(tmp_path)
     fresh = tared((("A", "test"), ("A", "test")), (0.4, -0.3), seed=9)
     fresh = replace(fresh, runs=tuple(replace(r, name=f"new_{r.name}") for r in fresh.runs))
     saved = read_extended(tmp_path / "extended_model.yaml")
@@ -206,7 +199,7 @@ def test_two_runs_do_not_ask_for_a_zero_each():
 def test_a_size_for_all_and_one_for_each_are_certain_together():
     """Of two propellers neither size alone excludes zero; what both have together does."""
     runs = (*(("A", "fit"), ("B", "fit")) * 2, ("A", "test"))
-    report = found(bench(HIDDEN["exponent_of_thrust"][1], runs=runs))
+    report = answer(bench(HIDDEN["exponent_of_thrust"][1], runs=runs))
     (cause,) = [c for c in report.causes if c.name == "exponent_of_thrust"]
     assert all(size.low <= 0.0 <= size.high for size in cause.size.values()), cause.size
     assert cause.status == "certain"
@@ -221,7 +214,7 @@ def test_a_reading_that_no_parameter_enters_has_a_scale():
         runs.append(Run(f"r{k}", t, seen[:, None], {"motor": 50.0 * angle}, f"r{k}", k, use))
     channels = (Channel("joint", "rad", "angle", sd=1e-3),)
     model = {"system": "bench", "readings": {"joint": "motor/50"}}
-    report = found(Study("encoders", "bench", channels, tuple(runs), model=model))
+    report = answer(Study("encoders", "bench", channels, tuple(runs), model=model))
     assert report.named == ("sensor_scale",)
     (size,) = next(c for c in report.causes if c.name == "sensor_scale").size.values()
     assert size.value == pytest.approx(0.2, abs=2e-3)

@@ -12,7 +12,8 @@ from diffsim.diagnose import diagnose
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.identify.model_file import read_extended
 from diffsim.systems import setup_of
-from tests.systems.test_bench_description import NOISE, bench, found
+from tests.diagnose.discover.answers import answer
+from tests.systems.test_bench_description import NOISE, bench
 
 
 def _fast_bench():
@@ -22,7 +23,7 @@ def _fast_bench():
 def test_an_unseen_propeller_tells_its_own_coefficient(tmp_path):
     """Its name has a dot, its coefficient is 8 prior sd off: only the law's exponent is known."""
     study = bench(lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12)
-    report = found(study)
+    report = answer(study)
     assert "exponent_of_thrust" in report.named
     report.save(tmp_path)
     saved = read_extended(tmp_path)
@@ -41,7 +42,7 @@ def test_an_unseen_propeller_tells_its_own_coefficient(tmp_path):
 
 def test_a_components_label_may_have_dots(tmp_path):
     runs = (("5x4.5", "fit"), ("5x3.0", "fit"), ("6x4.5", "fit"), ("5x4.5", "test"))
-    report = found(bench(lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12, runs=runs, scales={}))
+    report = answer(bench(lambda w: 1e-5 * w**2 * (w / 500.0) ** 0.12, runs=runs, scales={}))
     report.save(tmp_path)
     study: Study = bench(runs=(("5x4.5", "test"),), scales={}, seed=7)
     saved = read_extended(tmp_path)

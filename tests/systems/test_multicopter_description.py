@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from diffsim.causes.signals import Grid
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose import diagnose
 from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.lag import speed_lagged
 from diffsim.systems.multicopter.loads import _swing_pendulum
 from diffsim.systems.registry import description_of, setup_of
+from tests.diagnose.discover.answers import answer
 from tests.systems import small_copter
 from tests.systems.small_copter import Causes, Flight
 
@@ -487,10 +487,7 @@ def test_hidden_causes_are_named_and_nothing_else(name):
     causes, _, _ = CAUSES.get(name, (Causes(), {}, {}))
     kinds = ("circle", "dash", "circle", "dash")
     s = study(causes=causes, kinds=kinds)
-    setup = setup_of(s)
-    report = diagnose(
-        s, setup.model, setup.effects, unknowns=setup.unknowns, settings=setup.settings, seed=0
-    )
+    report = answer(s)
     assert report.verdict == ("none" if name == "none" else "named")
     if name != "none":
         assert list(report.named) == [name]

@@ -15,10 +15,10 @@ from scipy.linalg import expm
 
 from diffsim.data.steps import looks_held
 from diffsim.data.study import Channel, Command, Run, Study
-from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics
 from diffsim.systems.ode import mends, reading
 from diffsim.systems.registry import description_of, load_extended, setup_of
+from tests.diagnose.discover.answers import answer
 from tests.systems.toy_cart import TIME, cart_study, described
 
 
@@ -31,11 +31,6 @@ def plain_study():
 @pytest.fixture(scope="module")
 def plain():
     return setup_of(plain_study())
-
-
-def found(study):
-    s = setup_of(study)
-    return diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
 
 
 def effect(setup, name):
@@ -121,7 +116,7 @@ HIDDEN = {
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_hidden_cause_is_named_with_its_size(name):
     size, hidden = HIDDEN[name]
-    report = found(cart_study(**hidden))
+    report = answer(cart_study(**hidden))
     assert (report.verdict, report.named) == ("named", (name,))
     assert abs(report.best.values[name] - size) < 1.645 * report.best.sd[name] + 0.01 * size
     assert report.gain is not None and report.gain.low > 0.9
@@ -140,7 +135,7 @@ def test_a_hidden_cause_is_named_with_its_size(name):
     "effects", [{"only": STIFF}, pytest.param({}, marks=pytest.mark.story)], ids=["few", "all"]
 )
 def test_a_cause_of_another_shape_than_the_usual_is_named(name, force, effects):
-    assert found(cart_study(force=force, model=described(effects=effects))).named == (name,)
+    assert answer(cart_study(force=force, model=described(effects=effects))).named == (name,)
 
 
 def held_cart(every=5, noise=1e-4, **changed):
@@ -154,7 +149,7 @@ def held_cart(every=5, noise=1e-4, **changed):
     study = replace(
         plain_study(),
         runs=tuple(runs),
-        model=described(inputs=["force"], time_step=0.0025, **changed),
+        model=described(inputs=["force"], time_step=0.005, **changed),
     )
     held = {"inputs": [{"name": "force", "held": True}], "effects": {}}
     true = replace(study, model={**study.model, **held})
@@ -208,7 +203,7 @@ IN_TIME = ["held_between_samples", "delay", "lag", "rate_limit"]
     ids=["few", "all"],
 )
 def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one(effects):
-    report = found(held_cart(effects=effects))
+    report = answer(held_cart(effects=effects))
     assert report.named == ("held_between_samples",)
     assert report.best.values["held_between_samples"] == pytest.approx(1.0, abs=0.05)
 
@@ -312,7 +307,7 @@ def test_a_command_in_percent_has_its_dead_band_in_percent():
 
 
 def test_nothing_is_named_where_nothing_is_hidden():
-    report = found(cart_study())
+    report = answer(cart_study())
     assert report.named == ()
     assert report.verdict == "none"
 
@@ -332,7 +327,7 @@ def test_a_cause_of_ones_own_is_found():
         ],
         "only": ["wind_up", "dry_friction", "cubic_stiffness", "lag"],
     }
-    report = found(cart_study(force=lambda x, v: -5.0 * x * abs(v), model=described(effects=own)))
+    report = answer(cart_study(force=lambda x, v: -5.0 * x * abs(v), model=described(effects=own)))
     assert report.named == ("wind_up",)
     assert report.best.values["wind_up"] == pytest.approx(5.0, rel=0.05)
 

@@ -83,7 +83,7 @@ def test_the_copter_flies_the_path_by_the_diagnosed_models_command(copter):
     twin, task = copter
     misses = []
     for model in (twin, twin.plain()):
-        best = best_command(model, task, starts=[], evaluations=60)
+        best = best_command(model, task, starts=[], evaluations=30)
         commands = task.commands(torch.from_numpy(best.knots))
         speeds = torch.stack([commands[n] for n in SPEEDS], -1).numpy()
         seen = twin.simulate(commands)
@@ -109,7 +109,7 @@ def test_the_legs_close_by_the_diagnosed_models_command(starfish):
     shown = slack_starfish.truth_of(twin.study)
     misses = []
     for model in (twin, twin.plain()):
-        best = best_command(model, task, starts=[], evaluations=60)
+        best = best_command(model, task, starts=[], evaluations=30)
         with torch.no_grad():
             commands = task.commands(torch.from_numpy(best.knots))
         first = twin.study.runs[0]
@@ -128,7 +128,7 @@ def test_the_legs_close_by_the_diagnosed_models_command(starfish):
 @pytest.mark.parametrize("case", CASES)
 def test_what_it_buys_to_mend_the_cause(case, request):
     twin, task = request.getfixturevalue(case)
-    found = {row.cause: row for row in worth(twin, task, evaluations=80)}
+    found = {row.cause: row for row in worth(twin, task, evaluations=40)}
     row = found[CASES[case][1]]
     assert 1.01 * row.none < row.whole < row.unaware and row.half < row.whole
 

@@ -133,6 +133,18 @@ FORMS_THROUGH_ZERO: tuple[Form, ...] = (
     Form("power", "u**3", lambda u, p: u**3, power=3.0),
     Form("line", "abs(u)", lambda u, p: np.abs(u), power=1.0),
 )
+#: the same, of variables that stay above zero, in shares of the middle, which is {high}
+FORMS_ABOVE_ZERO: tuple[Form, ...] = (
+    Form(
+        "power",
+        "u**exponent",
+        lambda z, p: z ** p[0],
+        ("exponent",),
+        ((-2.0, -1.0, -0.5, 0.5, 2.0, 4.0),),
+        ((-8.0, 8.0),),
+        ("-",),
+    ),
+)
 #: what a number may be multiplied by, with the size as its only number
 FACTORS: tuple[Form, ...] = (
     Form(
@@ -143,6 +155,18 @@ FACTORS: tuple[Form, ...] = (
         ((-3.0, -0.3, 0.3, 3.0),),
         ((-40.0, 40.0),),
         power=1.0,
+        is_factor=True,
+    ),
+)
+#: the same, of variables that stay above zero
+FACTORS_ABOVE_ZERO: tuple[Form, ...] = (
+    Form(
+        "power",
+        "(u/{high})**size - 1",
+        lambda z, p: z ** p[0] - 1.0,
+        ("size",),
+        ((-2.0, -1.0, -0.5, 0.5, 1.0, 2.0),),
+        ((-8.0, 8.0),),
         is_factor=True,
     ),
 )
@@ -261,6 +285,10 @@ def fit_forms(told: LawMisfit) -> list[FittedForm]:
     fitted += [over_range.fit(form, has_level) for form in FORMS for has_level in levels]
     if told.of_number:
         fitted += [over_range.fit(form) for form in FACTORS]
+    if low > 0.0:
+        of_middle = _ScaledLaw(told, -mid, mid, 0.0)
+        above = FACTORS_ABOVE_ZERO if told.of_number else FORMS_ABOVE_ZERO
+        fitted += [of_middle.fit(form, has_level) for form in above for has_level in levels]
     kept: list[FittedForm] = []
     for found in sorted((f for f in fitted if f is not None), key=lambda f: len(f.numbers)):
         if not any(f.is_like(found) and f.nats < found.nats + SAME_NATS for f in kept):

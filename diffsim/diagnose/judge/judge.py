@@ -75,7 +75,8 @@ def decide(
         chi2: Misfit |W (y - S)|^2 of each hypothesis without unknown cause.
         num_free: Expected chi2 of a right model: samples less fitted parameters.
         pulls: Squares of the coordinates at the optimum, by hypothesis: what data sheets and usual
-            sizes say against it. Added to the misfit; None: zero.
+            sizes say against it, and twice what the choice of its formulas costs. Added to the
+            misfit; None: zero.
         num_sizes: Components of all sizes of a hypothesis; None: one for each effect.
     """
     cost = {h: value + (pulls or {}).get(h, 0.0) for h, value in chi2.items()}
@@ -252,7 +253,8 @@ def as_good(judgment: Judgment, validation: Validation, seed: int) -> dict[int, 
 def _swaps(search: Search, best: Members, withdrawn: Members) -> list[tuple[Members, int]]:
     """A member, or all of them, and an effect that explains most of what those do; by evidence.
 
-    None with a size for each run: it is fitted to unseen runs as well, which proves nothing.
+    None with a size for each run: it is fitted to unseen runs as well, which proves nothing. Nor
+    one whose formula costs more, such as a curve that was bent by all runs.
     """
     fits, out = search.fits, list[tuple[Members, int]]()
     for members in sorted(fits, key=lambda s: -search.nats(Hypothesis(s))):
@@ -262,7 +264,10 @@ def _swaps(search: Search, best: Members, withdrawn: Members) -> list[tuple[Memb
             continue
         if not gone or (rest and len(gone) > 1):
             continue
-        if any(map(is_of_run, search.wide.effects[min(came)].components)):
+        effects = search.wide.effects
+        if any(map(is_of_run, effects[min(came)].components)):
+            continue
+        if effects[min(came)].price > sum(effects[i].price for i in gone) + ALONE_NATS:
             continue
         all_of_it, share = fits[rest].chi2 - fits[best].chi2, fits[rest].chi2 - fits[members].chi2
         if share >= EXPLAINED * all_of_it:
@@ -323,7 +328,8 @@ def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Deci
         {h: w.chi2 for h, w in posteriors.items() if h.unknown is None},
         null.num_samples - fitted,
         {
-            h: float(w.x @ w.x) if w.fit is None else w.fit.prior
+            h: (float(w.x @ w.x) if w.fit is None else w.fit.prior)
+            + 2.0 * sum(search.wide.effects[i].price for i in h.effects)
             for h, w in posteriors.items()
             if h.unknown is None
         },

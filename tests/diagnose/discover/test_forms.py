@@ -11,8 +11,10 @@ import pytest
 from diffsim.diagnose.discover import forms as fitting
 from diffsim.diagnose.discover.forms import (
     FACTORS,
+    FACTORS_ABOVE_ZERO,
     FACTORS_THROUGH_ZERO,
     FORMS,
+    FORMS_ABOVE_ZERO,
     FORMS_THROUGH_ZERO,
     LawMisfit,
     fit_forms,
@@ -68,7 +70,7 @@ def read(fitted, u):
 
 def fitted_alone(monkeypatch, form, told):
     """A form without its neighbors, which may do the same."""
-    for group in ("FORMS", "FORMS_THROUGH_ZERO", "FACTORS", "FACTORS_THROUGH_ZERO"):
+    for group in (name for name in dir(fitting) if name.startswith(("FORMS", "FACTORS"))):
         forms = getattr(fitting, group)
         monkeypatch.setattr(fitting, group, tuple(f for f in forms if f is form))
     return fit_forms(told)[0]
@@ -133,6 +135,22 @@ def test_a_number_may_be_multiplied_by_an_exponential():
     own = fit_forms(told)[0]
     assert own.form is FACTORS[0] and own.numbers == {}
     assert own.size == pytest.approx(-0.24, rel=1e-3)
+    np.testing.assert_allclose(read(own, told.u), values_of(told), atol=1e-3)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("exponent", [-0.5, 2.5])
+def test_a_power_of_what_stays_above_zero(exponent):
+    """Of a law with a level of its own, and of what a number is multiplied by."""
+    told = told_of(lambda u: 0.4 * u**exponent - 0.1, LOW, HIGH, sd=1e-4)
+    own = fit_forms(told)[0]
+    assert own.form is FORMS_ABOVE_ZERO[0] and own.size == pytest.approx(0.4, rel=1e-2)
+    assert own.numbers["exponent"][0] == pytest.approx(exponent, rel=1e-2)
+    np.testing.assert_allclose(read(own, told.u), values_of(told), atol=1e-4)
+    told = told_of(lambda u: (u / MID) ** exponent - 1.0, LOW, HIGH, of_number=True)
+    own = fit_forms(told)[0]
+    assert own.form is FACTORS_ABOVE_ZERO[0] and own.numbers == {}
+    assert own.size == pytest.approx(exponent, rel=1e-3)
     np.testing.assert_allclose(read(own, told.u), values_of(told), atol=1e-3)
 
 

@@ -20,16 +20,12 @@ from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.outside.forces import Term
 from diffsim.systems.registry import load_extended, setup_of
 from tests.diagnose.discover import pump_rig
-from tests.diagnose.discover.answers import found
+from tests.diagnose.discover.answers import found, found_beside_commands
 from tests.diagnose.discover.pump_rig import NOISE, recorded
 from tests.systems.outside import scenes
 
-
-def found_beside_commands(study):
-    """The same; at commands, where terms are simulated, laws are looked for in few places."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(screen, "MOST_SIMULATED", 4)
-        return found(study)
+FEW = ("fit", "fit", "select", "test")
+"""Runs that show what does not change from day to day."""
 
 
 def with_temperature(p_a, p_b, temperature):
@@ -54,7 +50,7 @@ def entry_of(law):
 
 @pytest.fixture(scope="module")
 def warm():
-    return found_beside_commands(recorded(show=with_temperature))
+    return found_beside_commands(recorded(show=with_temperature, uses=("fit", *FEW)))
 
 
 def is_confirmed(report):
@@ -93,7 +89,7 @@ def test_nothing_is_described_where_nothing_is_hidden():
 @pytest.mark.parametrize(
     ("hidden", "entry"),
     [
-        ({"show": with_cross_talk}, ("reading", "p_a", ("p_b",), None)),
+        ({"show": with_cross_talk, "uses": FEW}, ("reading", "p_a", ("p_b",), None)),
         ({"stiffen": stiffer_when_cold}, ("number", "resistance_c", ("day temperature",), None)),
     ],
 )
@@ -104,9 +100,9 @@ def test_place_and_variable_are_found(hidden, entry):
     assert is_confirmed(report)
 
 
-@pytest.mark.story  # of a command every term is simulated: 30 CPU s
+@pytest.mark.story  # of a command every term is simulated: 13 CPU s
 def test_a_pump_that_warms_is_found_with_its_time():
-    report = found(recorded(pump=weaker_when_warm))
+    report = found(recorded(pump=weaker_when_warm, uses=FEW))
     assert report.verdict == "described", report.sentences
     law = report.described.laws[0]
     assert entry_of(law) == ("input", "pump_a", ("pump_a",), "heat")
@@ -114,11 +110,12 @@ def test_a_pump_that_warms_is_found_with_its_time():
     assert is_confirmed(report)
 
 
-@pytest.mark.cpu(22)  # forces have no tangents: every term is simulated in all four runs
+@pytest.mark.cpu(18)  # forces have no tangents: every term is simulated
 def test_a_force_at_a_place_of_an_outside_simulator_is_found():
     """A brake that begins at 1 rad/s, one way only: position, speed and command are weighed."""
     brake = parse_expression("-size*max(v - 1.0, 0)", OF_FORCES)
     study = scenes.recorded(Term("hinge", brake, 0.15, scale=3.0))
+    study = replace(study, runs=tuple(r for r in study.runs if r.name in ("sine_a", "steps_b")))
     made = setup_of(study)
     problem = Problem(made.model, study.fit_runs, WhiteNoise(study.channels))
     start = linearization_at(problem, np.zeros(problem.num_base))

