@@ -88,13 +88,7 @@ def _holders(file: str, line: int) -> list[str]:
     """Names of what holds a line."""
     text = (ROOT / file).read_text(encoding="utf-8")
     if file.endswith(".py"):
-        tree = ast.parse(text)
-        around = [
-            node.name
-            for node in ast.walk(tree)
-            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
-            and node.lineno <= line <= (node.end_lineno or line)
-        ]
+        around = _holders_in(ast.parse(text).body, line)
         return [name for name in around if not _is_called_unsaid(name)]
     changed = _changed_tests()
     stems = [Path(file).stem, *re.findall(r'^#include "(?:\S*/)?(\w+)\.h"', text, re.M)[:1]]
@@ -102,6 +96,16 @@ def _holders(file: str, line: int) -> list[str]:
     bindings = [p for p in (ROOT / "csrc/bindings").glob("*.cpp") if p.stem in including]
     known = r'(?:m\.def\(|class_<[^"]*\(m,)\s*"(\w+)"'
     return [name for path in bindings for name in re.findall(known, path.read_text())]
+
+
+def _holders_in(body: list[ast.stmt], line: int) -> Iterator[str]:
+    """Functions and classes around a line; nobody else can say what is within a function."""
+    for node in body:
+        if node.lineno <= line <= (node.end_lineno or line):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+                yield node.name
+            if isinstance(node, (ast.ClassDef, ast.If)):
+                yield from _holders_in(node.body, line)
 
 
 def sources_above(stem: str) -> list[str]:

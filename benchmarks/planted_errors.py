@@ -249,7 +249,9 @@ class WarmTests:
             name = signal.Signals(-ended.status).name
             return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=f"ended by {name}")
         last = ended.output.strip().rpartition("\n")[2]
-        if ended.status in (1, 2):
+        # 4: of a test that is asked for by name the file cannot be imported
+        is_broken = ended.status == 4 and re.search(r"^ERROR \S+\.py", ended.output, re.MULTILINE)
+        if ended.status in (1, 2) or is_broken:
             found = re.search(r"^(?:FAILED|ERROR) (\S+)", ended.output, re.MULTILINE)
             return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=found[1] if found else last)
         if ended.status == 0:
@@ -495,7 +497,9 @@ def outcome_of(
     if found.state != CAUGHT:
         return found
     if (untouched / found.by.partition("::")[0]).is_file():  # a test, and no word of a signal
-        error = replace(error, tests=(found.by.partition("[")[0],), only="")
+        test = found.by.partition("[")[0]
+        how = ("--collect-only",) if test.endswith(".py") else ()  # it could not be imported
+        error = replace(error, tests=(test, *how), only="")
     clean = record.clean_outcome(error, untouched, tests, limit)
     return found if clean.state == MISSED else Outcome(state=RED, by=clean.by)
 

@@ -119,6 +119,17 @@ def test_an_error_is_caught_and_a_change_of_nothing_missed(toy: Path, warm: Warm
     assert hangs.state == CAUGHT  # an endless recursion
 
 
+def test_an_error_that_no_import_survives_is_caught(toy: Path, warm: WarmTests):
+    """Of tests that are asked for by name, pytest says that the name is unknown."""
+    (toy / "plane" / "area.py").write_text("raise ValueError\n")
+    found = warm.outcome(toy, ("test_area.py::test_area",), 60.0)
+    assert (found.state, found.by) == (CAUGHT, "test_area.py")
+    assert warm.outcome(toy, ("test_area.py::test_none",), 60.0).state == CAUGHT
+    (toy / "plane" / "area.py").write_text("def area(a, b):\n    return a * b\n")
+    assert warm.outcome(toy, ("test_area.py::test_none",), 60.0).state == UNFIT
+    assert warm.outcome(toy, ("test_area.py", "--collect-only"), 60.0).state == MISSED
+
+
 def test_tests_that_hang_are_ended(toy: Path, warm: WarmTests):
     (toy / "test_area.py").write_text("def test_area():\n    while True:\n        pass\n")
     assert warm.outcome(toy, ("test_area.py",), 3.0).by == "not over after 3 s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import yaml
 
 from diffsim.data import load_study, save_study
+from diffsim.data.run_plan import _words_of
 
 T = np.arange(40) * 10.0  # ms
 HEADER = ["t (ms)", "pos (mm)", "right 2", "F", "trial", "rig"]
@@ -138,6 +140,20 @@ def test_files_that_fit_a_pattern(folder):
     assert [r.name for r in study.runs] == ["p50", "p100", "p200"]
     assert [r.setup["pressure_Pa"] for r in study.runs] == [5000.0, 10000.0, 20000.0]
     assert [r.use for r in study.runs] == ["fit", "fit", "test"]
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("seed", range(20))
+def test_patterns_fit_as_regular_expressions_do(seed):
+    """Words as short as can be, stars as long, none over a folder's mark; a star may be nothing."""
+    rng = np.random.default_rng(seed)
+    parts = ["a", "*", "{x}", "b", "{y}", "*", "/", "*"]
+    for _ in range(60):
+        pattern = [parts[k] for k in sorted(rng.choice(8, rng.integers(2, 9), replace=False))]
+        name = "".join(rng.choice(list("ab/"), rng.integers(1, 7), p=[0.45, 0.4, 0.15]))
+        kinds = {"*": "[^/]*", "{x}": "(?P<x>[^/]+?)", "{y}": "(?P<y>[^/]+?)"}
+        found = re.fullmatch("".join(kinds.get(p, p) for p in pattern), name)
+        assert _words_of(pattern, name) == (found and found.groupdict()), (pattern, name)
 
 
 def test_a_table_lists_the_runs(folder):

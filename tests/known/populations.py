@@ -25,6 +25,7 @@ import yaml
 
 from diffsim import cli, copter, envs
 from diffsim.data import save_study
+from diffsim.data.study import Study
 from diffsim.stokes import devices
 from tests.cli.test_diagnose_faults import STUDY as FAULTS
 from tests.cli.test_diagnose_faults import write as write_day
@@ -32,7 +33,10 @@ from tests.cli.test_diagnose_task import TASK
 from tests.derivatives import models  # noqa: F401 fills the tables
 from tests.derivatives.check import rows
 from tests.envs.cases import OPTIONS, STEPS
+from tests.known.cases import CASES
 from tests.known.fingerprint import numbers_in
+from tests.known.records import RECORDS
+from tests.known.studies import STUDIES
 from tests.studies import HERE, NAMES, study_of
 from tests.systems.kinds import SHARE, Ready, uniform
 from tests.systems.late_cart import fitted_cart
@@ -81,11 +85,11 @@ def public_calls(room: str) -> Callable[[Path], Mapping[str, Any]]:
     return make
 
 
-def causes_of(name: str) -> Callable[[Path], Mapping[str, Any]]:
+def causes_of(study: Callable[[Path], Study]) -> Callable[[Path], Mapping[str, Any]]:
     """Channels of a study without a cause, and what each cause changes at a share of its size."""
 
-    def make(_: Path) -> dict[str, Any]:
-        ready = Ready(study_of(name))
+    def make(folder: Path) -> dict[str, Any]:
+        ready = Ready(study(folder))
         out: dict[str, Any] = {"plain": ready.plain}
         for effect in ready.effects.values():
             found = ready.shown(ready.run, {effect: uniform(effect, SHARE)})
@@ -330,7 +334,10 @@ COMMANDS = {
 }
 POPULATIONS: dict[str, Answers] = {
     **{f"public {room}": Answers(public_calls(room)) for room in ROOMS},
-    **{f"causes {name}": Answers(causes_of(name)) for name in NAMES},
+    **{f"causes {name}": Answers(causes_of(lambda _, n=name: study_of(n))) for name in NAMES},
+    **{f"causes {name}": Answers(causes_of(make)) for name, make in STUDIES.items()},
+    **{f"case {name}": Answers(make, 1e-5) for name, make in CASES.items()},
+    **{f"records {name}": Answers(make) for name, make in RECORDS.items()},
     **{f"task {name}": Answers(steps_of(name)) for name in sorted(OPTIONS)},
     **{f"design {name}": Answers(design_of(name)) for name in copter.shipped_designs()},
     **{f"device {name}": Answers(device_of(name), 1e-5) for name in devices.DEVICES},

@@ -460,8 +460,9 @@ def test_part_names(name):
 
 
 def test_names_stand_once():
+    parts = (part("leg", "rod"), part("arm", "rod"), part("arm", "plate"))
     with pytest.raises(ValueError, match="two parts are called 'arm'"):
-        build_design(DesignSpec(name="twins", parts=(part("arm", "rod"), part("arm", "plate"))))
+        build_design(DesignSpec(name="twins", parts=parts))
 
 
 def test_adapters_overrule_the_rules(tmp_path):

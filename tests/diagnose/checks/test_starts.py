@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from diffsim.data.study import Run
 from diffsim.data.study_file import load_study
-from diffsim.diagnose.checks.starts import start_problems
+from diffsim.diagnose.checks.starts import _usual, start_problems
 from diffsim.systems.registry import setup_of
 from labs.records.rigs import pendulum
 
@@ -38,3 +39,11 @@ def test_a_run_that_begins_in_motion_is_told_with_its_states(
     stated = {name for name, start in states.items() if start == 0}
     assert not said or said in problems[0].message
     assert not said or all(f"{n}: {MEASURED[n]}" in problems[0].message for n in stated)
+
+
+def test_the_usual_speed_of_a_line_is_its_slope():
+    time = 0.1 * np.arange(120)
+    run = Run("a", time, np.stack([3.0 * time, -0.5 * time], 1), {}, "a")
+    motion, speed = _usual([run])
+    np.testing.assert_allclose(speed, [3.0, 0.5], rtol=1e-9)
+    np.testing.assert_allclose(motion, np.std(time) * speed, rtol=1e-9)
