@@ -18,6 +18,8 @@ from diffsim.identify.effect import Effect, Needs
 # A wrong size predicts an unrelated staircase: sizes lie so closely that at the greatest command
 # the nearest is a fifth of a step off, and are never so fine that records hardly show them.
 STEPS = tuple(np.arange(2.0, 25.0, 0.4).tolist())  # from zero to the greatest command
+# A gear ratio, a unit or a gain that was counted twice, or half: slopes at a gain of one say little.
+GAINS = (0.25, 0.5, 2.0, 4.0)
 _USUAL_STEPS = 10.0  # as in the row of the cause
 ACTUATOR = "actuator"  # the table
 
@@ -87,6 +89,9 @@ def cause_of_commands(
     )
     if row.name == "quantization":
         effect = replace(effect, tries=tuple(_USUAL_STEPS / n for n in STEPS))
+    if row.name == "command_gain":
+        tries = tuple((factor - 1.0) / effect.typical for factor in GAINS)
+        effect = replace(effect, scanned=True, tries=tries)
     if needs is not None:
         effect = replace(effect, needs=needs)
     return say_in_unit(effect, row, group)

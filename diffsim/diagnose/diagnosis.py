@@ -27,7 +27,7 @@ from diffsim.diagnose.checks.gates import (
 )
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
-from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerical_effects
+from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, could_be_misfit, numerical_effects
 from diffsim.diagnose.discover.answer import in_words, with_laws_said
 from diffsim.diagnose.discover.stage import FoundLaws, find_laws
 from diffsim.diagnose.inputs import Inputs
@@ -373,7 +373,8 @@ def _answer(
     null, checks, simulations = _check_null(null, gates, cache, once)
     at = checks.center.evidence
     screened = screen(at)
-    if checks.numerics_could_be(null.fit) and not null.case.settings.accept_numerics:
+    is_coarse = could_be_misfit(null.fit, checks.gates)
+    if is_coarse and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         return _Answer(report_of(null, checks, Judgment(decision), screened, seed, bank))
     seen = first_look(screened, at.problem.effects, null.fit.chi2)

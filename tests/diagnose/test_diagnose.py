@@ -13,9 +13,13 @@ from diffsim.core.errors import FactorizationError
 from diffsim.data.study import Run, Study
 from diffsim.diagnose import diagnose, next_run
 from diffsim.diagnose.checks.gates import GateResult, data_gate
-from diffsim.diagnose.checks.numerics import numerical_effects, numerical_shift, numerics_gate
+from diffsim.diagnose.checks.numerics import (
+    could_be_misfit,
+    numerical_effects,
+    numerical_shift,
+    numerics_gate,
+)
 from diffsim.diagnose.judge.crosscheck import swap_probability
-from diffsim.diagnose.say.assemble import Checks
 from diffsim.diagnose.say.next_run import Narrowing, narrowing
 from diffsim.identify import (
     DiagnosisSettings,
@@ -94,9 +98,9 @@ def test_coarse_time_step_is_numerical():
 
 def test_a_coarse_step_ends_an_answer_only_where_it_could_be_the_misfit():
     failed = GateResult("time_step", False, 3.0, 2.0, "")
-    checks = Checks((failed, GateResult("data", False, 9.0, 1.0, "")), {}, None)
+    gates = (failed, GateResult("data", False, 99.0, 1.0, ""))
     left = {sd: SimpleNamespace(chi2=100.0 + sd**2, num_samples=100) for sd in (4.0, 80.0)}
-    assert checks.numerics_could_be(left[4.0]) and not checks.numerics_could_be(left[80.0])
+    assert could_be_misfit(left[4.0], gates) and not could_be_misfit(left[80.0], gates)
 
 
 def test_exact_twins_are_ambiguous():

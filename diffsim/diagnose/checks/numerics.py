@@ -11,6 +11,7 @@ asked again at the best set of a search (``check_numerics_of_set``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -86,6 +87,18 @@ def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
             )
         )
     return out
+
+
+def could_be_misfit(fit: Fit, gates: Sequence[GateResult]) -> bool:
+    """Whether a numerical setting that failed could be a good part of what a fit leaves.
+
+    Args:
+        fit: Fit of the plain model.
+        gates: The numerics gate there, other checks aside.
+    """
+    misfit = math.sqrt(max(fit.chi2 - fit.num_samples, 0.0))
+    failed = (g.value for g in gates if g.name in NUMERICS_GATES and not g.passed)
+    return any(moved > NUMERICS_SHARE * misfit for moved in failed)
 
 
 def could_be(fit: Fit, i: int, change: Array) -> float:

@@ -37,7 +37,8 @@ class Decision:
         rivals: Other hypotheses within 3 nats of evidence, or of fit (``fits_as_well``), best
             first.
         unknown: The unknown cause's hypothesis if the verdict is "unknown".
-        share: Share of the misfit, chi2_null - N, that the best set explains.
+        share: Share of the misfit, chi2_null - N, that the best set explains; what data sheets say
+            against a fit counts as misfit.
         beside: The strongest hypothesis with an unknown cause, where evidence puts it 4 nats or
             more before the best set although that explains enough; its lead is ``lead`` [nats].
         forms: Effects that may be the form of another one of the set, each with what they may be.
@@ -67,6 +68,7 @@ def decide(
     num_free: float,
     pulls: Mapping[Hypothesis, float] | None = None,
     num_sizes: Mapping[Hypothesis, int] | None = None,
+    prices: Mapping[Hypothesis, float] | None = None,
 ) -> Decision:
     """Verdict from the evidence of all refitted hypotheses.
 
@@ -75,16 +77,18 @@ def decide(
         chi2: Misfit |W (y - S)|^2 of each hypothesis without unknown cause.
         num_free: Expected chi2 of a right model: samples less fitted parameters.
         pulls: Squares of the coordinates at the optimum, by hypothesis: what data sheets and usual
-            sizes say against it, and twice what the choice of its formulas costs. Added to the
-            misfit; None: zero.
+            sizes say against it. Added to the misfit; None: zero.
         num_sizes: Components of all sizes of a hypothesis; None: one for each effect.
+        prices: What the choice of the formulas of a hypothesis costs [nats]; None: nothing.
     """
-    cost = {h: value + (pulls or {}).get(h, 0.0) for h, value in chi2.items()}
+    pulled = {h: value + (pulls or {}).get(h, 0.0) for h, value in chi2.items()}
+    cost = {h: value + 2.0 * (prices or {}).get(h, 0.0) for h, value in pulled.items()}
     free = num_sizes or {h: len(h.effects) for h in cost}
     named_only = {h: e for h, e in nats.items() if h.unknown is None}
     best = prune(named_only, max(named_only, key=lambda h: named_only[h]))
-    missing = chi2[Hypothesis()] - num_free
-    explained = (chi2[Hypothesis()] - chi2[best]) / missing if missing > 0.0 else 1.0
+    # a plain model that fits because it left its data sheets is no explanation
+    missing = pulled[Hypothesis()] - num_free
+    explained = (pulled[Hypothesis()] - pulled[best]) / missing if missing > 0.0 else 1.0
     blind = [h for h in nats if h.unknown is not None]
     strongest = max(blind, key=lambda h: nats[h], default=None)
     lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
@@ -328,12 +332,12 @@ def decision_of(search: Search, withdrawn: frozenset[int] = frozenset()) -> Deci
         {h: w.chi2 for h, w in posteriors.items() if h.unknown is None},
         null.num_samples - fitted,
         {
-            h: (float(w.x @ w.x) if w.fit is None else w.fit.prior)
-            + 2.0 * sum(search.wide.effects[i].price for i in h.effects)
+            h: float(w.x @ w.x) if w.fit is None else w.fit.prior
             for h, w in posteriors.items()
             if h.unknown is None
         },
         {h: sum(len(search.wide.effects[i].components) for i in h.effects) for h in posteriors},
+        {h: sum(search.wide.effects[i].price for i in h.effects) for h in posteriors},
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import platform
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +18,7 @@ from diffsim.data.shown import resolution_words
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
-from diffsim.diagnose.checks.numerics import NUMERICS_GATES, NUMERICS_SHARE, SetNumerics
+from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.apart import apart_in_fit
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
 from diffsim.diagnose.judge.band import band_of
@@ -83,12 +82,6 @@ class Checks:
     gates: tuple[GateResult, ...]
     changes: dict[str, Array]
     center: Center
-
-    def numerics_could_be(self, fit: Fit) -> bool:
-        """Whether a numerical setting that failed could be a good part of what a fit leaves."""
-        misfit = math.sqrt(max(fit.chi2 - fit.num_samples, 0.0))
-        failed = (g.value for g in self.gates if g.name in NUMERICS_GATES and not g.passed)
-        return any(moved > NUMERICS_SHARE * misfit for moved in failed)
 
     @property
     def unrefined(self) -> dict[str, Array]:

@@ -23,6 +23,7 @@ from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.misread import choose_commands, without_misread
 from diffsim.diagnose.checks.noise import NoiseFloor, noise_floor, without_spikes
 from diffsim.diagnose.checks.numerics import (
+    could_be_misfit,
     names_of_failed,
     note_numerics,
     numerics_changes,
@@ -343,7 +344,8 @@ def residual_of(fit: Fit, run: Run) -> Array:
 
 
 def check_numerics(null: Null) -> RefinedNull:
-    """Check the settings at the null fit; refine and fit again where the gate fails.
+    """Check the settings at the null fit; refine and fit again where the gate fails and they could
+    be what is missing. Else those of the best set are checked, which leaves less.
 
     Args:
         null: The plain model, fitted with the model's own settings.
@@ -351,7 +353,8 @@ def check_numerics(null: Null) -> RefinedNull:
     changes = numerics_changes(null.fit.problem, null.at)
     gates = tuple(numerics_gate(null.fit, changes))
     settings = null.case.settings
-    if settings.accept_numerics or settings.refine_budget <= 1.0 or not names_of_failed(gates):
+    is_asked = settings.refine_budget > 1.0 and could_be_misfit(null.fit, gates)
+    if settings.accept_numerics or not is_asked:
         gates = note_numerics(gates, null.fit.problem.numerics, 1.0, settings.refine_budget)
         return RefinedNull(null, changes, gates)
     once = null.fit.problem.cost()
@@ -367,7 +370,7 @@ def check_numerics(null: Null) -> RefinedNull:
         null = refit_under(null, numerics)
         changes = numerics_changes(null.fit.problem, null.at)
         gates = tuple(numerics_gate(null.fit, changes))
-        if not names_of_failed(gates):
+        if not could_be_misfit(null.fit, gates):
             break
     return RefinedNull(
         null, changes, note_numerics(gates, null.fit.problem.numerics, paid, settings.refine_budget)
