@@ -37,8 +37,8 @@ class Decision:
         rivals: Other hypotheses within 3 nats of evidence, or of fit (``fits_as_well``), best
             first.
         unknown: The unknown cause's hypothesis if the verdict is "unknown".
-        share: Share of the misfit, chi2_null - N, that the best set explains; what data sheets say
-            against a fit counts as misfit.
+        share: Share of the misfit, chi2_null - N, that the best set explains; or the same with what
+            data sheets say against a fit, if more.
         beside: The strongest hypothesis with an unknown cause, where evidence puts it 4 nats or
             more before the best set although that explains enough; its lead is ``lead`` [nats].
         forms: Effects that may be the form of another one of the set, each with what they may be.
@@ -86,9 +86,8 @@ def decide(
     free = num_sizes or {h: len(h.effects) for h in cost}
     named_only = {h: e for h, e in nats.items() if h.unknown is None}
     best = prune(named_only, max(named_only, key=lambda h: named_only[h]))
-    # a plain model that fits because it left its data sheets is no explanation
-    missing = pulled[Hypothesis()] - num_free
-    explained = (pulled[Hypothesis()] - pulled[best]) / missing if missing > 0.0 else 1.0
+    # a plain model that fits because it left its data sheets is explained where the set does not
+    explained = max(_share_explained(c, best, num_free) for c in (chi2, pulled))
     blind = [h for h in nats if h.unknown is not None]
     strongest = max(blind, key=lambda h: nats[h], default=None)
     lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
@@ -113,6 +112,12 @@ def decide(
     beside = (strongest, lead) if lead >= KEEP_NATS else (None, 0.0)
     as_well = tuple(h for h in rivals if h in equal)
     return Decision(verdict, best.effects, tuple(rivals), None, explained, *beside, equal=as_well)
+
+
+def _share_explained(cost: Mapping[Hypothesis, float], best: Hypothesis, num_free: float) -> float:
+    """Share of what the plain model leaves that a set explains; 1 where it leaves nothing."""
+    missing = cost[Hypothesis()] - num_free
+    return (cost[Hypothesis()] - cost[best]) / missing if missing > 0.0 else 1.0
 
 
 def fits_as_well(
