@@ -18,7 +18,7 @@ from diffsim.identify.effect import Effect, Needs
 # A wrong size predicts an unrelated staircase: sizes lie so closely that at the greatest command
 # the nearest is a fifth of a step off, and are never so fine that records hardly show them.
 STEPS = tuple(np.arange(2.0, 25.0, 0.4).tolist())  # from zero to the greatest command
-# A gear ratio, a unit or a gain that was counted twice, or half: slopes at a gain of one say little.
+# A gear ratio, a unit or a gain counted twice, or half: slopes at a gain of one say little.
 GAINS = (0.25, 0.5, 2.0, 4.0)
 _USUAL_STEPS = 10.0  # as in the row of the cause
 ACTUATOR = "actuator"  # the table
