@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
 
 from diffsim.causes.commands import CommandGroup, command_cause
 from diffsim.causes.needs import needs_fine_command
-from diffsim.causes.signals import Grid, held_in_steps, in_steps, with_play
+from diffsim.causes.signals import Grid, after_zero, held_in_steps, in_steps, with_play
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
@@ -145,10 +147,11 @@ def test_finer_steps_than_are_tried_are_not_ruled_out(tmp_path):
     assert report.named == () and row.size["size"].high > finer < row.smallest_visible["size"]
 
 
+PLAY = partial(with_play, half_gap=number(0.3))
 LOOK_ALIKES = {
     "dead_band": lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.4, 0.0),
     "saturation": lambda u: np.clip(u, -0.7 * 6.9, 0.7 * 6.9),
-    "backlash": lambda u: with_play(torch.from_numpy(u), Grid.even(300, DT), number(0.3)).numpy(),
+    "backlash": lambda u: after_zero(torch.from_numpy(u), Grid.even(300, DT), PLAY).numpy(),
 }
 
 
