@@ -344,8 +344,8 @@ def residual_of(fit: Fit, run: Run) -> Array:
 
 
 def check_numerics(null: Null) -> RefinedNull:
-    """Check the settings at the null fit; refine and fit again where the gate fails and they could
-    be what is missing. Else those of the best set are checked, which leaves less.
+    """Check the settings at the null fit; refine and fit again where the gate fails. Where it would
+    fail within the budget, too, and is no good part of the misfit, settings stay as they are.
 
     Args:
         null: The plain model, fitted with the model's own settings.
@@ -353,24 +353,26 @@ def check_numerics(null: Null) -> RefinedNull:
     changes = numerics_changes(null.fit.problem, null.at)
     gates = tuple(numerics_gate(null.fit, changes))
     settings = null.case.settings
-    is_asked = settings.refine_budget > 1.0 and could_be_misfit(null.fit, gates)
-    if settings.accept_numerics or not is_asked:
+    if settings.accept_numerics or settings.refine_budget <= 1.0 or not names_of_failed(gates):
         gates = note_numerics(gates, null.fit.problem.numerics, 1.0, settings.refine_budget)
         return RefinedNull(null, changes, gates)
     once = null.fit.problem.cost()
     paid = 1.0
     for _ in range(MAX_RENEWALS):
         null.case.progress("null fit", 0.1, f"refining {', '.join(names_of_failed(gates))}")
-        numerics, changes, gates, ratio = refine_within(
+        numerics, finer, found, ratio = refine_within(
             null.fit, settings.refine_budget, changes, gates, once
         )
+        if names_of_failed(found) and not could_be_misfit(null.fit, gates):
+            break
+        changes, gates = finer, found
         paid = max(paid, ratio)
         if numerics == (null.fit.problem.numerics or Numerics()):
             break  # the budget allows no finer ones
         null = refit_under(null, numerics)
         changes = numerics_changes(null.fit.problem, null.at)
         gates = tuple(numerics_gate(null.fit, changes))
-        if not could_be_misfit(null.fit, gates):
+        if not names_of_failed(gates):
             break
     return RefinedNull(
         null, changes, note_numerics(gates, null.fit.problem.numerics, paid, settings.refine_budget)
