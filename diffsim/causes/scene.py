@@ -151,7 +151,8 @@ class Commands:
         values: As recorded, (..., width, num_times), in the unit of each command.
         rows: Rows of ``values`` that a name stands for.
         changes: Rows and the maps that change them, in the order in which they act.
-        are_from_zero: Whether all were zero before the run; else they had their first values.
+        are_from_zero: Whether all were zero before the run, for ``act`` and ``each_heard``; else
+            they had their first values.
     """
 
     values: Tensor

@@ -72,6 +72,14 @@ def test_sizes_are_tied_by_their_unit_and_times_whatever_they_delay():
         tie([], "none")
 
 
+def test_gains_alone_and_tied_are_tried_at_the_factors_of_gears(joints):
+    gains = [e for name, e in joints[2].items() if name.startswith("command_gain")]
+    assert len(gains) == 4 and all(e.scanned for e in gains)
+    for e in gains:
+        factors = [1.0 + e.typical * times for times in e.tries]
+        assert factors == pytest.approx([0.25, 0.5, 2.0, 4.0])
+
+
 def test_exchanged_commands_and_channels_are_each_others(joints):
     run, setup, known = joints
     plain = shown(setup, run)

@@ -104,3 +104,5 @@ def test_a_delay_stands_beside_what_the_record_can_show():
     assert resolution_words(study) == (
         "One row of the record is 33.3 ms, one step of angle 0.005 rad."
     )
+    slow = replace(study, runs=(replace(run, time_s=150.0 * run.time_s),))
+    assert resolution_words(slow).startswith("One row of the record is 5 s, ")

@@ -34,6 +34,7 @@ def shown(command, *, start="0", model=None, **sizes):
     setup = setup_of(study)
     effects = tuple(e for e in setup.effects if e.name in sizes)
     assert len(effects) == len(sizes)
+    assert all(e.shown_unit == "V" for e in effects if e.unit == "command")
     problem = Problem(setup.model, (run,), WhiteNoise(channels), effects)
     scaled = [sizes[e.name] / unit for e, unit in zip(effects, problem.size_units, strict=True)]
     x = problem.standardized(np.array([*np.zeros(problem.num_base), *scaled]))
