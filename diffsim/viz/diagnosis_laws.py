@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from diffsim.core.expression import parse_expression
+from diffsim.core.figures import figure, unit_of, with_interval
 from diffsim.data.study import Study
 from diffsim.diagnose.judge.records import HALF_LEVEL
 from diffsim.diagnose.say.law_records import DescribedLaw, LawAnswer, LawCurve, Number, ScreenRow
@@ -20,7 +21,6 @@ from diffsim.viz import report as page
 from diffsim.viz.charts import EXTENDED
 from diffsim.viz.figures import INK, LINE
 from diffsim.viz.formulas import write_formula
-from diffsim.viz.numbers import figure, unit_of, with_interval
 
 Array = NDArray[np.float64]
 MOST_ROWS = 15  # of the table of all that was weighed

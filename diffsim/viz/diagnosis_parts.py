@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diffsim.core.figures import figure, unit_of
 from diffsim.data.study import Channel
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import LEVEL, ErrorRow, band_share
@@ -13,7 +14,6 @@ from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_series import PredictedRun
 from diffsim.viz.moving import MovingChoice
-from diffsim.viz.numbers import figure, unit_of
 
 NEAR_LEVEL = 0.05  # share of the readings by which a band may be off
 _TONES = {"confirmed": "good", "not confirmed": "fair", "withdrawn": "bad"}

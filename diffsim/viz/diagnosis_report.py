@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.core.figures import figure, probability, unit_of
 from diffsim.data.study import Channel
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import ljung_box
@@ -31,7 +32,6 @@ from diffsim.viz.diagnosis_series import (
     predicted_runs,
     with_noise,
 )
-from diffsim.viz.numbers import figure, probability, unit_of
 
 MAX_COMMANDS = 12  # in the menu of the force map
 MAX_NUISANCES = 40  # rows of the table of base parameters

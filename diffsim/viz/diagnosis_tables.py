@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from diffsim.core.figures import figure, signed, unit_of, with_interval, with_sd
 from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
@@ -22,7 +23,6 @@ from diffsim.diagnose.judge.records import (
 )
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import component_words
-from diffsim.viz.numbers import figure, signed, unit_of, with_interval, with_sd
 from diffsim.viz.report import Table
 
 _OUT = (REFUTED, HIDDEN, UNJUDGED)  # statuses of causes that the answer does without

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.core.figures import figure, probability, unit_of
 from diffsim.diagnose.faults.verdict import UNLISTED, FaultReport, FaultVerdict, Size
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.charts import EXTENDED
 from diffsim.viz.figures import SOFT
-from diffsim.viz.numbers import figure, probability, unit_of
 
 MOST_SETS = 4  # explanations of a group that the page lists
 MOST_VISIBLE = 6  # causes whose smallest visible size it lists

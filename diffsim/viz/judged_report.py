@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from diffsim.core.figures import figure, unit_of, with_sd
 from diffsim.data.study import Channel, Study
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.own_values import own_words
@@ -18,7 +19,6 @@ from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_number, runs_section
 from diffsim.viz.diagnosis_series import PredictedRun, with_noise
-from diffsim.viz.numbers import figure, unit_of, with_sd
 
 
 def write_judgment(found: Unseen, study: Study, saved: SavedModel, path: str | Path) -> Path:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.core.figures import figure
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.sim_to_real.worth import ALL, MISS, Worth
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.charts import EXTENDED, NULL
 from diffsim.viz.figures import COLORS
-from diffsim.viz.numbers import figure
 
 SHOWN = {"whole": "with it", "half": "with half of it", "none": "without it"}
 UNAWARE = "command that does not know of it"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from diffsim.core.figures import figure
 from diffsim.core.progress import say_stage
 from diffsim.data.shared_rows import SHARED_BITS, STRETCH, SharedStretch, bits_of, shared_stretches
 from diffsim.data.signal import scatter
@@ -271,7 +272,7 @@ def cuts_gate(model: SimModel) -> tuple[GateResult, ...]:
     if not model.cuts:
         return ()
     times = ", ".join(
-        f"{run} at {', '.join(f'{time:.4g}' for time, _ in places)} s"
+        f"{run} at {', '.join(figure(time, 4) for time, _ in places)} s"
         for run, places in model.cuts.items()
     )
     _, parting = next(iter(model.cuts.values()))[0]
@@ -293,7 +294,7 @@ def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]
     short = model.short_windows(runs)
     if not short:
         return ()
-    lengths = ", ".join(f"{run} {length:.3g} s" for run, length in short.items())
+    lengths = ", ".join(f"{run} {figure(length)} s" for run, length in short.items())
     note = (
         f"the plain model follows the record only over short windows, {lengths}; start states of "
         "these take up what acts slowly, so that refuted and not visible hold for that length only"

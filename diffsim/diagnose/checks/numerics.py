@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.figures import figure
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import DiagnosisSettings
@@ -289,7 +290,9 @@ def note_numerics(
         if factor > 1.0:
             note += f"; {factor:g} times as coarse as the model's own"
         if factor < 1.0:
-            note += f"; refined by {1.0 / factor:g}, a simulation costs {paid:.2g} times as much"
+            note += (
+                f"; refined by {1.0 / factor:g}, a simulation costs {figure(paid, 2)} times as much"
+            )
         if not gate.passed and is_spent:
             note += f"; finer would cost more than the budget of {budget:g} times"
         out.append(replace(gate, note=note))

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
@@ -110,7 +111,7 @@ def _say_turn(report: Report, laws: Mapping[str, Law]) -> str:
         return ""
     weights = [1.0 / s**2 for s in sd]
     turn = math.degrees(math.atan(float(np.average([abs(a), abs(b)], weights=weights))))
-    return f"; together they are a rotation of the axes by {turn:.2g} deg"
+    return f"; together they are a rotation of the axes by {figure(turn, 2)} deg"
 
 
 def _is_mix(law: Law) -> bool:
@@ -211,18 +212,22 @@ def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: F
     what, on = _what(law), law.variable.name
     size = numbers.get("amplitude")
     unit = after_number(law.unit)
-    amount = "" if size is None else f", {size.value:.3g}{unit} ({size.low:.3g} to {size.high:.3g})"
+    amount = (
+        ""
+        if size is None
+        else f", {figure(size.value)}{unit} ({figure(size.low)} to {figure(size.high)})"
+    )
     like = f"; looks like {' or '.join(looks)}" if looks else ""
     if law.form == "periodic":
         k = numbers["wave_number"].value if "wave_number" in numbers else np.nan
         turns = (
             f"{k:.4g} times a turn of {on}"
             if law.variable.unit == "rad"
-            else f"every {2.0 * np.pi / k:.3g} {law.variable.unit} of {on}"
+            else f"every {figure(2.0 * np.pi / k)} {law.variable.unit} of {on}"
         )
         return f"{what} that repeats {turns}{amount}{like}"
     memory = next((numbers[n] for n in MEMORIES[law.variable.memory] if n in numbers), None)
-    lasts = "" if memory is None else f" ({memory.value:.3g} {memory.unit})"
+    lasts = "" if memory is None else f" ({figure(memory.value)} {memory.unit})"
     formula = (
         "a curve without a formula"
         if law.form == TABLE
@@ -237,7 +242,7 @@ def _write_term(law: Law, fit: Fit) -> str:
     text = law.term
     for short, name in values.items():
         if name in fit.values:
-            text = re.sub(rf"\b{short}\b", f"{fit.values[name]:.3g}", text)
+            text = re.sub(rf"\b{short}\b", figure(fit.values[name]), text)
     text = re.sub(rf"\b{VALUE}\b", law.variable.own_name, _shorten(text))
     return text if law.variable.times is None else f"{law.variable.times.name}*{text}"
 

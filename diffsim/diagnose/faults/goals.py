@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.figures import figure
 from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.data.study import Run
 from diffsim.diagnose.faults.layout import Layout
@@ -192,9 +193,8 @@ class Rows(Goals):
         out = []
         for k in np.flatnonzero(choice.part == 2):
             run, start, end = self.places[k]
-            out.append(
-                f"{names[self.channel[k]]} of {run} off its goal, {start:.4g} to {end:.4g} s"
-            )
+            when = f"{figure(start, 4)} to {figure(end, 4)} s"
+            out.append(f"{names[self.channel[k]]} of {run} off its goal, {when}")
         if num := int((~choice.kept).sum()):
             out.append(f"{num} sample{'' if num == 1 else 's'} far off those beside")
         return tuple(out)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number
 from diffsim.diagnose.faults.candidates import Candidate
 from diffsim.diagnose.faults.evidence import Evidence
@@ -348,7 +349,7 @@ def cause_words(effect: Effect, size: float) -> str:
     """A cause at a size in plain words."""
     if effect.words is not None:
         return effect.words(size)
-    return f"{words_of(effect.name)} {size:.3g}{after_number(effect.unit)}"
+    return f"{words_of(effect.name)} {figure(size)}{after_number(effect.unit)}"
 
 
 def _words(status: str, sizes: Sequence[Size], rivals: Sequence[tuple[str, ...]]) -> str:

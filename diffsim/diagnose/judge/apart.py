@@ -17,6 +17,7 @@ import torch
 from scipy.special import chdtri, ndtri
 from torch import Tensor
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.records import HALF_LEVEL, SURE, Interval
@@ -182,6 +183,7 @@ def _say_difference(row: ApartRow, others: str) -> str:
     word = "more" if over.value > 0.0 else "less"
     verb = "have" if row.others else "has"
     return (
-        f"{row.fact.capitalize()} {row.label} {verb} {abs(over.value):.3g}{after_number(unit)} "
-        f"{word} {words_of(row.name)} than {others} ({low:.3g} to {high:.3g}; 90 % interval)."
+        f"{row.fact.capitalize()} {row.label} {verb} {figure(abs(over.value))}{after_number(unit)} "
+        f"{word} {words_of(row.name)} than {others} "
+        f"({figure(low)} to {figure(high)}; 90 % interval)."
     )

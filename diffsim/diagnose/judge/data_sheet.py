@@ -123,14 +123,27 @@ def base_rows(
     return (*alone, *_pulled_together(rows))
 
 
+def misfit_unheld(fit: Fit) -> float:
+    """Misfit that a fit leaves, by slopes, if data sheets that it has left do not hold it."""
+    left = _left_sheets(fit, pull_limit(fit.problem.model.base))
+    if not left:
+        return fit.chi2
+    pulls, inner = fit.x[left], np.linalg.inv(fit.covariance[np.ix_(left, left)])
+    return fit.chi2 - float(pulls @ np.linalg.solve(inner - np.eye(len(left)), pulls))
+
+
+def _left_sheets(fit: Fit, limit: float) -> list[int]:
+    base = fit.problem.model.base
+    return [j for j, p in enumerate(base) if "@" not in p.name and abs(fit.x[j]) > limit]
+
+
 def _without_wrong(fit: Fit, limit: float) -> tuple[Array, Array]:
     """Where a fit goes, by its slopes, if data sheets that it has left do not hold it.
 
     Returns:
         Change of the coordinates, (n,), and their standard deviations there, (n,).
     """
-    base, covariance = fit.problem.model.base, fit.covariance
-    left = [j for j, p in enumerate(base) if "@" not in p.name and abs(fit.x[j]) > limit]
+    covariance, left = fit.covariance, _left_sheets(fit, limit)
     if not left:
         return np.zeros(len(fit.x)), np.sqrt(np.diag(covariance))
     share = (

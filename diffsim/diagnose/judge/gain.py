@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from diffsim.core.figures import figure
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.left_out import (
@@ -116,7 +117,8 @@ class Gain:
             if self.left > 1.0 + max(self.excess, 0.0) + NEAR_ZERO:
                 why = ": without these samples the fit ran away"
         if self.farthest > FAR_OFF:
-            why = f"; a value fitted to these runs is {self.farthest:.2g} sd from what is stated"
+            far = figure(self.farthest, 2)
+            why = f"; a value fitted to these runs is {far} sd from what is stated"
         if self.is_below_noise:
             share = _percent(float(np.sqrt(max(self.left, 0.0))))
             why = f"; the stated noise is too large, {share} of it is left"

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.figures import figure
 from diffsim.data.study import TIMELESS, Run
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.own_values import own_point, unmet_by
@@ -152,8 +153,8 @@ def blocks_of(problem: Problem) -> Folds | None:
         rows = label == k
         runs = tuple(int(i) for i in np.unique(row_run[rows]))
         ends = (k * longest / count, (k + 1) * longest / count)
-        folds.append(Fold(f"{ends[0]:.3g} to {ends[1]:.3g} s", runs, rows, is_whole=False))
-    words = f"leaving out blocks of {longest / count:.2g} s after each other"
+        folds.append(Fold(f"{figure(ends[0])} to {figure(ends[1])} s", runs, rows, is_whole=False))
+    words = f"leaving out blocks of {figure(longest / count, 2)} s after each other"
     return Folds(tuple(f for f in folds if f.rows.any()), words)
 
 

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from scipy import optimize
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.data.study import Run
 from diffsim.identify import Problem
@@ -60,8 +61,10 @@ class OwnRow:
         value, prior, sd = (times * v for v in (self.value, self.prior_value, self.prior_sd))
         unit = after_number(shown)
         name = self.name.partition("@")[0].rstrip(".").replace("_", " ")
-        stated = f"{prior:.4g} +- {sd:.2g}{unit}"
-        return f"{name} {value:.4g}{unit}, stated {stated}: {abs(self.pull):.2g} sd off"
+        stated = f"{figure(prior, 4)} +- {figure(sd, 2)}{unit}"
+        return (
+            f"{name} {figure(value, 4)}{unit}, stated {stated}: {figure(abs(self.pull), 2)} sd off"
+        )
 
 
 class Frozen(Protocol):
@@ -307,9 +310,9 @@ def _many_words(own: Sequence[OwnRow]) -> str:
     ends = [row.value for row in own]
     shown = small_unit(own[0].unit, (*ends, own[0].prior_value, own[0].prior_sd))
     times = 1.0 if shown == own[0].unit else factor(own[0].unit, shown)
-    low, high = (f"{times * v:.2g}" for v in (min(ends), max(ends)))
+    low, high = (figure(times * v, 2) for v in (min(ends), max(ends)))
     name, unit = own[0].name.partition("@")[0].rstrip(".").replace("_", " "), after_number(shown)
-    stated = f"{times * own[0].prior_value:.3g} +- {times * own[0].prior_sd:.2g}{unit}"
+    stated = f"{figure(times * own[0].prior_value)} +- {figure(times * own[0].prior_sd, 2)}{unit}"
     return (
         f"{len(own)} runs were fitted far from what the study states: "
         f"{name} {low} to {high}{unit}, stated {stated}."

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
+from diffsim.core.figures import figure
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.averaging import ModelAverage
@@ -165,7 +166,7 @@ def _parameters_are_far_off(g: Grounds) -> str:
 
 def _much_is_left(g: Grounds) -> str:
     rest = float(np.sqrt(g.fit.chi2 / g.fit.num_samples))
-    return f"what the fit leaves is {rest:.2g} times the noise" if rest > MUCH_LEFT else ""
+    return f"what the fit leaves is {figure(rest, 2)} times the noise" if rest > MUCH_LEFT else ""
 
 
 def _is_a_single_recording(g: Grounds, i: int) -> str:
@@ -227,7 +228,9 @@ def why_unconfirmed(total: Gain) -> str:
     if total.status == "confirmed":
         return ""
     is_bought = total.farthest > FAR_OFF and total.is_above_zero
-    with_it = f"with a value {total.farthest:.2g} sd from what is stated " if is_bought else ""
+    with_it = (
+        f"with a value {figure(total.farthest, 2)} sd from what is stated " if is_bought else ""
+    )
     return f"{with_it}no gain is confirmed"
 
 
@@ -360,7 +363,7 @@ def doubts_of_unseen(gain: Gain | None, errors: Sequence[ErrorRow]) -> Iterator[
         yield f"{why} on test runs"
     left = max((r / n for r, n in _pool_errors(errors).values()), default=0.0)
     if left > MUCH_UNSEEN:
-        yield f"the error on unseen runs is {left:.2g} times the noise"
+        yield f"the error on unseen runs is {figure(left, 2)} times the noise"
 
 
 def _pool_errors(errors: Sequence[ErrorRow]) -> Mapping[tuple[str, str], tuple[float, float]]:

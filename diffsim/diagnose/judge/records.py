@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import UNTOLD_PULL
@@ -227,14 +228,14 @@ def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:
             "the command itself, late and shifted,": row.command,
         }
         said = [
-            f"{what} would leave {value:.3g}{after_number(row.unit)}"
+            f"{what} would leave {figure(value)}{after_number(row.unit)}"
             for what, value in better.items()
             if value is not None and value < SKILL * row.after
         ]
         if said:
             out.append(
                 f"Run {row.run}: the model has no skill in {row.kind}: it leaves "
-                f"{row.after:.3g}{after_number(row.unit)}, {' and '.join(said)}."
+                f"{figure(row.after)}{after_number(row.unit)}, {' and '.join(said)}."
             )
     return out
 
@@ -257,12 +258,6 @@ def band_words(errors: Sequence[ErrorRow]) -> str:
 def _with_band(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
     # what chose between causes, and told the band, proves none
     return [row for row in errors if row.use == "test" and row.band is not None]
-
-
-def _plain(value: float, digits: int = 3) -> str:
-    """A number without a power of ten where it has up to six digits before its point."""
-    is_large = 10.0**digits <= abs(value) < 1e6
-    return f"{value:.0f}" if is_large else f"{value:.{digits}g}"
 
 
 @dataclass(frozen=True)
@@ -299,12 +294,12 @@ class OutsideRow:
         if isinstance(self.value, str) or self.low is None or self.high is None:
             return f"Run {self.run}: no fitted run has {self.what} {self.value}."
         per, unit = (1000.0, " mm") if self._in_mm else (1.0, unit)
-        numbers = [_plain(per * v) for v in (self.value, self.low, self.high)]
+        numbers = [figure(per * v) for v in (self.value, self.low, self.high)]
         said = f"Run {self.run}: {self.what} is {numbers[0]}{unit}, fitted runs have "
         if self.low == self.high:
             return f"{said}{numbers[1]}{unit}."
         of = "the largest" if self.what.startswith(RATIOS) else "as far from the middle"
-        times = f"{self.times:.2g}" if self.times < 10.0 else _plain(self.times, 0)
+        times = figure(self.times, 2)
         is_told = isfinite(self.times) and times != "1"
         far = f" ({times} times {of})" if is_told else ""
         return f"{said}{numbers[1]} to {numbers[2]}{unit}{far}."

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number
 from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run, Study
@@ -134,4 +135,4 @@ def _change(errors: Sequence[ErrorRow], kind: str, unit: str) -> str:
         float(np.sqrt(np.average([getattr(row, which) ** 2 for row in own], weights=weights)))
         for which in ("before", "after")
     )
-    return f"{kind} {before:.3g}, with it {after:.3g}{after_number(unit)}"
+    return f"{kind} {figure(before)}, with it {figure(after)}{after_number(unit)}"

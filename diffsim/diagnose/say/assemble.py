@@ -23,7 +23,7 @@ from diffsim.diagnose.judge.apart import apart_in_fit
 from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
 from diffsim.diagnose.judge.band import band_of
 from diffsim.diagnose.judge.crosscheck import repeated_gate
-from diffsim.diagnose.judge.data_sheet import base_rows
+from diffsim.diagnose.judge.data_sheet import base_rows, misfit_unheld
 from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
@@ -50,6 +50,7 @@ from diffsim.diagnose.judge.records import (
 from diffsim.diagnose.judge.stand_ins import without_forms, without_wrong_data_sheets
 from diffsim.diagnose.judge.unseen import constants_of, on_unseen, spans_of
 from diffsim.diagnose.say.causes import REST, CauseEvidence, cause_rows, open_rivals, ranked
+from diffsim.diagnose.say.factors import is_same_factor
 from diffsim.diagnose.say.force_map import ForceMap, force_map
 from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.next_run import next_run
@@ -160,6 +161,7 @@ def report_of(
         named=set_names(Hypothesis(named), effects, ()),
         best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside=_beside(judgment),
+        plain_twin=_plain_twin(null.fit, best) if members else (),
         left=float(np.sqrt(best.chi2 / best.num_samples)),
         with_unknown=_with_unknown(search, members, best.num_samples),
         chosen_by=chosen_by,
@@ -351,6 +353,23 @@ def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
     judged = judgment.decision.verdict not in ("unrepeatable", "numerical")
     wrong = judgment.decision.data_sheets
     return base_rows(best, best.problem.runs, widening(best), judged=judged, wrong=wrong)
+
+
+def _plain_twin(plain: Fit, best: Fit) -> tuple[BaseRow, ...]:
+    """Base parameters by which the plain model explains the fitted runs as well as the best set:
+    those off their data sheets, and those that are off by the same factor."""
+    if misfit_unheld(plain) > best.chi2 + 2.0 * KEEP_NATS:
+        return ()
+    rows = base_rows(plain, plain.problem.runs, widening(plain), judged=True)
+    off = [row for row in rows if row.finding]
+    factors = [row.value / row.prior_value for row in off if row.prior_value]
+    alike = [
+        row
+        for row in rows
+        if row.run is None and not row.finding and row.prior_value
+        if any(is_same_factor(row.value / row.prior_value, of) for of in factors)
+    ]
+    return (*off, *alike)
 
 
 def _verdict(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from diffsim.core.figures import figure
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import pull_of, words_of
 from diffsim.diagnose.judge.judge import Decision, Judgment
@@ -104,7 +105,7 @@ class CauseEvidence:
         if is_late and not any(i in group for _, group in made.scans):
             return "its sizes were not tried"
         if self.left > 1.0 and not effect.smooth and not isinstance(effect, NumericalEffect):
-            return f"no fit held it, and what is left is {self.left:.2g} times the noise"
+            return f"no fit held it, and what is left is {figure(self.left, 2)} times the noise"
         return ""
 
 
@@ -171,7 +172,9 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
     if status == HIDDEN and (why := known.why_not_judged(i)):
         status, row = UNJUDGED, replace(row, note=f"not judged: {why}")
     elif status == HIDDEN and known.left > 1.0:
-        row = replace(row, note=f"{row.note} Of what is left, {known.left:.2g} times the noise.")
+        row = replace(
+            row, note=f"{row.note} Of what is left, {figure(known.left, 2)} times the noise."
+        )
     helps = i in known.members and status not in (CERTAIN, LIKELY)
     sizes = about.size(i) or row.size
     if status in (HIDDEN, REFUTED):  # nobody looked below
@@ -359,7 +362,8 @@ def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
         unit=row.unit,
         rivals=rivals,
         doubts=known.doubts_of_names if status == LIKELY else (),
-        note=f"data sheet: {read.prior_value:.4g} +- {read.prior_sd:.2g} (one standard deviation)",
+        note=f"data sheet: {figure(read.prior_value, 4)} +- {figure(read.prior_sd, 2)} "
+        "(one standard deviation)",
         shown_unit=read.unit,
     )
 

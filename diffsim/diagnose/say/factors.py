@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from diffsim.core.figures import figure
 from diffsim.core.unit_slips import UNIT_SLIPS, UnitSlip
 from diffsim.diagnose.judge.records import CauseRow, Interval
 
@@ -34,6 +35,11 @@ SLIPS = (*_COUNTED, *(way for slip in UNIT_SLIPS for way in _of_unit(slip)))
 _INERTIAS = ("kg", "g", "kg m^2", "g m^2")
 
 
+def is_same_factor(value: float, factor: float) -> bool:
+    """Whether two factors are one within what fits leave."""
+    return abs(value - factor) <= SAME * abs(factor)
+
+
 def factor_words(found: Interval) -> str:
     """What a factor is a sign of, such as "4.00 times: is a gear counted twice?"; or nothing.
 
@@ -42,7 +48,7 @@ def factor_words(found: Interval) -> str:
     """
     for factor, slip in SLIPS:
         if found.low <= factor <= found.high and found.high - found.low <= WIDEST * abs(factor):
-            return f"{found.value:.3g} times: {slip}?"
+            return f"{figure(found.value)} times: {slip}?"
     return ""
 
 
@@ -68,7 +74,7 @@ def sheet_words(rows: Sequence[tuple[CauseRow, float]]) -> list[str]:
         low, high = sorted((size.low / stated, size.high / stated))
         value = size.value / stated
         if words := factor_words(Interval(value, low, high)):
-            alike = (k for k, (f, _) in found.items() if abs(f - value) <= SAME * abs(f))
+            alike = (k for k, (f, _) in found.items() if is_same_factor(value, f))
             key = next(alike, words)
             found.setdefault(key, (value, []))[1].append(row)
     return [_say(words, value, rows) for words, (value, rows) in found.items()]
@@ -80,8 +86,8 @@ def _say(words: str, value: float, rows: Sequence[CauseRow]) -> str:
     out = f"{several or f'{names[0]} is'} {words}"
     if value > 0.0 and all(row.unit in _INERTIAS for row in rows):
         out += (
-            f" The twin of inertias {value:.3g} times as large is a drive {1.0 / value:.3g} times "
-            "as strong: a scale, or a measured force, decides."
+            f" The twin of inertias {figure(value)} times as large is a drive "
+            f"{figure(1.0 / value)} times as strong: a scale, or a measured force, decides."
         )
     return out[:1].upper() + out[1:]
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.checks.gates import LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
@@ -33,6 +34,7 @@ from diffsim.diagnose.say.wording import (
     opened,
     plain_name,
     size_range,
+    twin_words,
 )
 
 MAX_SIZED = 2  # causes whose sizes are said
@@ -147,7 +149,8 @@ def _second(
     untested = ["No gain is known: no run is kept for a test."] if no_test else []
     if answer.verdict in ("numerical", "unrepeatable", "none"):
         return untested
-    said = [*_of_gain(gained), *_reasons(answer)]
+    twin = twin_words(answer) if answer.causes_with(LIKELY) else ""
+    said = [*filter(None, [twin]), *_of_gain(gained), *_reasons(answer)]
     if any(gate.name == LAWS for gate in answer.gates):
         said = [*(why for why in said if why != FIRST_ANSWER), f"{FIRST_ANSWER}, without laws"]
     return [*(f"Not certain: {why}." for why in said[:1]), *untested]
@@ -280,7 +283,7 @@ def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
     row = rows[0].as_read()
     value, unit = next(iter(row.size.values())).value, after_number(row.unit)
     prior = row.sheet.partition(" +-")[0]
-    number = next((n for d in (3, 4, 5) if (n := f"{value:.{d}g}") != prior), f"{value:.6g}")
+    number = next((n for d in (3, 4, 5) if (n := figure(value, d)) != prior), figure(value, 6))
     off = f"{row.words} is {number}{unit}, not {prior}{unit}"
     if len(rows) == 1:
         return [f"Only a data sheet is off: {off}", opened(off)]
@@ -473,11 +476,11 @@ def _numbers(row: ErrorRow) -> tuple[str, str, str, str]:
     """Errors before and after, their unit, and the noise with it; without a unit, errors over the
     noise."""
     if row.unit == "-" and row.noise > 0.0:
-        before, after = (f"{v / row.noise:.3g}" for v in (row.before, row.after))
+        before, after = (figure(v / row.noise) for v in (row.before, row.after))
         return before, after, " times the noise", ""
     shown = small_unit(row.unit, (row.after, row.noise))
     times = 1.0 if shown == row.unit else factor(row.unit, shown)
-    before, after, noise = (f"{times * v:.3g}" for v in (row.before, row.after, row.noise))
+    before, after, noise = (figure(times * v) for v in (row.before, row.after, row.noise))
     unit = after_number(shown)
     return before, after, unit, f"{noise}{unit}"
 

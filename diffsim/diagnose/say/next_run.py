@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
+from diffsim.core.figures import figure
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.say.wording import MOST_LISTED
@@ -46,11 +47,11 @@ class NextRun:
         most = self.chi2_gain[self.best]
         if most < TELLING:
             return (
-                f"none of these runs tells them apart: expected chi2 {most:.2g} at most, "
+                f"none of these runs tells them apart: expected chi2 {figure(most, 2)} at most, "
                 f"{TELLING:g} is needed; measure by other means what they differ in"
             )
-        times = f"{self.over_median:.3g} times the bank's median"
-        return f"record {self.best}: expected chi2 {most:.4g}, {times}"
+        times = f"{figure(self.over_median)} times the bank's median"
+        return f"record {self.best}: expected chi2 {figure(most, 4)}, {times}"
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class Narrowing:
         least = [n for n in sorted(shares, key=lambda n: shares[n]) if shares[n] < NARROWER]
         if not least:
             return "none of these runs narrows an interval by more than 5 %"
-        said = ", of ".join(f"{words_of(n)} to {shares[n]:.2g}" for n in least[:MOST_LISTED])
+        said = ", of ".join(f"{words_of(n)} to {figure(shares[n], 2)}" for n in least[:MOST_LISTED])
         return f"for more, record {self.best}: it narrows the interval of {said} of its width"
 
     def width(self, run: str) -> float:

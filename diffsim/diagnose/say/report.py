@@ -157,6 +157,7 @@ class Report(Answer):
             "gates",
             "causes",
             "base",
+            "plain_twin",
             "errors",
             "outside",
             "own",

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.figures import figure
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.averaging import MODEL_FORM
 from diffsim.diagnose.judge.data_sheet import words_of
@@ -236,8 +237,8 @@ def cannot_see(
         if not np.isfinite(smallest):
             out[name] = "leaves no trace that the base parameters could not absorb"
         elif smallest > BLIND * typical:
-            size = f"{smallest:.3g}" if unit == "-" else f"{smallest:.3g} {unit}"
-            out[name] = f"below {size} ({smallest / typical:.3g} times a usual size)"
+            size = figure(smallest) if unit == "-" else f"{figure(smallest)} {unit}"
+            out[name] = f"below {size} ({figure(smallest / typical)} times a usual size)"
     return out
 
 

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number
 from diffsim.diagnose.checks.gates import (
     COARSE,
@@ -33,6 +34,7 @@ from diffsim.diagnose.judge.records import (
     LIKELY,
     UNKNOWN,
     WRONG_DATA_SHEET,
+    BaseRow,
     CauseRow,
     ErrorRow,
     Interval,
@@ -89,6 +91,8 @@ class Answer:
         with_unknown: What it would leave with the best unknown cause beside, by its name [noise
             sd]; empty where none was weighed.
         before_test: What the test runs changed; None: nothing.
+        plain_twin: Base parameters of the plain model, off their data sheets, that explain the
+            fitted runs as well as the best set does; empty where they do not.
     """
 
     verdict: str
@@ -104,6 +108,7 @@ class Answer:
     left: float = 1.0
     with_unknown: Mapping[str, float] = field(default_factory=dict)
     before_test: BeforeTest | None = None
+    plain_twin: tuple[BaseRow, ...] = ()
 
     @property
     def is_taken_back(self) -> bool:
@@ -139,7 +144,7 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
     """
     row = row.as_read()
     if (own := _sizes_of_groups(row)) and not brief and len(own) <= MOST_LISTED:
-        sizes = (f"{component_words(c)} {value:.3g}" for c, value in own.items())
+        sizes = (f"{component_words(c)} {figure(value)}" for c, value in own.items())
         return f"{', '.join(sizes)}{after_number(row.unit)}"
     if has_many_sizes(row) or (brief and len(row.size) > 1):
         return _spread(row)
@@ -162,7 +167,7 @@ def _spread(row: CauseRow) -> str:
     else:
         values = [size.value for size in row.size.values()]
         what = "runs" if all(map(is_of_run, row.size)) else "sizes"
-    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+    low, high = figure(min(values)), figure(max(values))
     return f"{low} to {high}{after_number(row.unit)} in {len(values)} {what}"
 
 
@@ -186,10 +191,10 @@ def ends(size: Interval) -> str:
     """Both ends with as many digits as tell them apart, two at least."""
     width = size.high - size.low
     for digits in range(2, 6):
-        low, high = f"{size.low:.{digits}g}", f"{size.high:.{digits}g}"
+        low, high = figure(size.low, digits), figure(size.high, digits)
         if low != high and abs(float(high) - float(low) - width) <= 0.25 * width:
             return f"{low} to {high}"
-    return f"{size.value:.4g}"
+    return figure(size.value, 4)
 
 
 def capital(text: str) -> str:
@@ -235,7 +240,7 @@ def sentences(
     if np.isnan(answer.floor.scatter_ratio).all():
         out.append("Repeatability was not judged: that needs repeats and a stated sensor noise.")
     out += [
-        f"A check failed: {g.name.replace(':', ' of ').replace('_', ' ')} {g.value:.3g}, "
+        f"A check failed: {g.name.replace(':', ' of ').replace('_', ' ')} {figure(g.value)}, "
         f"wanted {g.limit:g} ({g.note})."
         for g in answer.gates
         if g.applies
@@ -363,16 +368,36 @@ def _data_sheets(answer: Answer) -> list[str]:
             if row.rivals:
                 text += f" (or {', '.join(row.rivals)} acts in its place)"
             out.append(f"{text}.")
+    if twin := twin_words(answer):
+        out.append(f"{capital(twin)}: only these data sheets decide.")
     found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]
     return [*out, *sheet_words([(row, v) for row in found if (v := stated_of(row)) is not None])]
+
+
+def twin_words(answer: Answer) -> str:
+    """That the plain model, off its data sheets, fits as well; empty where it does not."""
+    rows = answer.plain_twin
+    if not rows or answer.verdict not in ("named", "ambiguous"):
+        return ""
+    shown = [row.as_read() for row in rows[:MOST_LISTED]]
+    values = [f"{figure(row.value)}{after_number(row.unit)}" for row in shown]
+    said = [
+        f"{row.words} at {figure(row.value / row.prior_value)} times its data sheet"
+        if row.prior_value
+        else f"{row.words} at {value}"
+        for row, value in zip(shown, values, strict=True)
+    ]
+    return f"without it the model fits as well, with {_join_words(said)}"
 
 
 def _rest(answer: Answer) -> list[str]:
     """What the names leave open."""
     decision, out = answer.decision, []
     if answer.verdict in ("ambiguous", "named", "unknown"):
-        beside = [f", {v:.2g} with an {name} beside" for name, v in answer.with_unknown.items()]
-        out.append(f"The fit leaves {answer.left:.2g} times the noise{''.join(beside)}.")
+        beside = [
+            f", {figure(v, 2)} with an {name} beside" for name, v in answer.with_unknown.items()
+        ]
+        out.append(f"The fit leaves {figure(answer.left, 2)} times the noise{''.join(beside)}.")
     open_ = [r for r in effects_of(answer) if r.status not in (CERTAIN, LIKELY) and r.rivals]
     if answer.verdict == "named" and answer.rivals and open_:
         shared = set.intersection(*map(set, answer.rivals))
@@ -399,10 +424,11 @@ def _members(answer: Answer) -> list[CauseRow]:
 def _scatter(noise: NoiseFloor, gates: Sequence[GateResult]) -> str:
     """Scatter in the channels, else in what was fitted to each run."""
     if not noise.is_repeatable:
-        return f"{np.nanmax(noise.scatter_ratio):.2g} times as much as the sensor noise"
+        return f"{figure(np.nanmax(noise.scatter_ratio), 2)} times as much as the sensor noise"
     failed = [g for g in gates if g.name.startswith(REPEATS) and not g.passed]
     worst = max(failed, key=lambda g: g.value)
-    return f"in {worst.name.removeprefix(REPEATS)} {worst.value:.2g} times as much as was stated"
+    times = f"{figure(worst.value, 2)} times"
+    return f"in {worst.name.removeprefix(REPEATS)} {times} as much as was stated"
 
 
 def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "none") -> str:

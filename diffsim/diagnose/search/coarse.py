@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.figures import figure
 from diffsim.diagnose.checks.gates import COARSE, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerics_gate
 from diffsim.diagnose.search.fit import Null
@@ -200,6 +201,7 @@ def coarse_gate(size: float, problem: Problem) -> GateResult:
     ]
     note = (
         f"simulated with {' and '.join(words) or 'a looser tolerance'} and corrected by finer "
-        f"simulations at the plain fit and at the answer, where {size:.2g} noise sd were left"
+        f"simulations at the plain fit and at the answer, where "
+        f"{figure(size, 2)} noise sd were left"
     )
     return GateResult(COARSE, size < NUMERICS_LAMBDA, size, NUMERICS_LAMBDA, note)

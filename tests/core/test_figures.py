@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from diffsim.viz.numbers import figure, probability, signed, with_interval, with_sd
+from diffsim.core.figures import figure, probability, signed, with_interval, with_sd
 
 
 @pytest.mark.parametrize(
