@@ -29,7 +29,7 @@ from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, could_be_misfit, numerical_effects
 from diffsim.diagnose.discover.answer import in_words, with_laws_said
-from diffsim.diagnose.discover.stage import FoundLaws, find_laws
+from diffsim.diagnose.discover.stage import FoundLaws, at_data_sheet, find_laws
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
@@ -124,6 +124,7 @@ def diagnose(
             answer = _without_laws(answer)
         else:
             fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
+            fits = [*at_data_sheet(plain), *fits]
             found = find_laws(fits, laws, progress or silent, budget.steps)
             answer = _with_laws(asked, answer, laws, found, budget)
     frozen = answer.frozen

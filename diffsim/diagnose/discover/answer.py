@@ -208,6 +208,10 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     )
 
 
+#: u*(u**2 + near)**((exponent - 1)/2), as in the forms through zero
+_ROUNDED_POWER = re.compile(rf"{VALUE}\*\({VALUE}\*\*2 \+ [^()]+\)\*\*\(\(([^()]+) - 1\)/2\)")
+
+
 def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: Fit) -> str:
     what, on = _what(law), law.variable.name
     size = numbers.get("amplitude")
@@ -248,8 +252,10 @@ def _write_term(law: Law, fit: Fit) -> str:
 
 
 def _shorten(formula: str) -> str:
-    """A formula whose numbers have four digits."""
-    return re.sub(r"\d+\.\d{4,}", lambda m: f"{float(m.group()):.4g}", formula)
+    """A formula as it is read: numbers of four digits, a power without its finite slope at zero."""
+    formula = _ROUNDED_POWER.sub(rf"sign({VALUE})*abs({VALUE})**\1", formula)
+    formula = re.sub(r"\d+\.\d{4,}", lambda m: f"{float(m.group()):.4g}", formula)
+    return formula.replace("- -", "+ ")
 
 
 def _form_of(law: Law) -> str:

@@ -20,6 +20,7 @@ FORM_PRIOR_SD = 10.0  # of the prior of a form's number, in sd that the record l
 NUMBER_NATS = float(np.log(FORM_PRIOR_SD))  # what each number costs, by that prior
 SAME_NATS = 2.0  # between forms that no record of this kind tells apart
 NUM_TRIED = 2  # starts that are followed to their end
+NEAR_ZERO = 1e-3  # of the half range, within which a power with a steep begin is a line
 LINE = "u - {mid}"
 LEVEL, ZERO = "level", "zero"  # numbers of forms that are zero elsewhere
 
@@ -30,7 +31,8 @@ class Form:
 
     Attributes:
         name: Kind of the formula.
-        core: Formula of ``u`` and the numbers at size 1; {low}, {high}, {mid} are of the range.
+        core: Formula of ``u`` and the numbers at size 1; {low}, {high}, {mid} are of the range,
+            {near} is the square of what is near zero in it.
         shape: Function (scaled variable in -1 to 1, numbers) -> the formula at size 1.
         numbers: Names of the numbers.
         starts: Starts of each number, in the scaled variable.
@@ -132,6 +134,16 @@ FORMS_THROUGH_ZERO: tuple[Form, ...] = (
     Form("square", "u*abs(u)", lambda u, p: u * np.abs(u), power=2.0),
     Form("power", "u**3", lambda u, p: u**3, power=3.0),
     Form("line", "abs(u)", lambda u, p: np.abs(u), power=1.0),
+    # sign(u)*abs(u)**exponent, such as of an orifice, with a finite slope at zero
+    Form(
+        "power",
+        "u*(u**2 + {near})**((exponent - 1)/2)",
+        lambda u, p: u * (u**2 + NEAR_ZERO**2) ** (0.5 * (p[0] - 1.0)),
+        ("exponent",),
+        ((0.3, 0.6, 1.4, 2.5),),
+        ((0.1, 8.0),),
+        ("-",),
+    ),
 )
 #: the same, of variables that stay above zero, in shares of the middle, which is {high}
 FORMS_ABOVE_ZERO: tuple[Form, ...] = (
@@ -416,7 +428,10 @@ class _ScaledLaw:
         elif natural:
             core = f"{core} - {natural:g}"
         term = core if form.is_factor else f"size*({core})"
-        term = term.format(low=repr(self.low), high=repr(self.high), mid=repr(self.mid))
+        ends = {"low": self.low, "high": self.high, "mid": self.mid}
+        term = term.format(
+            near=repr((NEAR_ZERO * self.half) ** 2), **{k: repr(v) for k, v in ends.items()}
+        )
         return FittedForm(form, nats, size, told, term, seen)
 
     def _number(self, kind: str, value: float, sd: float) -> tuple[float, float]:

@@ -26,10 +26,12 @@ from diffsim.diagnose.discover.screen import ONE_TURN, Candidate, Screen, screen
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.search import has_left_prior
 from diffsim.identify import Fit
 from diffsim.identify.effect import PRIOR_WIDTH
+from diffsim.identify.fitting import summary
 from diffsim.identify.law import Entry, Law, Shape
-from diffsim.identify.linearization import linearization_at
+from diffsim.identify.linearization import linearization_at, measured_of, whitened
 from diffsim.identify.setup import LawPort
 
 Array = NDArray[np.float64]
@@ -112,13 +114,34 @@ class FoundLaws:
         return max((f.evidence for f in alone), default=-np.inf) - _price(self.num_tried)
 
 
+def at_data_sheet(plain: Fit) -> list[Fit]:
+    """The plain model at its data sheet, where its fit has left that: what is missing has bent the
+    model's numbers, so that slopes there promise laws nothing. None where it cannot be simulated.
+
+    Args:
+        plain: Fit of the plain model.
+    """
+    problem = plain.problem
+    if not has_left_prior(plain):
+        return []
+    x = np.clip(np.zeros(len(plain.x)), *problem.bounds)
+    try:
+        at = linearization_at(problem, x)
+    except DiffsimError:
+        return []
+    missing = whitened(problem, measured_of(problem) - at.record)
+    slopes = whitened(problem, at.columns) * problem.stretch(x)
+    return [summary(problem, x, missing, slopes, "converged", "the data sheet, not fitted", 1)]
+
+
 def find_laws(
     fits: Sequence[Fit], port: LawPort, progress: Progress, most_steps: float = np.inf
 ) -> FoundLaws:
     """Laws that explain what fits leave.
 
     Args:
-        fits: The plain model's fit, then that of the best set of causes where there is one.
+        fits: The plain model's fit, before it the model at its data sheet where the fit has left
+            it, after it that of the best set of causes where there is one.
         port: What the system offers to laws.
         progress: Receives stage, share done and message.
         most_steps: Weighted steps after which no further law is fitted in the simulator.
@@ -134,7 +157,7 @@ def find_laws(
     rounds: list[list[FittedLaw]] = []
     for fit in fits:
         if any(f.evidence > _nats(fit) for fitted in rounds for f in fitted):
-            break  # laws explain more than the best set of causes
+            break  # laws explain more than the plain model or the best set of causes does
         if not may_fit():
             break
         screened = _screen(fit, port, progress, SCREEN_SHARE * most_steps)

@@ -254,6 +254,8 @@ def _open(answer: Answer) -> list[str]:
     sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
     parts = [[_brief(plain_name(answer, n)) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
+    if len(names) == 1 and all(parts):
+        return [f"{capital(names[0])} is missing; these runs cannot tell its form"]
     shown = f"{names[0]}, {names[1]} or another cause" if len(names) > 2 else " or ".join(names)
     if names and len(shown.split()) > MAX_OPEN:
         shown = f"{names[0]} or another cause"
