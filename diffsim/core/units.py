@@ -50,6 +50,17 @@ _COHERENT = {
     "kilogram / second": "N s/m",
     "1 / second": "Hz",
 }
+#: Names of recordings and data sheets that pint lacks or takes for others, pct as 2e-16 kg; pulses
+#: and steps are counts
+_AS_LOGS_WRITE = (
+    "px = [picture]",
+    "@alias turn = rev = revs",
+    "@alias revolutions_per_minute = RPM",
+    "@alias count = tick = ticks = LSB = pulse = pulses = step = steps",
+    "@alias percent = pct",
+    "dps = degree / second",
+    "lpm = liter / minute = LPM",
+)
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
@@ -61,7 +72,8 @@ def _registry() -> Any:
         autoconvert_offset_to_baseunit=True,
         on_redefinition="ignore",  # px is a pixel of a picture, not 1/96 inch of a style sheet
     )
-    registry.define("px = [picture]")
+    for written in _AS_LOGS_WRITE:
+        registry.define(written)
     return registry
 
 
@@ -75,6 +87,11 @@ def _parse_unit(unit: str) -> Any:
     text = unit.strip()
     if text == NO_UNIT:
         text = "1"
+    if text.lower() in ("slm", "slpm", "sccm"):  # pint makes watts of the first
+        raise ValueError(
+            f"unit {unit!r} is unknown: a standard flow is a mass flow; write it in kg/s, or as "
+            "L/min of the gas as it was"
+        )
     if text.lower() == "grad":  # pint has gons and, of "Grad", 1e9 rad; a German degree is neither
         raise ValueError(f"unit {unit!r} is unknown; write deg for degrees, gon for gradians")
     from pint import PintError

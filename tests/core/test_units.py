@@ -18,6 +18,12 @@ from diffsim.core.units import factor, in_si, in_unit, to_si
         ("m", "m", 1.0),
         ("deg", "rad", math.pi / 180.0),
         ("rpm", "rad/s", 2.0 * math.pi / 60.0),
+        ("rev/min", "rad/s", 2.0 * math.pi / 60.0),
+        ("RPM", "rad/s", 2.0 * math.pi / 60.0),
+        ("mm/rev", "m/rad", 1e-3 / (2.0 * math.pi)),
+        ("dps", "rad/s", math.pi / 180.0),
+        ("lpm", "m^3/s", 1e-3 / 60.0),
+        ("pct", "-", 0.01),  # pint: a pico-carat
         ("mbar", "Pa", 100.0),
         ("mN m", "N m", 1e-3),
         ("N m", "N m", 1.0),
@@ -55,6 +61,12 @@ def test_a_coherent_unit_means_the_same_in_any_spelling():
 def test_an_unknown_unit_is_told():
     with pytest.raises(ValueError, match="unit 'furlongs/fn' is unknown"):
         to_si("furlongs/fn")
+
+
+@pytest.mark.parametrize("unit", ["slm", "SLPM", "sccm"])
+def test_a_standard_flow_is_no_volume(unit):
+    with pytest.raises(ValueError, match=f"{unit}.*mass flow.*kg/s"):
+        to_si(unit)
 
 
 def test_differences_of_temperatures_have_no_offset():

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.figures import figure
-from diffsim.core.units import after_number
+from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
@@ -215,12 +215,7 @@ _ROUNDED_POWER = re.compile(rf"{VALUE}\*\({VALUE}\*\*2 \+ [^()]+\)\*\*\(\(([^()]
 def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: Fit) -> str:
     what, on = _what(law), law.variable.name
     size = numbers.get("amplitude")
-    unit = after_number(law.unit)
-    amount = (
-        ""
-        if size is None
-        else f", {figure(size.value)}{unit} ({figure(size.low)} to {figure(size.high)})"
-    )
+    amount = "" if size is None else f", {_amount(size, law.unit)}"
     like = f"; looks like {' or '.join(looks)}" if looks else ""
     if law.form == "periodic":
         k = numbers["wave_number"].value if "wave_number" in numbers else np.nan
@@ -238,6 +233,15 @@ def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: F
         else f"{_form_of(law)}: {_write_term(law, fit)}"
     )
     return f"{what} that depends on {on}{lasts}, {formula}{like}"
+
+
+def _amount(size: Number, unit: str) -> str:
+    """A size with its interval, small lengths in mm and the like."""
+    values = (size.value, size.low, size.high)
+    shown = small_unit(unit, values)
+    times = 1.0 if shown == unit else factor(unit, shown)
+    value, low, high = (figure(times * v) for v in values)
+    return f"{value}{after_number(shown)} ({low} to {high})"
 
 
 def _write_term(law: Law, fit: Fit) -> str:

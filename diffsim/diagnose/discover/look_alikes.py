@@ -47,7 +47,7 @@ TABLE: tuple[LookAlike, ...] = (
     LookAlike(("unbalance", "bent axis"), _PUSH, "-", ("periodic",), _ANGLE, ONCE),
     LookAlike(("cogging", "eccentric gear"), _PUSH, "-", ("periodic",), _ANGLE),
     LookAlike(("ripple of the commutation", "gear"), _NUMBER, "-", ("periodic",), _ANGLE),
-    LookAlike(("eccentric encoder", "eccentric gear"), _READ, "-", ("periodic",), _ANGLE),
+    LookAlike(("eccentric encoder or gear", "lead screw"), _READ, "-", ("periodic",), _ANGLE),
     LookAlike(("something that repeats",), forms=("periodic",)),
     LookAlike(("winding that warms", "oil or tire that warms"), memory="heat"),
     LookAlike(("hysteresis", "friction that remembers (Dahl)"), _PUSH, "slip"),
