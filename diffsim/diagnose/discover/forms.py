@@ -299,7 +299,7 @@ def fit_forms(told: LawMisfit) -> list[FittedForm]:
         fitted += [over_range.fit(form) for form in FACTORS]
     if low > 0.0:
         of_middle = _ScaledLaw(told, -mid, mid, 0.0)
-        above = FACTORS_ABOVE_ZERO if told.of_number else FORMS_ABOVE_ZERO
+        above = (*(FACTORS_ABOVE_ZERO if told.of_number else ()), *FORMS_ABOVE_ZERO)
         fitted += [of_middle.fit(form, has_level) for form in above for has_level in levels]
     kept: list[FittedForm] = []
     for found in sorted((f for f in fitted if f is not None), key=lambda f: len(f.numbers)):

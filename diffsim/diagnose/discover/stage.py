@@ -27,14 +27,15 @@ from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import has_left_prior
-from diffsim.identify import Fit
+from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.fitting import summary
 from diffsim.identify.law import Entry, Law, Shape
-from diffsim.identify.linearization import linearization_at, measured_of, whitened
+from diffsim.identify.linearization import linearization_at, measured_of, records_at, whitened
 from diffsim.identify.setup import LawPort
 
 Array = NDArray[np.float64]
+PARTS_OF_WAY = (1.0, 0.5, 0.25, 0.125)  # of a law's first step, the longest that holds is taken
 KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
 NUM_JUDGING = 2  # laws of a screen whose fits tell whether its slopes hold
 NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
@@ -185,12 +186,15 @@ def _price(num_tried: int) -> float:
 
 def _near_best(fitted: Sequence[FittedLaw]) -> list[FittedLaw]:
     """Laws about as good as the best by what the simulator says, or by what slopes promise of a
-    form; those first that are first by either."""
+    form, and of a memory what it remembers, which a cause of the library may make as good; those
+    first that are first by either."""
     by_fit = sorted(fitted, key=lambda f: -f.evidence)
     by_form = sorted(fitted, key=lambda f: -f.reach)
     near_by_fit = [f for f in by_fit if f.evidence > by_fit[0].evidence - BEHIND_NATS]
     near_by_form = [f for f in by_form if f.reach > by_form[0].reach - BEHIND_NATS]
     near = {id(f): f for f in (*near_by_fit, *near_by_form)}
+    best = [f.candidate for f in near.values()]
+    near |= {id(f): f for f in fitted if any(_is_plain_of(f.candidate, c) for c in best)}
     return sorted(near.values(), key=lambda f: (min(by_fit.index(f), by_form.index(f)), -f.reach))
 
 
@@ -382,9 +386,7 @@ def _fit_law(
         every, right = _slopes(screen, candidates)
         gram = every.T @ every + np.eye(every.shape[1])
         asked = np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
-        low, high = problem.bounds
-        start = np.clip(problem.standardized(asked), low, high)
-        ended, _ = gauss_newton(problem, linearization_at(problem, start))
+        ended, _ = gauss_newton(problem, linearization_at(problem, _begin(problem, before, asked)))
     except DiffsimError:
         return None
     u = np.concatenate(list(screen.values(candidate)))
@@ -396,6 +398,21 @@ def _fit_law(
     told = screen.misfit_of(candidate)
     left = told.left_by(candidate.basis.values(told.u))
     return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
+
+
+def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
+    """Where a fit with a law begins, in standardized coordinates: at the part of the way from the
+    fit without it, to where slopes ask it to go, that lowers the cost most."""
+    stays = np.concatenate([before.x, np.zeros(len(asked) - len(before.x))])
+    way = asked - problem.scaled(stays)
+    points = [problem.standardized(problem.scaled(stays) + part * way) for part in PARTS_OF_WAY]
+    points = np.clip([*points, stays], *problem.bounds)
+    costs = []
+    with np.errstate(over="ignore", invalid="ignore"):
+        for x, record in zip(points, records_at(problem, points), strict=True):
+            r = whitened(problem, measured_of(problem) - record)
+            costs.append(float(r @ r + x @ x))
+    return points[int(np.nanargmin(costs))]
 
 
 def _slopes(screen: Screen, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
