@@ -53,9 +53,10 @@ from diffsim.diagnose.search.fit import (
 )
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.gauss_newton import gauss_newton
-from diffsim.diagnose.search.search import begin, begin_from, search_sets, with_numerics
+from diffsim.diagnose.search.search import begin, begin_from, refit, search_sets, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
+from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import linearization_at, residuals_by_run
@@ -126,7 +127,13 @@ def diagnose(
             fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
             fits = [*at_data_sheet(plain), *fits]
             found = find_laws(fits, laws, progress or silent, budget.steps)
-            answer = _with_laws(asked, answer, laws, found, budget)
+            first = answer
+            answer, again = _with_laws(asked, first, laws, found, budget)
+            if beside := _newly_named(first, again, found):
+                beside_causes = find_laws(beside, laws, progress or silent, budget.steps)
+                last, _ = _with_laws(asked, first, laws, beside_causes, budget)
+                if _is_better(last, answer, beside_causes):
+                    answer, found = last, beside_causes
     frozen = answer.frozen
     # only now test runs are looked at, once
     if found is None:
@@ -262,11 +269,12 @@ def _without_laws(answer: _Answer) -> _Answer:
 
 def _with_laws(
     asked: _Question, answer: _Answer, port: LawPort, found: FoundLaws, budget: _LawBudget
-) -> _Answer:
-    """The answer of a search in which laws stand among the causes, if one of them is named."""
+) -> tuple[_Answer, _Answer | None]:
+    """The answer of a search in which laws stand among the causes, if one of them is named; and
+    what that search says in any case, None where it could not be made."""
     answer = _doubted_beside(answer, answer.search.nats(Hypothesis(answer.best)), found.most_nats)
     if not found.laws:
-        return answer
+        return answer, None
     setup = port.setup_with([port.block(law) for law in found.laws])
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
     names = {law.name for law in found.laws}
@@ -282,19 +290,44 @@ def _with_laws(
         again = _answer(asked, setup.model, effects, setup.unknowns)
     except PredictionError as error:  # such as an exponential of what goes far: the answer stands
         gates = (*answer.frozen.gates, unsimulable_gate(error))
-        return replace(answer, frozen=replace(answer.frozen, gates=gates))
+        return replace(answer, frozen=replace(answer.frozen, gates=gates)), None
     frozen = again.frozen
     named = frozen.best_names if frozen.verdict in NAMES else ()
     held = named or [effect.name for effect in frozen.best.problem.effects]
     if names & set(held) and _may_take_over(frozen, answer.frozen, names):
-        return again
+        return again, again
     if again.found is None:
-        return answer
+        return answer, again
     nats, of_law = again.nats_with(names)
     before, now = (one.search.null.noise.whitener for one in (answer, again))
     if now.is_like(before):  # a search that was cut short may not have come to that set
         nats = max(nats, answer.search.nats(Hypothesis(answer.best)))
-    return _doubted_beside(answer, nats, of_law)
+    return _doubted_beside(answer, nats, of_law), again
+
+
+def _newly_named(first: _Answer, again: _Answer | None, found: FoundLaws) -> list[Fit]:
+    """The causes that a search names beside laws, fitted without these; empty where there are none,
+    or laws were looked for beside them before. While they were missing they have bent the laws.
+
+    Args:
+        first: Without laws.
+        again: The search with laws among its causes.
+        found: The laws.
+    """
+    if again is None or again.frozen.verdict not in NAMES:
+        return []
+    laws, named = {law.name for law in found.laws}, set(again.frozen.best_names)
+    effects = first.search.wide.effects
+    members = frozenset(i for i, e in enumerate(effects) if e.name in named - laws)
+    if not laws & named or members in (NONE, first.best):
+        return []
+    return [refit(first.search, members).fit_of(members)]
+
+
+def _is_better(answer: _Answer, before: _Answer, found: FoundLaws) -> bool:
+    """Whether an answer with laws may stand for one before it."""
+    laws = {law.name for law in found.laws} & set(answer.frozen.best_names)
+    return bool(laws) and _may_take_over(answer.frozen, before.frozen, laws)
 
 
 def _doubted_beside(answer: _Answer, nats: float, of_law: float) -> _Answer:

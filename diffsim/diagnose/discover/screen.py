@@ -19,10 +19,10 @@ from scipy import linalg, special
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord, Reach
-from diffsim.diagnose.discover.forms import LawMisfit
+from diffsim.diagnose.discover.forms import Curve, LawMisfit
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
-from diffsim.identify import Problem
+from diffsim.identify import Fit, Problem
 from diffsim.identify.law import VALUE, Entry, Variable
 from diffsim.identify.setup import LawPort
 
@@ -213,9 +213,23 @@ class Screen:
         columns = self.columns_of(
             candidate, lambda u: np.stack([np.interp(u, points, h) for h in hats], 1)
         )
-        root, target = self.weigher.misfit_of(columns)
+        return LawMisfit(points, *self.weigher.misfit_of(columns), self._is_of_number(candidate))
+
+    def misfit_at(self, ended: Fit, candidate: Candidate, curve: Curve) -> LawMisfit:
+        """The same by the slopes of a fit with the law, which its factors are the last of."""
+        count = len(curve.factors)
+        j, r = ended.jacobian[:, :-count], ended.residual
+        unit = ended.problem.size_units[-count:] * ended.problem.stretch(ended.x)[-count:]
+        columns = ended.jacobian[:, -count:] / unit  # by its factors
+        missing = r + j @ ended.x[:-count] + columns @ curve.factors
+        weigher = Weigher.of_slopes(missing, j, self.weigher.folds)
+        to_factors = linalg.pinv(curve.basis)  # of values at the curve's points
+        told = weigher.misfit_of(columns @ to_factors)
+        return LawMisfit(curve.u, *told, self._is_of_number(candidate))
+
+    def _is_of_number(self, candidate: Candidate) -> bool:
         is_free = candidate.entry.target in self.followed.fit.problem.names
-        return LawMisfit(points, root, target, candidate.entry.kind == "number" and is_free)
+        return candidate.entry.kind == "number" and is_free
 
     def with_law(self, law: Candidate) -> Screen:
         """What laws would explain beside one that stands, of those that explain anything alone."""
@@ -473,8 +487,12 @@ class Weigher:
     def of(cls, followed: FollowedRecord) -> Weigher:
         """Of simulations that lie on the recordings."""
         j, fit = followed.jacobian, followed.fit
-        factor = linalg.cho_factor(j.T @ j + np.eye(j.shape[1]), lower=True)
-        return cls(followed.missing + j @ fit.x, j, factor, _folds(fit.problem))
+        return cls.of_slopes(followed.missing + j @ fit.x, j, _folds(fit.problem))
+
+    @classmethod
+    def of_slopes(cls, missing: Array, j: Array, folds: Array) -> Weigher:
+        """Of slopes anywhere; arguments as of the attributes."""
+        return cls(missing, j, linalg.cho_factor(j.T @ j + np.eye(j.shape[1]), lower=True), folds)
 
     def gain(self, columns: Array) -> tuple[float, float]:
         """Nats by which a law is better than none, averaged over its amplitude; the best one.
@@ -518,9 +536,7 @@ class Weigher:
         Args:
             columns: Slopes by its factors, which are N(0, 1), (N, k).
         """
-        j = np.hstack([self.jacobian, columns])
-        factor = linalg.cho_factor(j.T @ j + np.eye(j.shape[1]), lower=True)
-        return Weigher(self.missing, j, factor, self.folds)
+        return Weigher.of_slopes(self.missing, np.hstack([self.jacobian, columns]), self.folds)
 
     def seen_by(self, entry: Reach) -> SeenThere:
         """What matters of it to terms at an entry."""

@@ -397,6 +397,8 @@ def _fit_law(
         return FittedLaw(candidate, ended, curve, nats, (), 0.0, by_run)
     told = screen.misfit_of(candidate)
     left = told.left_by(candidate.basis.values(told.u))
+    if left > 0.5 * ended.chi2:  # more than all that the fit leaves: such slopes do not lead there
+        told, left = screen.misfit_at(ended, candidate, curve), 0.0
     return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
 
 
@@ -468,8 +470,8 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
     if best - fitted.left <= TABLE_PRICE * len(c.basis.terms):
         return laws
-    # no formula is nearly as good as the curve itself; but a memory of another length bends that
-    return [_make_table(fitted, price, memory), *(laws if memory else ())]
+    # no formula is nearly as good as the curve itself; but what else is missing bends that
+    return [_make_table(fitted, price, memory), *laws]
 
 
 def _make_table(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:
