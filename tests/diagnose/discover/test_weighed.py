@@ -136,10 +136,22 @@ def test_a_hidden_mass_is_tried_within_its_resonance():
 
 def test_what_slopes_promise_does_not_displace_what_the_simulator_shows():
     """A wind was not weighed, for a reading that slopes promised 226 nats which it did not keep."""
-    promised = SimpleNamespace(evidence=-1481.0, reach=-1255.0)
-    kept = SimpleNamespace(evidence=-1405.0, reach=-1405.0)
-    behind = SimpleNamespace(evidence=-1452.0, reach=-1452.0)
+    promised, kept, behind = _law(-1481.0, -1255.0), _law(-1405.0), _law(-1452.0)
     assert stage._near_best([behind, promised, kept]) == [promised, kept]
+
+
+def test_what_the_best_memory_remembers_is_weighed_however_far_behind():
+    """Beside a delay that a search finds later it may be as good."""
+    memory = _law(-100.0, name="memory of speed", memory="relaxation", of="speed")
+    plain, other = _law(-9000.0, name="speed"), _law(-8000.0, name="voltage")
+    assert stage._near_best([plain, other, memory]) == [memory, plain]
+
+
+def _law(evidence, reach=None, name="speed", memory="", of=""):
+    variable = SimpleNamespace(name=name, memory=memory, of=of)
+    candidate = SimpleNamespace(variable=variable, entry="entry")
+    reach = evidence if reach is None else reach
+    return SimpleNamespace(evidence=evidence, reach=reach, candidate=candidate)
 
 
 @pytest.fixture(scope="module")
