@@ -107,7 +107,7 @@ def described_tasks(folder: Path) -> dict[str, Any]:
 
 
 def solids(folder: Path) -> dict[str, Any]:
-    """Volumes of closed surfaces, by every method."""
+    """Volumes of closed surfaces, by every method, and every solid there is."""
     import trimesh
 
     surfaces = {
@@ -123,6 +123,10 @@ def solids(folder: Path) -> dict[str, Any]:
                 ("stuffing", mesh.tetrahedralize(surface, 0.05, method="stuffing")),
             ):
                 out[f"{name} {way}"] = [vars(made), vars(mesh.quality(made))]
+    for kind in ("hex", "tet"):
+        for name, sizes in (("sphere", [0.1]), ("cylinder", [0.1, 0.25]), ("torus", [0.2, 0.08])):
+            made = getattr(mesh, f"{kind}_{name}")(*sizes, 0.06, center=(0.1, -0.2, 0.3))
+            out[f"{kind} {name}"] = [made.x_rest, made.elements, vars(mesh.quality(made))]
     return out
 
 
@@ -214,6 +218,18 @@ def pilots(folder: Path) -> dict[str, Any]:
         sticks.duration,
         [(vars_of(sticks.sticks(t)), vars_of(pilot.setpoint(t))) for t in np.linspace(0, 9, 19)],
     ]
+    return out
+
+
+def parts_of_copters(folder: Path) -> dict[str, Any]:
+    """Every part of the database, of its usual sizes and with moved parameters."""
+    from diffsim.copter.vehicle.parts import make_part
+    from tests.copter.vehicle.test_parts import BUILT_IN, OPTIONS
+
+    out = {}
+    for kind in BUILT_IN:
+        part = make_part(kind, OPTIONS.get(kind))
+        out[kind] = [vars(part), part.feasible, part.mesh.vertices.at(1.1 * part.values)]
     return out
 
 
@@ -518,6 +534,7 @@ CASES: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "laws": laws,
     "shapes": shapes_found,
     "pilots": pilots,
+    "parts": parts_of_copters,
     "rotors": fitted_rotors,
     "extended copter": extended_flights,
     "estimator": blind_estimators,
