@@ -508,6 +508,27 @@ def solid_bodies(folder: Path) -> dict[str, Any]:
     return out
 
 
+def pictures(folder: Path) -> dict[str, Any]:
+    """What environments draw: lines, surfaces, points and what the camera sees."""
+    from diffsim.envs import pictures as drawing
+    from tests.envs.cases import OPTIONS
+
+    out = {}
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(drawing, "_pixels", lambda figure: figure)
+        for name in ("CopterTrack", "QuadrupedWalk", "TendonReach"):
+            task = envs.make_task(name, **OPTIONS[name])
+            figure = task.picture(task.start(2, np.random.default_rng(0)), 1)
+            (axes,) = figure.axes
+            out[name] = [
+                [axes.get_xlim(), axes.get_ylim(), axes.get_zlim(), axes.elev, axes.azim],
+                [line.get_data_3d() for line in axes.lines],
+                [(vars(c).get("_vec"), c.get_facecolor()) for c in axes.collections],
+                [np.ma.getdata(p) for c in axes.collections for p in vars(c).get("_offsets3d", ())],
+            ]
+    return out
+
+
 def batches(folder: Path) -> dict[str, Any]:
     """Members of native batches, one of which is lost, over the ends of episodes."""
     from tests.envs import test_vector_standard as many
@@ -550,4 +571,5 @@ CASES: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "chambers": chambers,
     "materials": solid_bodies,
     "batches": batches,
+    "pictures": pictures,
 }
