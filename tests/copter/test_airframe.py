@@ -168,6 +168,9 @@ def test_the_front_is_that_of_all_choices_and_most_are_never_solved():
     assert len(found.pruned) >= 10 and not set(found.pruned) & front
     assert [why for _, why in found.failed] == ["does not hover"] * len(found.failed)
     assert list(found.figures[:, 0]) == sorted(found.figures[:, 0], reverse=True)
+    # as good as a bound, no more is to be had
+    tied = choose([(0.5, 1.0)] * 4, line, line, at_once=1)
+    assert (len(tied.solved), len(tied.pruned)) == (1, 3)
 
 
 def test_bounds_that_do_not_hold_are_refused():

@@ -510,6 +510,7 @@ def solid_bodies(folder: Path) -> dict[str, Any]:
 
 def pictures(folder: Path) -> dict[str, Any]:
     """What environments draw: lines, surfaces, points and what the camera sees."""
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'viz'")
     from diffsim.envs import pictures as drawing
     from tests.envs.cases import OPTIONS
 
