@@ -53,7 +53,7 @@ def nearest_tests(file: str, line: int) -> list[str]:
     sayers = Counter(word for words in said.values() for word in words)
 
     def far(test: str) -> tuple[bool, float, str]:
-        own = Path(test).stem == f"test_{stem}"
+        own = Path(test).stem in (f"test_{stem}", f"test_{room}_{stem}")
         shared = len(set(Path(test).parts) & set(parts)) + (f"tests/{room}/" in test)
         near = sum(0.1 ** steps[word] / sayers[word] for word in said[test])
         beside = Path(test).with_suffix("").parts

@@ -21,7 +21,7 @@ CASES = [
     ("docs/soft.md", "docs/test_site", "soft/test_solvers"),
     (
         "diffsim/copter/design/designs/pentacopter.yaml",
-        "copter/design/test_design_files",
+        "copter/design/test_spec_file",
         "soft/test_solvers",
     ),
     # by inclusion: the room of the kernel and what stands above it

@@ -42,7 +42,7 @@ def make_open_loop(kind: str, task: Task, seed: int) -> OpenLoop:
 
 
 def fit_open_loop(
-    task: Task, controller: OpenLoop, *, seed: int = 0, batch: int = 1, max_iterations: int = 30
+    task: Task, controller: OpenLoop, *, seed: int, batch: int = 1, max_iterations: int
 ) -> optim.Result:
     """Maximize the mean reward of fixed episodes with L-BFGS; changes ``controller``.
 

@@ -77,7 +77,7 @@ def load_arrays(path: str | Path, scale: float = 1.0) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(content.x), torch.from_numpy(content.elements)
 
 
-def read_volume(path: Path, scale: float = 1.0) -> VolumeFile:
+def read_volume(path: Path, scale: float) -> VolumeFile:
     """What a file of a volume mesh holds, positions times ``scale``.
 
     Raises:

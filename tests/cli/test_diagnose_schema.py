@@ -79,6 +79,17 @@ def test_every_key_is_told(schema):
     assert not keys
 
 
+def test_every_block_is_named_by_another(schema):
+    """In a key, a list, a mapping: one that nothing leads to could hold any mistake."""
+
+    def named(part):
+        inner = part.values() if isinstance(part, dict) else part if isinstance(part, list) else ()
+        own = {part} if isinstance(part, str) and part.startswith("#/$defs/") else set()
+        return own.union(*map(named, inner))
+
+    assert named(schema) == {f"#/$defs/{name}" for name in schema["$defs"]}
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -99,6 +99,19 @@ def test_gradient_through_hover_lqr_and_flight(free_gain):
     assert (np.abs(gradient[:15]) > 0.0).any() and (np.abs(gradient[15:]) > 0.0).any()
 
 
+def test_free_entries_add_up_to_the_largest_of_their_column():
+    """At 0.5 nothing is added, at 0 and 1 as much as the column's largest entry."""
+
+    def gain(x, free_gain):
+        keep = lambda *_, feedback, **__: feedback.gain  # noqa: E731
+        return dataclasses.replace(SHORT, free_gain=free_gain, flies=keep).fly(tensor(x))
+
+    x, share = moved(SHORT), np.linspace(0.0, 1.0, 72)
+    own = gain(x, False)
+    added = own.abs().amax(0) * tensor(2.0 * share - 1.0).view_as(own)
+    torch.testing.assert_close(gain(np.append(x, share), True), own + added)
+
+
 def test_an_overlap_has_its_price_and_a_gap_none():
     free = SHORT.start.numpy()
     flight = SHORT.distances(SHORT.fly(tensor(free))).mean()
@@ -168,6 +181,9 @@ def test_the_front_is_that_of_all_choices_and_most_are_never_solved():
     assert len(found.pruned) >= 10 and not set(found.pruned) & front
     assert [why for _, why in found.failed] == ["does not hover"] * len(found.failed)
     assert list(found.figures[:, 0]) == sorted(found.figures[:, 0], reverse=True)
+    # as good as a bound, no more is to be had
+    tied = choose([(0.5, 1.0)] * 4, line, line, at_once=1)
+    assert (len(tied.solved), len(tied.pruned)) == (1, 3)
 
 
 def test_bounds_that_do_not_hold_are_refused():

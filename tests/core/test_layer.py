@@ -70,13 +70,13 @@ def test_jacobians_of_both_modes_are_diagonal():
         torch.testing.assert_close(made(A, B), torch.diag(6.0 * A**2))
 
 
-def test_a_mapped_axis_may_be_any():
-    rows = torch.stack([A, 2.0 * A], dim=1)
-    mapped = vmap(cube, in_dims=(1, None))(rows, B)
-    torch.testing.assert_close(mapped, torch.stack([cube(A, B), cube(2.0 * A, B)]))
-    others = torch.stack([B, 3.0 * B])
-    mapped = vmap(cube, in_dims=(None, 0))(A, others)
-    torch.testing.assert_close(mapped, torch.stack([cube(A, B), cube(A, 3.0 * B)]))
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_mapped_axis_may_be_any_and_of_any_length(count):
+    many = [k * A for k in range(1, count + 1)]
+    mapped = vmap(cube, in_dims=(1, None))(torch.stack(many, dim=1), B)
+    torch.testing.assert_close(mapped, torch.stack([cube(a, B) for a in many]))
+    mapped = vmap(cube, in_dims=(None, 0))(B, torch.stack(many))
+    torch.testing.assert_close(mapped, torch.stack([cube(B, a) for a in many]))
 
 
 def test_gradients_and_tangents_come_in_batches_of_pytorch_s_older_kind():

@@ -172,6 +172,9 @@ def test_a_record_tells_what_has_changed(tmp_path) -> None:
         file.write("**\n")
     with pytest.raises(ChangedTaskError, match=r"seconds was 4, is 5; the file fish.inp has ch"):
         require_unchanged(path, record, "it")
+    many = {**record, "files": dict.fromkeys("abcdefgh", "0")}
+    with pytest.raises(ChangedTaskError, match=r"it: (?:[^;]*; ){4}and 6 more; restore"):
+        require_unchanged(path, many, "it")
     require_unchanged("CopterHover", None, "it")
     assert record_of("CopterHover") is None
 

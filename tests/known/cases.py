@@ -107,7 +107,7 @@ def described_tasks(folder: Path) -> dict[str, Any]:
 
 
 def solids(folder: Path) -> dict[str, Any]:
-    """Volumes of closed surfaces, by every method."""
+    """Volumes of closed surfaces, by every method, and every solid there is."""
     import trimesh
 
     surfaces = {
@@ -123,6 +123,10 @@ def solids(folder: Path) -> dict[str, Any]:
                 ("stuffing", mesh.tetrahedralize(surface, 0.05, method="stuffing")),
             ):
                 out[f"{name} {way}"] = [vars(made), vars(mesh.quality(made))]
+    for kind in ("hex", "tet"):
+        for name, sizes in (("sphere", [0.1]), ("cylinder", [0.1, 0.25]), ("torus", [0.2, 0.08])):
+            made = getattr(mesh, f"{kind}_{name}")(*sizes, 0.06, center=(0.1, -0.2, 0.3))
+            out[f"{kind} {name}"] = [made.x_rest, made.elements, vars(mesh.quality(made))]
     return out
 
 
@@ -214,6 +218,18 @@ def pilots(folder: Path) -> dict[str, Any]:
         sticks.duration,
         [(vars_of(sticks.sticks(t)), vars_of(pilot.setpoint(t))) for t in np.linspace(0, 9, 19)],
     ]
+    return out
+
+
+def parts_of_copters(folder: Path) -> dict[str, Any]:
+    """Every part of the database, of its usual sizes and with moved parameters."""
+    from diffsim.copter.vehicle.parts import make_part
+    from tests.copter.vehicle.test_parts import BUILT_IN, OPTIONS
+
+    out = {}
+    for kind in BUILT_IN:
+        part = make_part(kind, OPTIONS.get(kind))
+        out[kind] = [vars(part), part.feasible, part.mesh.vertices.at(1.1 * part.values)]
     return out
 
 
@@ -492,6 +508,28 @@ def solid_bodies(folder: Path) -> dict[str, Any]:
     return out
 
 
+def pictures(folder: Path) -> dict[str, Any]:
+    """What environments draw: lines, surfaces, points and what the camera sees."""
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'viz'")
+    from diffsim.envs import pictures as drawing
+    from tests.envs.cases import OPTIONS
+
+    out = {}
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(drawing, "_pixels", lambda figure: figure)
+        for name in ("CopterTrack", "QuadrupedWalk", "TendonReach"):
+            task = envs.make_task(name, **OPTIONS[name])
+            figure = task.picture(task.start(2, np.random.default_rng(0)), 1)
+            (axes,) = figure.axes
+            out[name] = [
+                [axes.get_xlim(), axes.get_ylim(), axes.get_zlim(), axes.elev, axes.azim],
+                [line.get_data_3d() for line in axes.lines],
+                [(vars(c).get("_vec"), c.get_facecolor()) for c in axes.collections],
+                [np.ma.getdata(p) for c in axes.collections for p in vars(c).get("_offsets3d", ())],
+            ]
+    return out
+
+
 def batches(folder: Path) -> dict[str, Any]:
     """Members of native batches, one of which is lost, over the ends of episodes."""
     from tests.envs import test_vector_standard as many
@@ -518,6 +556,7 @@ CASES: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "laws": laws,
     "shapes": shapes_found,
     "pilots": pilots,
+    "parts": parts_of_copters,
     "rotors": fitted_rotors,
     "extended copter": extended_flights,
     "estimator": blind_estimators,
@@ -533,4 +572,5 @@ CASES: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "chambers": chambers,
     "materials": solid_bodies,
     "batches": batches,
+    "pictures": pictures,
 }

@@ -409,15 +409,25 @@ def test_batch_equals_one_by_one(integrator):
     torch.testing.assert_close(shared.x[0, 0], whole.x[0, 0], rtol=0, atol=0)
 
 
-def test_static_batch_of_pressures():
+@pytest.mark.parametrize("load", ["pressure", "external_force", "dirichlet_target", "activation"])
+def test_static_batch_of_any_load(load):
+    """Members of a load, whose guess is one, are what each gives alone."""
     m, chamber = hollow("hex", "cavity")
-    body = soft_body(m, chambers=[chamber], fixed=m.nodes_near_plane("x", 0.0, 0.3))
-    pressure = torch.tensor([[0.0], [2.0], [4.0]], dtype=torch.float64)
-    x = body.static_equilibrium(pressure=pressure).x
-    volume = body.chambers.volumes(x)[:, 0]
-    assert x.shape == (3, m.num_nodes, 3) and (volume.diff() > 0.0).all()
-    single = body.static_equilibrium(pressure=pressure[2]).x
-    torch.testing.assert_close(x[2], single, rtol=0, atol=0)
+    every = torch.arange(m.num_elements)
+    muscle = soft.Muscle(elements=every, direction=[1.0, 0.2, 0.1], stiffness=5.0)
+    fixed = m.nodes_near_plane("x", 0.0, 0.3)
+    body = soft_body(m, chambers=[chamber], fixed=fixed, muscles=[muscle])
+    shape = {"pressure": (1,), "activation": (1,)}.get(load, (m.num_nodes, 3))
+    many = torch.arange(3.0).double().reshape(3, *[1] * len(shape)) * noise(*shape)
+    many = {"pressure": 2.0, "activation": 0.2, "external_force": 0.1}.get(load, 0.01) * many
+    if load == "dirichlet_target":
+        many = m.x_rest + many
+    found = body.static_equilibrium(**{load: many})
+    assert found.x.shape == (3, m.num_nodes, 3) and not found.v.any()
+    assert (found.x[2] - found.x[0]).abs().max() > 1e-4
+    for member, x in zip(many, found.x, strict=True):
+        single = body.static_equilibrium(**{load: member}).x
+        torch.testing.assert_close(x, single, rtol=0, atol=0)
 
 
 def test_copies_keep_their_chambers():

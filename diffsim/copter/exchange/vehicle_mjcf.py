@@ -113,14 +113,10 @@ def vehicle_of_urdf(path: Path) -> FlyingVehicle:
     """
     mujoco, model, data = _compile_model(path)
     body = _body(mujoco, model, data, path)
-    root = int(np.flatnonzero(model.body_parentid[1:] == 0)[0]) + 1
-    names = [model.body(b).name for b in range(1, model.nbody)]
-    # a link may lie in its rotor, or keep the base's frame and state where its mass would be
-    places = [
-        (data.xipos[model.body(n).id] - data.xpos[root]) @ data.xmat[root].reshape(3, 3)
-        for n in names
-        if _ROTOR.search(n)
-    ]
+    # a link may lie in its rotor, or keep the base's frame, which is the world's of a URDF, and
+    # state where its mass would be
+    rotors = (b for b in range(1, model.nbody) if _ROTOR.search(model.body(b).name))
+    places = [data.xipos[b] for b in rotors]
     known: dict[str, float] = {}
     for stated in read_nodes(path).all("properties"):
         known |= {k: stated.numbers(k, 1)[0] for k in _PROPERTIES if k in stated.attributes}

@@ -53,9 +53,7 @@ class Patch:
     slides_by_default: bool = False
 
 
-def aligning_rotation(
-    host: Patch, host_rotation: Array, guest: Patch, *, degrees: float = 0.0
-) -> Array:
+def aligning_rotation(host: Patch, host_rotation: Array, guest: Patch, *, degrees: float) -> Array:
     """Rotation that turns a part so that its patch faces a placed one.
 
     Circular patches share their axis; normals of flat ones oppose; the normal of a flat patch on a

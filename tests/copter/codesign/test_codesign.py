@@ -85,6 +85,8 @@ def test_shape_stays_in_the_feasible_set(pentacopter, payload):
     A, b = pentacopter.inequalities
     assert float((A @ payload.s - b).max()) <= 1e-9
     assert payload.directions.norm(dim=1).tolist() == pytest.approx([1.0] * 5, abs=1e-9)
+    across, down = payload.directions[:, :2].norm(dim=1), payload.directions[:, 2]
+    torch.testing.assert_close(payload.tilts, torch.atan2(across, -down))
     assert float(payload.tilts.max()) <= np.pi / 6 + 1e-9
 
 

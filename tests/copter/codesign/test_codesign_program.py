@@ -1,5 +1,7 @@
 """The co-design program: derivatives against finite differences, balance against the vehicle."""
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -106,21 +108,23 @@ def test_shapes_are_those_of_the_design():
     np.testing.assert_allclose(shape.positions, vehicle.positions.numpy(), atol=1e-12)
 
 
-def test_polynomial_of_degree_four_is_found():
-    rng = np.random.default_rng(3)
+@pytest.mark.parametrize("degree", [2, 3, 4])
+def test_a_polynomial_is_found_about_any_origin(degree):
+    rng = np.random.default_rng(degree)
+    powers = [p for p in itertools.product(range(degree + 1), repeat=3) if sum(p) <= degree]
+    factors = rng.normal(size=(2, len(powers)))
 
-    def quartic(s):
-        return np.array([s[0] ** 2 * s[1] * s[2] - s[2] + 2.0, s[1] ** 3])
+    def made(s):
+        return factors @ np.prod(s ** np.array(powers), axis=1)
 
     points = (rng.uniform(-1.0, 1.0, 3) for _ in iter(int, 1))
-    found = fit(quartic, points, np.zeros(3), 0.5)
-    s = np.array([0.3, -0.7, 0.9])
-    np.testing.assert_allclose(found.at(s)[0], quartic(s), atol=1e-10)
-    np.testing.assert_allclose(found.at(s)[1], differences(quartic, s), atol=1e-8)
-    w = np.array([1.0, -2.0])
+    origin, (s, *weights) = rng.uniform(-0.5, 0.5, 3), rng.uniform(-1.0, 1.0, (2, 3))
+    found, w = fit(made, points, origin, 0.5), weights[0][:2]
+    np.testing.assert_allclose(found.at(s)[0], made(s), atol=1e-10)
+    np.testing.assert_allclose(found.at(s)[1], differences(made, s), atol=1e-7)
     slope = differences(lambda y: w @ found.at(y)[1], s)
-    np.testing.assert_allclose(found.hessian(s, w), slope, atol=1e-8)
-    assert fit(lambda s: np.exp(s), points, np.zeros(3), 0.5) is None
+    np.testing.assert_allclose(found.hessian(s, w), slope, atol=1e-7)
+    assert fit(lambda s: np.exp(s), points, origin, 0.5) is None
 
 
 def test_a_design_that_is_no_polynomial_is_differentiated_by_torch():

@@ -293,6 +293,15 @@ def test_conflict_names_the_request():
     assert len(caught.value.conflict) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("arm_1.lenght", "did you mean 'length'"), ("arn_1.length", "did you mean 'arm_1'")],
+)
+def test_a_misspelled_parameter_is_answered_by_the_closest(name, message):
+    with pytest.raises(ValueError, match=message):
+        build_design(cross()).value(name)
+
+
 def test_inconsistent_equalities_are_found():
     rows = [
         Constraint("a", {"x": 1.0, "y": 1.0}, 1.0, "=="),

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from diffsim.copter import GRAVITY
 from diffsim.copter.dynamics.flight import fly
@@ -108,6 +109,58 @@ def test_integral_holds_against_wind_lag_and_a_heavier_vehicle():
     assert float(off[0].max()) < 0.15
     # without: the missing lift, (0.15 / 1.2) g, against position times velocity gain
     assert float(off[1].min()) > 0.15 / 1.2 * GRAVITY / (1.5 * 3.0)
+
+
+def thrusts_by_hand(gains, vehicle, state, target, yaw, integral, dt):
+    """The cascade of one vehicle in numpy; angles by the skew part of scipy's matrices."""
+
+    def short(vector, bound):
+        return vector * min(1.0, bound / np.linalg.norm(vector))
+
+    at, speed, rates = (v[0].numpy() for v in (state.position, state.velocity, state.body_rates))
+    mass, inertia = float(vehicle.mass), vehicle.inertia.numpy()
+    wanted = short(gains.position * (target - at), gains.max_speed)
+    integral = integral + dt * gains.integral * short(wanted - speed, gains.max_slip)
+    integral = np.clip(integral, -gains.max_integral, gains.max_integral)
+    force = gains.velocity * (wanted - speed) + integral - [0.0, 0.0, GRAVITY]
+    lift = max(-force[2], 0.2 * GRAVITY)
+    force = np.array([*short(force[:2], lift * np.tan(gains.max_tilt)), -lift])
+    z = -force / np.linalg.norm(force)
+    y = np.cross(z, [np.cos(yaw), np.sin(yaw), 0.0])
+    y /= np.linalg.norm(y)
+    is_now = Rotation.from_quat(np.roll(state.quaternion[0].numpy(), -1)).as_matrix()
+    off = np.stack([np.cross(y, z), y, z], 1).T @ is_now
+    angle = 0.5 * np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]])
+    spin = gains.rate * (-gains.attitude * angle - rates)
+    torque = inertia @ spin + np.cross(rates, inertia @ rates)
+    arms = np.cross(vehicle.positions, vehicle.directions)
+    arms += (vehicle.spins * vehicle.torque_ratios)[:, None].numpy() * vehicle.directions.numpy()
+    effects = np.vstack([vehicle.directions[:, 2], arms.T])
+    asked = np.linalg.pinv(effects) @ [mass * force @ is_now[:, 2], *torque]
+    return np.clip(asked, 0.0, vehicle.max_thrusts), integral
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("far", [0.02, 0.3, 3.0])
+def test_pid_is_its_formula(far):
+    """Near by without a limit, far off with all of them."""
+    random, vehicle = np.random.default_rng(2), plus_quadcopter()
+    gains = PidGains(**{k: v * random.uniform(0.5, 1.0) for k, v in vars(PidGains()).items()})
+    for _ in range(20):
+        state = FlightState.at_rest(
+            tensor(random.normal(size=(1, 3))), tensor(random.normal(scale=0.3, size=(1, 3)))
+        )
+        speed, rates = far * random.normal(size=(2, 1, 3))
+        state = replace(state, velocity=tensor(speed), body_rates=tensor(0.1 * rates))
+        target = state.position[0].numpy() + far * random.normal(size=3)
+        integral = random.uniform(-gains.max_integral, gains.max_integral, 3)
+        yaw = random.uniform(-3.0, 3.0)
+        found = PidController(vehicle, gains).thrusts(
+            state, tensor(target)[None], tensor([yaw]), tensor(integral)[None], 0.02
+        )
+        expected = thrusts_by_hand(gains, vehicle, state, target, yaw, integral, 0.02)
+        for part, known in zip(found, expected, strict=True):
+            np.testing.assert_allclose(part[0].numpy(), known, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.grad

@@ -160,9 +160,17 @@ def test_packing_against_all_assignments():
     assert not possible(2)
     assert possible(3)
     assert len(bars) == 3
-    # a third of a bar three times leaves no room for two cuts
-    thirds = [RodCut("A", "tube", 1.0 / 3.0, ("a", "b", "c"))]
-    assert (len(pack(thirds, 1.0, 0.0)), len(pack(thirds, 1.0, 0.003))) == (1, 2)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("kerf", [0.0, 0.003])
+def test_pieces_that_fill_a_bar_are_cut_from_one(kerf):
+    """Equal pieces and the cuts between them, whatever rounding says; a hair more takes two."""
+    for count in range(2, 30):
+        length = (1.0 - (count - 1) * kerf) / count
+        for extra, needed in ((0.0, 1), (1e-9, 2)):
+            cut = RodCut("A", "tube", length + extra, tuple(map(str, range(count))))
+            assert len(pack([cut], 1.0, kerf)) == needed, count
 
 
 def test_sections_are_not_mixed():
@@ -218,8 +226,23 @@ def test_screw_holes_are_square_to_the_motor():
     assert walls.sum() == 4 * 2 * 48
     assert np.abs(mesh.face_normals[walls] @ normal).max() < 1e-6
     assert has_screw_holes(10.6, 0.0, 10.0)  # the thesis's steepest motor
-    assert not has_screw_holes(30.0, 0.0, 17.0)
     assert clip_mesh(30.0, 0.0, middle=17.0).is_watertight
+
+
+@pytest.mark.property
+def test_screws_leave_a_clip_through_its_base():
+    """From the motor's bolts along the top's normal down to the bed, 3.7 mm within the rim."""
+    random, seen = np.random.default_rng(0), set()
+    turns = np.deg2rad([45.0, 135.0, 225.0, 315.0])
+    bolts = 9.5 * np.stack([np.cos(turns), np.sin(turns), 0.0 * turns], 1)
+    for along, across, middle in random.uniform([-25, -25, 4], [25, 25, 14], (200, 3)):
+        normal = np.array([np.tan(np.deg2rad(along)), -np.tan(np.deg2rad(across)), 1.0])
+        on_top = bolts + (middle - bolts @ normal)[:, None] * [0.0, 0.0, 1.0]
+        on_bed = on_top - on_top[:, 2:] * normal
+        fits = np.hypot(*on_bed[:, :2].T).max() <= 18.0 - 1.7 - 2.0
+        assert has_screw_holes(along, across, middle) == fits, (along, across, middle)
+        seen.add(bool(fits))
+    assert seen == {True, False}
 
 
 @pytest.mark.parametrize("name", ["pentacopter", "quadcopter", "x_quadcopter", "y6_hexacopter"])
