@@ -222,31 +222,3 @@ def test_an_elastic_collision_turns_the_velocity_along_the_normal():
     contact_normal = centers / centers.norm()
     angle = math.degrees(math.acos(float(along @ contact_normal)))
     assert angle < 10.0  # facets of a coarse ball
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "message"),
-    [
-        (lambda m, x: contact.BodyContact(m, x, stiffness=1.0), TypeError, "mesh_b must be a Hex"),
-        (lambda m, x: contact.BodyContact(m, m, stiffness=-1.0), ValueError, "stiffness must lie"),
-        (
-            lambda m, x: contact.BodyContact(m, m, stiffness=1.0, slip_speed=0.0),
-            ValueError,
-            "slip_speed must lie in",
-        ),
-        (
-            lambda m, x: contact.BodyContact(m, m, stiffness=1.0)(x, x, x[:3], x),
-            ValueError,
-            "x_b must have shape",
-        ),
-        (
-            lambda m, x: contact.BodyContact(m, m, stiffness=1.0)(x, x / 0.0, x, x),
-            ValueError,
-            "v_a must be finite",
-        ),
-    ],
-)
-def test_bad_input_is_refused(call, error, message):
-    m = mesh.tet_box((1, 1, 1), (1.0, 1.0, 1.0))
-    with pytest.raises(error, match=message):
-        call(m, m.x_rest)

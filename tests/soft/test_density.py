@@ -194,13 +194,3 @@ def test_as_many_elements_as_vertices_are_refused():
     with pytest.raises(ValueError, match="may be of elements or of vertices"):
         body.physics(density=torch.ones(m.num_elements, dtype=torch.float64))
     body.physics(density=2.0)
-
-
-def test_bad_densities_are_refused():
-    body = soft_body(mesh.hex_box((2, 1, 1)))
-    with pytest.raises(ValueError, match=r"density must lie in \(0, inf\), got -1; unit is kg/m"):
-        body.physics(density=torch.tensor([1.0, -1.0], dtype=torch.float64))
-    with pytest.raises(ValueError, match=r"\(num_nodes,\) = \(12,\) or \(num_elements,\) = \(2"):
-        body.physics(density=torch.ones(3, dtype=torch.float64))
-    with pytest.raises(TypeError, match=r"density must be a torch\.Tensor, got NoneType"):
-        body.physics(density=None)

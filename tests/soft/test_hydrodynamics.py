@@ -416,34 +416,10 @@ def test_water_velocity_per_call_and_batch():
         hydro(x, v, water_velocity=water[:2])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ({"density": -1.0}, ValueError, "density must lie in .*unit is kg/m"),
-        ({"density": [1.0, 2.0]}, ValueError, r"density must have shape \(\)"),
-        ({"drag_coefficients": (1.0, 2.0, 3.0)}, ValueError, r"drag_coefficients .*\(4\), got \(3"),
-        ({"thrust_coefficients": "steep"}, TypeError, "thrust_coefficients must be a number"),
-        ({"water_velocity": (1.0, 2.0)}, ValueError, "water_velocity must have shape"),
-        ({"max_force": 0.0}, ValueError, "max_force must lie in .*unit is N"),
-        ({"limit": "isotropc"}, ValueError, "did you mean 'isotropic'"),
-    ],
-)
-def test_bad_arguments(arguments, error, message):
-    with pytest.raises(error, match=message):
-        soft.Hydrodynamics(plate("hex"), **arguments)
-
-
 def test_bad_states_and_meshes():
     m = plate("hex")
     with pytest.raises(TypeError, match="mesh must be a HexMesh or TetMesh, got Tensor"):
         soft.Hydrodynamics(m.x_rest)
-    hydro = soft.Hydrodynamics(m)
-    with pytest.raises(ValueError, match=r"x must have shape \(..., 18, 3\), got \(4, 3\)"):
-        hydro(m.x_rest[:4], m.x_rest[:4])
-    with pytest.raises(ValueError, match=r"v must have shape \(18, 3\), got \(2, 18, 3\)"):
-        hydro(m.x_rest, m.x_rest.expand(2, -1, -1))
-    with pytest.raises(ValueError, match="v must be finite"):
-        hydro(m.x_rest, m.x_rest * math.nan)
 
 
 # buoyancy and added mass
@@ -458,8 +434,6 @@ def test_buoyancy_is_the_weight_of_the_displaced_water():
     body = soft_body(m, density=1000.0, gravity=(0.0, 1.0, -9.81), youngs_modulus=1e6)
     after = body(body.rest_state(), external_force=lift)  # neutrally buoyant: nothing moves
     torch.testing.assert_close(after.x, m.x_rest, rtol=0, atol=1e-10)
-    with pytest.raises(ValueError, match="density must lie in"):
-        soft.buoyancy(m, -1.0)
     with pytest.raises(TypeError, match=r"volume must be a HexMesh or a TetMesh.*got str"):
         soft.buoyancy("mesh")
 

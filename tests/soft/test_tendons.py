@@ -299,10 +299,7 @@ def test_repr_copy_and_slack():
     ("path", "stiffness", "error", "message"),
     [
         ([[0.1, 0.05, 0.05]], 1.0, ValueError, "path must have at least two corners, got 1"),
-        ([[0.1, 0.05], [0.2, 0.05]], 1.0, ValueError, r"path must have shape \(k, 3\)"),
         ([[0.1, 0.05, 0.05]] * 2, 1.0, ValueError, "path must not repeat a corner"),
-        ([[0.1, 0.05, math.nan], [0.2, 0, 0]], 1.0, ValueError, "path must be finite"),
-        ([[0.1, 0.05, 0.05], [0.2, 0.05, 0.05]], 0.0, ValueError, "axial_stiffness .*unit is N"),
     ],
 )
 def test_bad_arguments(path, stiffness, error, message):
@@ -310,13 +307,9 @@ def test_bad_arguments(path, stiffness, error, message):
         soft.Tendon(slender("hex"), path, axial_stiffness=stiffness)
 
 
-def test_bad_meshes_states_and_weights():
-    m = slender("hex")
+def test_bad_meshes_and_weights():
     with pytest.raises(TypeError, match="mesh must be a HexMesh or TetMesh, got str"):
         soft.Tendon("bar", [[0, 0, 0], [1, 0, 0]], axial_stiffness=1.0)
-    tendon = soft.Tendon(m, [[0, 0.05, 0.05], [1, 0.05, 0.05]], axial_stiffness=3.0)
-    with pytest.raises(ValueError, match=r"x must have shape \(..., 44, 3\), got \(3, 3\)"):
-        tendon.length(m.x_rest[:3])
     one = {"elements": torch.tensor([0]), "direction": [1, 0, 0], "stiffness": 1.0}
     with pytest.raises(ValueError, match=r"weights must have shape \(1\), got \(2,\)"):
         soft.Muscle(**one, weights=torch.ones(2, dtype=torch.float64))

@@ -164,8 +164,6 @@ def test_modules_are_level_sets_and_show_their_parameters():
 def test_errors_say_what_to_do():
     with pytest.raises(ValueError, match="normal must not be zero"):
         Plane((0, 0, 0))
-    with pytest.raises(ValueError, match="radius must lie in"):
-        Sphere(-1.0)
     with pytest.raises(ValueError, match="use Extrude"):
         Union(Sphere(1.0), Sphere(1.0, (0, 0)))
     with pytest.raises(ValueError, match="only a shape in the plane"):
@@ -176,10 +174,6 @@ def test_errors_say_what_to_do():
         Custom(lambda x: x)(POINTS)
     with pytest.raises(ValueError, match=r"Custom gives no finite phi at \("):
         Custom(lambda x: x[:, 0] / 0.0)(POINTS)
-    with pytest.raises(TypeError, match=r"points must be torch\.float64"):
-        Sphere(1.0)(POINTS.float())
-    with pytest.raises(ValueError, match="points must be finite"):
-        Sphere(1.0)(POINTS * math.nan)
     radius = torch.nn.Parameter(tensor(0.5))
     ball = Sphere(radius)
     with torch.no_grad():

@@ -273,11 +273,9 @@ def test_gradient_of_the_clearance(radius):
 @pytest.mark.parametrize(
     ("call", "error", "message"),
     [
-        (lambda c: max_hover_weight(c, torque=(-1.0, 0, 0)), ValueError, "torque must lie in"),
         (lambda c: control_authority(c, torque=(0.0, 0, 0)), ValueError, "extent above 0"),
         (lambda c: control_authority(c, load=1e3), ThrustLimitError, "hold 1011.77 N"),
         (lambda c: max_hover_weight(c, torque=(50.0, 0, 0)), ThrustLimitError, "reach the torques"),
-        (lambda c: max_hover_weight(c, smoothing=-1.0), ValueError, "smoothing must lie in"),
         (lambda c: controllability(c.inertia, c.positions), ValueError, "B must have shape"),
     ],
 )

@@ -270,7 +270,6 @@ def test_lyapunov_without_solution():
         (2, -eye(5), "Q must be positive semidefinite, got smallest eigenvalue -1"),
         (2, torch.triu(torch.ones(5, 5, dtype=torch.float64)), "Q must be symmetric"),
         (3, 0.0 * eye(2), "R must be positive definite, got smallest eigenvalue 0"),
-        (3, float("nan") * eye(2), "R must be finite"),
     ],
 )
 def test_bad_input(which, value, message):
@@ -278,5 +277,3 @@ def test_bad_input(which, value, message):
     problem[which] = value
     with pytest.raises(ValueError, match=message):
         lqr(*problem)
-    with pytest.raises(ValueError, match="q must lie in"):
-        LQR(torch.zeros(3, dtype=torch.float64), torch.ones(2, dtype=torch.float64))

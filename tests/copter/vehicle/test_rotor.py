@@ -243,8 +243,6 @@ def test_unknown_name_offers_the_closest():
 
 def test_bad_input():
     model = rotor_model("kde2814_10in")
-    with pytest.raises(ValueError, match="thrust_exponent must lie in"):
-        replace(model, thrust_exponent=-2.0)
     with pytest.raises(ValueError, match="torque of f40iii_gemfan5040x2 was not measured"):
         rotor_model("f40iii_gemfan5040x2").torque(1.0)
     table = synthetic()
