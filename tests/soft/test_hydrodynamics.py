@@ -505,14 +505,6 @@ def test_gradient_to_added_mass_through_a_step(integrator):
     check_directions(after, args, seeds=(0, 1), atol=2e-5, rtol=2e-5)
 
 
-@pytest.mark.grad
-def test_gradient_to_buoyancy():
-    def lift(volume, density, gravity):
-        return soft.buoyancy(volume, density, gravity)
-
-    assert torch.autograd.gradcheck(lift, (leaf([1.0, 2.0]), leaf(1.5), leaf([0.1, 0.2, -1.0])))
-
-
 def test_static_equilibrium_does_not_feel_added_mass():
     m = irregular_mesh("hex")
     fixed = torch.tensor([0, 1, 2, 3])

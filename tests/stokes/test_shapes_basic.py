@@ -103,25 +103,6 @@ def test_motions_and_extrusion_are_identities():
 
 
 @pytest.mark.grad
-def test_gradients_of_every_parameter_and_the_points():
-    def phi(radius, center, size, normal, offset, angle, axis, by, r, x):
-        ball = Translate(Sphere(radius, center), by)
-        block = Rotate(Box(size, center), angle, axis=axis, center=by)
-        walls = SmoothUnion(ball, block, Plane(normal, offset), radius=r)
-        return SmoothIntersection(walls, Complement(ball) | block, radius=r)(x)
-
-    inputs = [
-        tensor(0.4), tensor([0.1, 0.2, 0.0]), tensor([0.5, 0.7, 0.9]), tensor([0.3, 0.5, 1.0]),
-        tensor(0.1), tensor(0.7), tensor([1.0, 0.5, 0.2]), tensor([0.2, -0.1, 0.3]), tensor(0.3),
-        POINTS[:25].clone(),
-    ]  # fmt: skip
-    inputs = [i.requires_grad_() for i in inputs]
-    grads = torch.autograd.grad(phi(*inputs).sum(), inputs)
-    assert all(g.abs().max() > 0 for g in grads)
-    assert torch.autograd.gradcheck(phi, inputs)
-
-
-@pytest.mark.grad
 def test_at_a_tie_the_first_shape_has_the_gradient():
     a, b = tensor(0.2).requires_grad_(), tensor(0.2).requires_grad_()
     x = tensor([[0.5, 0.0, 0.0]])

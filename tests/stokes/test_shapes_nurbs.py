@@ -14,7 +14,6 @@ from diffsim.stokes.shapes import (
     BSplineSurface,
     NurbsSurface,
     Plane,
-    Rotate,
     SplineBasis,
     grid_nodes,
 )
@@ -235,19 +234,6 @@ def test_gradients_of_control_points_weights_and_points(band):
     inputs = (points, weights, p)
     check_directions(phi, inputs, check_forward_ad=True)
     assert all(g.abs().max() > 0 for g in torch.autograd.grad(phi(*inputs).sum(), inputs))
-
-
-@pytest.mark.grad
-def test_gradient_of_a_switch_s_angle():
-    points = (tunnel_points(6, 6, 4) * tensor([0.5, 0.9, 1.0])).requires_grad_()
-    angle = tensor(0.3).requires_grad_()
-    p = tensor([0.6, 0.9, 0.5]) * random(9, 12, 3)
-
-    def phi(c, a):
-        return Rotate(BSplineSurface(c, fluid="outside"), a, center=(0.25, 0.45, 0.0))(p)
-
-    check_directions(phi, (points, angle))
-    assert torch.autograd.grad(phi(points, angle).sum(), angle)[0].abs() > 0
 
 
 def test_second_derivatives_raise():
