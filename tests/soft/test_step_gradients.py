@@ -114,22 +114,6 @@ def test_every_method(method, kind):
     check_directions(layer_of(body, names), args, **TOLERANCE)
 
 
-def test_node_mass():
-    m = irregular_mesh("hex", (1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(m, node_mass=torch.ones(8, dtype=torch.float64))
-    node_mass = leaf(1.0 + 0.3 * noise(8, seed=3).tanh())
-    args = (leaf(deformed(m)), leaf(0.3 * noise(8, 3, seed=2)), node_mass)
-    check_directions(layer_of(body, ("x", "v", "node_mass")), args, seeds=(0, 1), **TOLERANCE)
-
-
-def test_thesis_volume_weight():
-    m = irregular_mesh("tet", (1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(m, volume_weight="thesis", fixed=torch.tensor([0, 1]))
-    names = ("x", "youngs_modulus", "poissons_ratio", "rayleigh_beta")
-    args = tuple(all_inputs(m)[name] for name in names)
-    check_directions(layer_of(body, names), args, seeds=(0, 1), **TOLERANCE)
-
-
 # Principal stretches of one tetrahedron, away from the kink s1 + s2 = 0 of the nearest rotation and
 # from s1 = s2 of a strongly expanded element (see test_at_the_kinks).
 STRETCHES = {
@@ -248,17 +232,6 @@ def test_static_equilibrium(kind):
 
     args = tuple(inputs[name] for name in names)
     check_directions(layer, args, seeds=(0, 1), **TOLERANCE)
-
-
-def test_static_equilibrium_of_muscles():
-    m = irregular_mesh("hex", (2, 1, 1))
-    body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]), muscles=two_muscles())
-
-    def layer(activation, fiber_stiffness):
-        physics = body.physics(fiber_stiffness=fiber_stiffness)
-        return body.static_equilibrium(activation=activation, physics=physics).x
-
-    assert torch.autograd.gradcheck(layer, (leaf([0.8, 0.3]), leaf([8.0, 6.0])), **TOLERANCE)
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
