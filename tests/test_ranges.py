@@ -37,7 +37,7 @@ TOLD = re.compile(
     r"must lie in (?P<left>[\[(])(?P<low>[^,]+), (?P<high>[^\])]+)(?P<right>[\])])"
     r"|must be a whole number >= (?P<least>\d+)"
 )
-FAR = (-1e3, 1e3, 0.0)
+FAR = (-1e3, 1e3)
 ENTRY = re.compile(r"    (?P<names>[a-z]\w*(?:, [a-z]\w*)*): (?P<text>.*)")
 OTHERWISE = {
     *("Plane.normal", "Rotate.axis"),  # its length is
@@ -174,7 +174,7 @@ def arguments_of(public: Public | None, thing: Any) -> dict[str, Any]:
 
 def is_number(value: Any) -> bool:
     if isinstance(value, Tensor):
-        return value.is_floating_point() and value.numel() > 0
+        return value.is_floating_point() and value.numel() > 0 and value.ndim < 2
     first = value[0] if isinstance(value, (tuple, list)) and value else value
     return isinstance(first, (float, int)) and not isinstance(first, bool)
 
