@@ -22,6 +22,7 @@ from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_
 from tests.soft.test_chambers import hollow
 from tests.soft.test_slack_fibers import fibers_of
 from tests.soft.test_step_gradients import INTEGRATORS, METHODS, TOLERANCE
+from tests.soft.test_tangents import IMPLICIT, assert_close, central
 
 KINDS = ["hex", "tet"]
 SIGNALS = ("activation", "pressure")
@@ -252,3 +253,51 @@ def test_a_step_compiles_whole(name):
 
     whole = torch.compile(after, fullgraph=True, backend="aot_eager")
     torch.testing.assert_close(whole(*inputs.values()), after(*inputs.values()))
+
+
+def rates_of(values: dict[str, Tensor]) -> dict[str, Tensor]:
+    """One direction that moves all values at once, each by a tenth of it, with a leading axis."""
+    return {
+        n: 0.1 * float(v.abs().max()) * noise(1, *v.shape, seed=30 + k)
+        for k, (n, v) in enumerate(values.items())
+    }
+
+
+def directions_of(body: soft.SoftBody, values: dict[str, Tensor], rates: dict[str, Tensor]):
+    constants = {n: v for n, v in values.items() if n not in (*SIGNALS, "x", "v")}
+    moving = {n: rates[n] for n in constants}
+    return soft.Directions(
+        **{n: rates[n] for n in ("x", "v", *SIGNALS) if n in rates},
+        physics=soft.physics_directions(body, constants, moving) if constants else None,
+    )
+
+
+@pytest.mark.grad
+@covering(name=list(BODIES), integrator=IMPLICIT, kind=KINDS, method=["auto", "linearly_implicit"])
+def test_tangents_of_a_motion_are_those_of_differences(name, integrator, kind, method):
+    """Without a graph."""
+    solver = soft.SolverOptions(method=method, **SHARP)
+    body, inputs = made(name, kind, integrator=integrator, solver=solver)
+    values = {n: v.detach() for n, v in inputs.items()}
+    rates = rates_of(values)
+    start, directions = soft.State(values["x"], values["v"]), directions_of(body, values, rates)
+    found = soft.rollout_tangents(body, start, 3, 1, directions, **loads_of(body, values))
+    expected = central(lambda given: moved(body, given, 3).x, values, rates, 0)
+    assert_close(found.tangent[-1, 0], expected, 1e-6)
+
+
+@pytest.mark.grad
+@covering(name=list(BODIES), kind=KINDS)
+def test_tangents_of_rest_under_load_are_those_of_differences(name, kind):
+    body, inputs = made(name, kind)
+    values = {n: v.detach() for n, v in inputs.items() if n not in ("x", "v")}
+    rates = rates_of(values)
+
+    def at_rest(given):
+        return body.static_equilibrium(**loads_of(body, given)).x
+
+    given = loads_of(body, values)
+    found = soft.static_tangents(
+        body, at_rest(values), 1, directions_of(body, values, rates), **given
+    )
+    assert_close(found[0], central(at_rest, values, rates, 0), 1e-6)

@@ -20,8 +20,6 @@ from tests.soft.cases import (
     two_muscles,
 )
 
-NOMINAL = {"youngs_modulus": 30.0, "density": 1.5}
-
 
 def linear_body(m, **changes) -> soft.SoftBody:
     solver = soft.SolverOptions(method="linearly_implicit", **SHARP, **changes.pop("options", {}))
@@ -199,26 +197,6 @@ def test_what_has_no_linearly_implicit_step_is_refused():
     )[0]
     with pytest.raises(NotImplementedError, match="second order"):
         grad.sum().backward()
-
-
-@pytest.mark.parametrize("integrator", ["implicit_euler", "implicit_midpoint"])
-def test_many_directions_of_a_rollout_are_those_of_forward_mode(integrator):
-    m = irregular_mesh("hex")
-    body = linear_body(m, fixed=rail_mask(m), integrator=integrator, rayleigh_beta=0.05)
-    start = soft.State(deformed(m, 0.1), noise(m.num_nodes, 3, seed=2))
-
-    def end(E: Tensor, rho: Tensor) -> Tensor:
-        physics = body.physics(youngs_modulus=E, density=rho)
-        return soft.rollout(body, start, 4, physics=physics).x[-1]
-
-    values = {name: torch.tensor(value).double() for name, value in NOMINAL.items()}
-    one_by_one = torch.stack(torch.func.jacfwd(end, argnums=(0, 1))(*values.values()))
-    units = torch.eye(2, dtype=torch.float64)
-    ways = dict(zip(values, units, strict=True))
-    moving = soft.Directions(physics=soft.physics_directions(body, values, ways))
-    together = soft.rollout_tangents(body, start, 4, 2, moving, physics=body.physics(**values))
-    tolerance = 1e-8 * float(one_by_one.abs().max())
-    torch.testing.assert_close(together.tangent[-1], one_by_one, rtol=0, atol=tolerance)
 
 
 def test_statics_of_such_a_body_are_those_of_auto():
