@@ -21,7 +21,7 @@ from torch import Tensor
 from diffsim.core import DiffsimError, MeshError
 from tests.fuzz_entries import ENTRIES
 
-BUDGET_S = 30.0  # of CPU, for all of hypothesis' examples
+BUDGET_S = 10.0  # of CPU, for all of hypothesis' examples
 CLEAR = (ValueError, TypeError, DiffsimError, NotImplementedError)
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -180,7 +180,7 @@ reasonable = st.floats(-1e6, 1e6) | st.sampled_from([math.nan, math.inf, -math.i
 
 
 @settings(
-    max_examples=400,
+    max_examples=120,
     deadline=None,
     derandomize=True,
     database=None,

@@ -176,7 +176,7 @@ def sealed_pressure(
     if not torch.compiler.is_compiling() and anywhere(~(volume > 0.0)):
         worst = float(values_of(volume).min())
         raise ValueError(f"volume must be positive, got {worst:g}; the chamber has turned over")
-    filled_volume = amounts("filled_volume", filled_volume)
+    filled_volume = amounts("filled_volume", filled_volume, above=0.0, hint="unit is m^3")
     filled_pressure = amounts("filled_pressure", filled_pressure)
     amount = (filled_pressure + ambient_pressure) * filled_volume
     return amount / volume - ambient_pressure

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_constants
+from diffsim.core.check import require, require_constants, require_count
 from diffsim.core.checked import checked
 from diffsim.soft.inputs import LOADS, Loads, check_inputs, check_state
 from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
@@ -119,6 +119,7 @@ def rollout_tangents(
             f"tangents need one of the integrators {list(IMPLICIT)}, the body has "
             f"{body.integrator!r}; differentiate it with rollout and backward()"
         )
+    require_count("num_steps", num_steps, at_least=1)
     shape = (body.mesh.num_nodes, 3)
     require("state.x", require_state(state).x, shape)
     if state.contact_force is not None:

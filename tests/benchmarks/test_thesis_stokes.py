@@ -96,19 +96,6 @@ def test_mass_is_lost_in_proportion_to_compressibility():
     assert 70.0 < lost[0] / lost[1] < 102.0
 
 
-@pytest.mark.property
-def test_a_slip_channel_keeps_its_mass():
-    """No pressure drives it beyond the inlet, so little is compressed; the grid loses 1e-3."""
-    assert float(channel("no_separation", 0.49).mass_report()["imbalance"].abs()) < 2e-3
-
-
-@pytest.mark.property
-def test_viscosity_scales_pressure_only():
-    thin, thick = channel("no_slip", 0.45, 1.0), channel("no_slip", 0.45, 5.0)
-    torch.testing.assert_close(thick.velocity, thin.velocity, rtol=0, atol=0)
-    torch.testing.assert_close(thick.pressure, 5.0 * thin.pressure, rtol=1e-14, atol=0)
-
-
 @pytest.mark.reference
 @pytest.mark.parametrize("where", [0.5, 0.5 - 1e-12, 0.5 + 1e-12])
 @pytest.mark.parametrize("dim", [2, 3])
@@ -154,10 +141,9 @@ def outputs(flow: ThesisFlow, args: tuple[Tensor, ...]) -> Tensor:
 
 
 @pytest.mark.grad
-@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.story)])
 @pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
-def test_gradcheck(wall, whole):
-    """Along a direction of each input, and every entry of all of them."""
+def test_gradcheck(wall):
+    """Along a direction of all inputs."""
     flow, (phi, inlet, viscosity, _, force, traction) = small_problem(2, wall)
     moving = torch.tensor([0.3, -0.4], dtype=F64, requires_grad=True)
     traction = traction.detach()[0].requires_grad_()
@@ -166,81 +152,5 @@ def test_gradcheck(wall, whole):
     assert all(float(g.abs().max()) > 0 for g in grads)
     # Central differences of 1e-6 with a KKT matrix of condition about 1e8.
     assert torch.autograd.gradcheck(
-        lambda *a: outputs(flow, a), args, eps=1e-6, atol=1e-5, rtol=1e-4, fast_mode=not whole
+        lambda *a: outputs(flow, a), args, eps=1e-6, atol=1e-5, rtol=1e-4, fast_mode=True
     )
-
-
-@pytest.mark.grad
-@pytest.mark.parametrize("wall", ["no_slip", "no_separation"])
-@pytest.mark.parametrize("which", range(6), ids=NAMES)
-def test_directional_derivatives_in_3d(wall, which):
-    flow, args = small_problem(3, wall)
-    generator = torch.Generator().manual_seed(which)
-    out = outputs(flow, args)
-    weight = torch.randn(out.shape, generator=generator, dtype=F64)
-    (grad,) = torch.autograd.grad(out, args[which], weight)
-    direction = torch.randn(args[which].shape, generator=generator, dtype=F64)
-    step = 1e-6 if NAMES[which] in ("phi", "viscosity") else 1e-2  # linear in the others
-
-    def at(sign: int) -> Tensor:
-        moved = [a.detach() for a in args]
-        moved[which] = moved[which] + sign * step * direction
-        return (outputs(flow, tuple(moved)) * weight).sum()
-
-    wanted = (at(1) - at(-1)) / (2.0 * step)
-    torch.testing.assert_close((grad * direction).sum(), wanted, rtol=1e-5, atol=1e-7)
-
-
-@pytest.mark.grad
-def test_shape_gradient_of_a_disk_between_plates():
-    """A parameter with meaning: the radius of an obstacle, across cells that become cut."""
-    grid = Grid((16, 12), spacing=1.0 / 12)
-    flow = ThesisFlow(grid, [Inlet("x-"), Open("x+")], poissons_ratio=0.49)
-    center = torch.tensor([0.61, 0.47], dtype=F64)
-
-    def speed_behind(radius: Tensor) -> Tensor:
-        phi = (grid.nodes - center).norm(dim=-1) - radius
-        return flow(phi, torch.tensor([1.0, 0.0], dtype=F64)).velocity[0, 12, 6, 0]
-
-    for value in (0.17, 0.2, 0.23):
-        radius = torch.tensor(value, dtype=F64, requires_grad=True)
-        (slope,) = torch.autograd.grad(speed_behind(radius), radius)
-        step = 1e-6
-        with torch.no_grad():
-            wanted = (speed_behind(radius + step) - speed_behind(radius - step)) / (2 * step)
-        torch.testing.assert_close(slope, wanted, rtol=1e-5, atol=1e-7)
-
-
-@pytest.mark.property
-def test_linear_in_the_inputs():
-    """Two cases and their sum, one factor."""
-    flow, (phi, inlet, _, wall_velocity, *_) = small_problem(2, "no_slip")
-    both = torch.cat([inlet, inlet.sum(0, keepdim=True)])
-    moving = torch.cat([wall_velocity, wall_velocity.sum(0, keepdim=True)])
-    velocity = flow(phi, both, wall_velocity=moving).velocity
-    torch.testing.assert_close(velocity[0] + velocity[1], velocity[2], rtol=1e-9, atol=1e-9)
-
-
-def test_errors():
-    grid = Grid((4, 4), size=1.0)
-    with pytest.raises(ValueError, match=r"poissons_ratio must .*StokesFlow"):
-        ThesisFlow(grid, poissons_ratio=0.5)
-    with pytest.raises(ValueError, match="did you mean"):
-        ThesisFlow(grid, wall="no_slipp")
-    fluid = torch.ones(grid.node_shape, dtype=F64)
-    with pytest.raises(ValueError, match="nothing drives the flow"):
-        ThesisFlow(grid)(fluid)
-    flow = ThesisFlow(grid, [Inlet("x-"), Open("x+")])
-    inlet = torch.tensor([1.0, 0.0], dtype=F64)
-    with pytest.raises(ValueError, match="no fluid"):
-        flow(-fluid, inlet)
-    with pytest.raises(ValueError, match="keys"):
-        flow(fluid, {"y-": inlet})
-    with pytest.raises(ValueError, match="must have shape"):
-        flow(fluid, torch.ones(3, 2, dtype=F64))
-    with pytest.raises(ValueError, match=r"viscosity must lie in \(0, inf\), got -1"):
-        flow(fluid, inlet, viscosity=-1.0)
-    with pytest.raises(ValueError, match="100 % more flows in"):
-        ThesisFlow(grid, [Inlet("x-")])(fluid, inlet)
-    with pytest.raises(ValueError, match="another grid"):
-        ThesisFlow(Grid((4, 4), size=1.0), flow.boundary)

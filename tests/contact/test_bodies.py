@@ -7,7 +7,6 @@ import torch
 
 from diffsim import contact, mesh, soft
 from tests.contact.cases import tensor, uniform
-from tests.gradients import check_directions
 
 
 def rough(m, amount: float, seed: int):
@@ -71,30 +70,6 @@ def test_forces_turn_with_the_scene():
     )
     torch.testing.assert_close(turned[0], on_a @ turn.T, rtol=0, atol=1e-11)
     torch.testing.assert_close(turned[1], on_b @ turn.T, rtol=0, atol=1e-11)
-
-
-@pytest.mark.grad
-@pytest.mark.parametrize("kind", ["tet", "hex"])
-def test_gradients_to_states_and_coefficients(kind):
-    m_a, m_b, inputs = states(kind)
-    numbers = [tensor(value)[0] for value in LAW.values()]
-    leaves = [t.clone().requires_grad_() for t in (*inputs, *numbers)]
-
-    def forces(x_a, v_a, x_b, v_b, stiffness, damping, friction, slip_speed):
-        law = contact.BodyContact(
-            m_a,
-            m_b,
-            stiffness=stiffness,
-            damping=damping,
-            friction=friction,
-            slip_speed=slip_speed,
-        )
-        return law(x_a, v_a, x_b, v_b)
-
-    out = torch.cat(forces(*leaves))
-    cotangent = uniform(*out.shape, seed=5)
-    assert all(g.abs().max() > 1e-3 for g in torch.autograd.grad(out, leaves, cotangent))
-    check_directions(forces, leaves)
 
 
 @pytest.mark.reference
@@ -222,31 +197,3 @@ def test_an_elastic_collision_turns_the_velocity_along_the_normal():
     contact_normal = centers / centers.norm()
     angle = math.degrees(math.acos(float(along @ contact_normal)))
     assert angle < 10.0  # facets of a coarse ball
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "message"),
-    [
-        (lambda m, x: contact.BodyContact(m, x, stiffness=1.0), TypeError, "mesh_b must be a Hex"),
-        (lambda m, x: contact.BodyContact(m, m, stiffness=-1.0), ValueError, "stiffness must lie"),
-        (
-            lambda m, x: contact.BodyContact(m, m, stiffness=1.0, slip_speed=0.0),
-            ValueError,
-            "slip_speed must lie in",
-        ),
-        (
-            lambda m, x: contact.BodyContact(m, m, stiffness=1.0)(x, x, x[:3], x),
-            ValueError,
-            "x_b must have shape",
-        ),
-        (
-            lambda m, x: contact.BodyContact(m, m, stiffness=1.0)(x, x / 0.0, x, x),
-            ValueError,
-            "v_a must be finite",
-        ),
-    ],
-)
-def test_bad_input_is_refused(call, error, message):
-    m = mesh.tet_box((1, 1, 1), (1.0, 1.0, 1.0))
-    with pytest.raises(error, match=message):
-        call(m, m.x_rest)

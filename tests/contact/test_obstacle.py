@@ -78,32 +78,6 @@ def test_small_displacements_do_not_cancel():
     torch.testing.assert_close(box.displacement(far, 1e-3), exact, rtol=1e-11, atol=0)
 
 
-@pytest.mark.grad
-def test_gradients_to_pose_and_motion():
-    numbers = [
-        tensor(0.2, -0.1, 0.3),
-        tensor(0.4, -0.7, 0.2),
-        tensor(0.5, 0.3, -0.2),
-        tensor(1.0, 2.0, -3.0),
-    ]
-    leaves = [points(6).requires_grad_(), *(n.requires_grad_() for n in numbers)]
-
-    def everything(x, position, rotation, velocity, angular_velocity):
-        ball = contact.capsule(
-            (-0.4, 0.1, 0.0),
-            (0.5, 0.2, 0.3),
-            0.4,
-            position=position,
-            rotation=rotation,
-            velocity=velocity,
-            angular_velocity=angular_velocity,
-        )
-        phi, normal = ball.after(0.2).distance_normal(x)
-        return phi, normal, ball.point_velocity(x), ball.displacement(x, 0.2)
-
-    assert torch.autograd.gradcheck(everything, leaves)
-
-
 def test_obstacles_do_not_change_but_can_be_replaced():
     floor = contact.floor(0.1, friction=math.inf, restitution=0.5, name="table")
     assert floor.distance_normal(tensor(0.0, 0.0, 0.4))[0].item() == pytest.approx(0.3)
@@ -119,14 +93,7 @@ def test_obstacles_do_not_change_but_can_be_replaced():
     ("make", "error", "message"),
     [
         (lambda: contact.Obstacle(mesh.sdf.sphere(1.0)), TypeError, r"as contact.Custom\(sdf\)"),
-        (lambda: contact.floor(friction=-0.1), ValueError, r"friction must lie in \[0, inf\]"),
-        (lambda: contact.floor(friction=math.nan), ValueError, "friction must lie in"),
-        (lambda: contact.floor(friction="rough"), TypeError, "friction must be a number, got str"),
-        (lambda: contact.floor(restitution=1.1), ValueError, r"restitution must lie in \[0, 1\]"),
-        (lambda: contact.floor(position=(0, 0)), ValueError, "position must be three finite"),
-        (lambda: contact.floor(velocity=3.0), ValueError, "velocity must be three finite"),
         (lambda: contact.floor(rotation=2 * torch.eye(3).double()), ValueError, "rotation matrix"),
-        (lambda: contact.floor(angular_velocity=torch.zeros(3)), TypeError, "torch.float64"),
     ],
 )
 def test_bad_input_is_refused(make, error, message):

@@ -41,25 +41,6 @@ def test_on_the_surface_distance_vanishes_and_its_gradient_is_the_normal(kind):
     torch.testing.assert_close(outwards, normal[inside], rtol=0, atol=1e-9)
 
 
-@pytest.mark.grad
-@pytest.mark.parametrize("kind", KINDS)
-def test_gradients_to_points_and_parameters(kind):
-    make, parameters = SHAPES[kind]
-    few = points(6) * (1.3 if kind == "box" else 1.0)  # also outside edges, where normals turn
-    if kind == "height field":  # a difference per height
-        parameters, few = (waves(5, 4, 0.1),), 0.5 * few[:4] + tensor(-0.8, -0.6, 0.0)
-    leaves = [few.requires_grad_(), *(p.clone().requires_grad_() for p in parameters)]
-
-    def both(x, *p):
-        return make(*p).distance_normal(x)
-
-    for out in both(*leaves):
-        cotangent = torch.linspace(1, 2, out.numel(), dtype=out.dtype).view_as(out)
-        grads = torch.autograd.grad(out, leaves, cotangent, allow_unused=True, retain_graph=True)
-        assert any(g is not None and g.abs().max() > 1e-3 for g in grads)
-    assert torch.autograd.gradcheck(both, leaves)
-
-
 @pytest.mark.property
 @pytest.mark.parametrize("kind", KINDS)
 def test_inside_out_changes_signs_alone(kind):
@@ -225,31 +206,18 @@ def test_shapes_keep_batch_axes_and_take_no_points():
     ("make", "error", "message"),
     [
         (lambda: contact.Plane((0, 0, 0)), ValueError, "normal must not be zero"),
-        (lambda: contact.Plane((0, 1)), ValueError, "normal must be three finite numbers"),
-        (lambda: contact.Sphere(-1.0), ValueError, r"radius must lie in \(0, inf\), got -1"),
-        (lambda: contact.Sphere(tensor(1.0)), ValueError, r"radius must have shape \(\)"),
-        (lambda: contact.Sphere("big"), TypeError, "radius must be a number, got str"),
         (lambda: contact.Capsule((0, 0, 1), (0, 0, 1), 0.1), ValueError, "must differ; use Sphere"),
-        (lambda: contact.Box((1, 0, 1)), ValueError, "size must lie in"),
-        (lambda: contact.Trough(1, 7.0), ValueError, "angle must lie in .* unit is rad"),
         (lambda: contact.Trough(1, 1, start=(0, 1, 1)), ValueError, "perpendicular to axis"),
         (
             lambda: contact.HeightField(torch.zeros(2, 5).double(), 0.1),
             ValueError,
             "at least 3 x 3",
         ),
-        (lambda: contact.HeightField(waves(), 0.0), ValueError, "spacing must lie in"),
         (lambda: contact.Custom(3), TypeError, "sdf must be callable, got int"),
         (
             lambda: contact.Custom(lambda x: x).distance_normal(points()),
             ValueError,
             r"one distance per point, \(12,\), got \(12, 3\)",
-        ),
-        (lambda: contact.Sphere(1).distance_normal(torch.zeros(3, 2)), TypeError, "float64"),
-        (
-            lambda: contact.Sphere(1).distance_normal(tensor((1.0, math.nan, 0.0))),
-            ValueError,
-            "x must be finite",
         ),
     ],
 )

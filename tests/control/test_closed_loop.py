@@ -77,8 +77,6 @@ def test_an_observation_that_is_no_number_is_refused_and_changes_nothing():
 def test_a_normalizer_of_nothing_or_of_a_list_is_refused():
     with pytest.raises(ValueError, match="size must be a whole number >= 1"):
         Normalizer(0)
-    with pytest.raises(TypeError, match=r"observations must be a torch\.Tensor"):
-        Normalizer(2).update([[1.0, 2.0]])
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ SHORTER = {
         "plan(design, best.s, best.directions, best.spins)": "plan(load_design('quadcopter'))",
     },
 }
-"""What a plain run replaces in dear pages: shorter flights, fewer starts; the same calls."""
+"""What is replaced in dear pages: shorter flights, fewer starts; the same calls."""
 LONG = ("diffsim diagnose explain", "diffsim diagnose judge", "diffsim diagnose next")
 LINKED = ("README.md", "examples/*.md", "docs/**/*.md")
 
@@ -50,20 +50,11 @@ def run(text, page):
 
 
 @pytest.mark.example
-@pytest.mark.parametrize(
-    "page", [pytest.param(p, marks=[pytest.mark.story] * (p in SHORTER)) for p in PAGES]
-)
+@pytest.mark.parametrize("page", PAGES)
 def test_its_python_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run((ROOT / page).read_text(encoding="utf-8"), page)
-
-
-@pytest.mark.example
-@pytest.mark.parametrize("page", SHORTER)
-def test_its_python_runs_in_short(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     text = (ROOT / page).read_text(encoding="utf-8")
-    for long, short in SHORTER[page].items():
+    for long, short in SHORTER.get(page, {}).items():
         assert long in text
         text = text.replace(long, short)
     run(text, page)

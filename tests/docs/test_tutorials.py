@@ -49,7 +49,7 @@ def test_own_shape_in_short(tmp_path, monkeypatch):
 
 
 @pytest.mark.example
-def test_own_quadrotor_in_short(tmp_path, monkeypatch):
+def test_own_quadrotor(tmp_path, monkeypatch):
     shorter = {
         'load_mission("there_and_back"))': 'load_mission("there_and_back"), seconds=0.5)',
         "expand(1, 300, 4)": "expand(1, 30, 4)",
@@ -75,16 +75,9 @@ def test_own_shape(tmp_path, monkeypatch):
 
 @pytest.mark.story
 @pytest.mark.example
-def test_own_quadrotor(tmp_path, monkeypatch):
-    names = run("2_own_quadrotor.ipynb", tmp_path, monkeypatch)
-    assert names["log"].summary()["outcome"] == "done"
-    assert (tmp_path / "flight" / "flight.csv").is_file()
-
-
-@pytest.mark.story
-@pytest.mark.example
 def test_own_recording(tmp_path, monkeypatch, capsys):
-    names = run("3_own_recording.ipynb", tmp_path, monkeypatch)
+    quick = {"explain pendulum --out": "explain pendulum --budget quick --out"}
+    names = run("3_own_recording.ipynb", tmp_path, monkeypatch, quick)
     certain = {c["name"] for c in names["report"]["causes"] if c["status"] == "certain"}
     assert certain == {"dry_friction_at_hinge"}, (
         capsys.readouterr().out

@@ -39,20 +39,6 @@ def test_table_3_1_from_one_start():
     assert numbers["gain of tilt alone [%]"] < numbers["gain [%]"]
 
 
-@pytest.mark.story
-def test_table_3_1(tmp_path, capsys):
-    pytest.importorskip("cvxpy")
-    numbers = load_story("copter/table31.py").main(2, out=str(tmp_path))
-    # five motors at full thrust instead of four are the limit
-    assert 24.9 < numbers["gain [%]"] < 25.0
-    assert numbers["gap to the bound [%]"] < 0.1
-    assert 15.0 < numbers["gain of tilt alone [%]"] < numbers["gain [%]"]
-    built = numbers["largest overall weight as built, with clips [g]"]
-    assert built == pytest.approx(1.25 * 4759.2, rel=5e-3)  # clips shift the motors a little
-    assert "max overall weight" in capsys.readouterr().out
-    assert (tmp_path / "fabrication" / "index.html").is_file()
-
-
 def test_a_sweep_costs_payload_and_goes_on_where_it_was(tmp_path, capsys):
     pytest.importorskip("cvxpy")
     story = load_story("copter/payload_by_authority.py")

@@ -12,7 +12,6 @@ pytestmark = pytest.mark.example
 
 @pytest.mark.story
 def test_starfish_loop_runs_and_resumes(tmp_path, monkeypatch):
-    pytest.importorskip("matplotlib", reason="needs the extra viz")
     story, out = load_story("sim_to_real/starfish_loop.py"), tmp_path / "loop"
     short = story.FitSettings(duration_s=1.0, max_evaluations=2)
     step = story.TrajectorySettings(periods=1, max_evaluations=2)
@@ -21,10 +20,10 @@ def test_starfish_loop_runs_and_resumes(tmp_path, monkeypatch):
     brief = lambda **given: laboratory(**given | {"duration_s": 2.2})  # noqa: E731
     monkeypatch.setattr(story, "VirtualLaboratory", brief)
     monkeypatch.setattr(story, "sinusoid", partial(sine, period_s=1.0, cycles=1))
+    # 6 s of pictures: tests/labs/loop/test_loop.py draws them
+    monkeypatch.setattr("labs.loop.report.write_loop", lambda *_, **__: None)
     numbers = story.main(str(out), quick=True, real=False)
     assert numbers is not None and {"v_r_0_cm_s", "v_r_1_cm_s", "cpu_s"} <= set(numbers)
-    assert (out / "report.html").stat().st_size > 50_000
-    monkeypatch.setattr("labs.loop.report.write_loop", lambda *_, **__: None)  # 6 s of pictures
     again = story.main(str(out), quick=True, real=False, resume=True)
     assert again is not None and again["v_r_1_cm_s"] == numbers["v_r_1_cm_s"]
 

@@ -41,6 +41,7 @@ from tests.studies import HERE, NAMES, study_of
 from tests.systems.kinds import SHARE, Ready, uniform
 from tests.systems.late_cart import fitted_cart
 from tests.test_derivatives import PUBLIC, example_of, needs_example
+from tests.test_ranges import refused_ranges
 
 WRITTEN = (
     "*.csv",
@@ -334,6 +335,7 @@ COMMANDS = {
 }
 POPULATIONS: dict[str, Answers] = {
     **{f"public {room}": Answers(public_calls(room)) for room in ROOMS},
+    "ranges of arguments": Answers(lambda _: refused_ranges()),
     **{f"causes {name}": Answers(causes_of(lambda _, n=name: study_of(n))) for name in NAMES},
     **{f"causes {name}": Answers(causes_of(make)) for name, make in STUDIES.items()},
     **{f"case {name}": Answers(make, 1e-5) for name, make in CASES.items()},

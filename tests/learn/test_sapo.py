@@ -227,19 +227,6 @@ def test_a_checkpoint_holds_the_price_of_entropy() -> None:
     assert prices[0] == prices[1] != SapoOptions().temperature
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"temperature": 0.0}, "temperature must lie in"),
-        ({"target_entropy": 0.5}, "target_entropy must lie in"),
-        ({"temperature_rate": -1.0}, "temperature_rate must lie in"),
-    ],
-)
-def test_options_out_of_range_are_refused(options: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        SapoOptions(**options)  # type: ignore[arg-type]
-
-
 def test_a_short_training_hovers_better() -> None:
     setup = Setup("CopterHover", warm_up=20)
     learner = SapoLearner(setup, SapoOptions(batch=64, window=32, actor_rate=1e-2))

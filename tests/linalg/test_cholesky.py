@@ -271,8 +271,6 @@ def test_refuses_bad_matrices():
         SparseCholesky(good, block=2)
     with pytest.raises(ValueError, match="block must be an integer from 1 to 6"):
         SparseCholesky(good, block=7)
-    with pytest.raises(ValueError, match=r"num_threads must be a whole number >= 1, got 0"):
-        SparseCholesky(good, num_threads=0)
     with pytest.raises(ValueError, match="did you mean 'float32'"):
         SparseCholesky(good, precision="float23")
     with pytest.raises(ValueError, match=r"must be symmetric, got A\[.*store both triangles"):
@@ -293,14 +291,10 @@ def test_refuses_another_pattern_and_bad_right_hand_sides():
         factor.refactor(sp.identity(64, format="csr"))
     with pytest.raises(ValueError, match=r"shape \(64, 64\), got \(27, 27\)"):
         factor.refactor(laplacian(grid_graph(3, 3, 3)[0], shift=1.0))
-    with pytest.raises(TypeError, match=r"b must be torch\.float64, got torch\.float32"):
-        factor.solve(torch.ones(64))
     with pytest.raises(ValueError, match="b must have shape"):
         factor.solve(np.ones(63))
     with pytest.raises(ValueError, match="b must have shape"):
         factor.solve(np.ones((64, 3, 1)))
-    with pytest.raises(ValueError, match="b must be finite"):
-        factor.solve(np.full(64, np.nan))
     with pytest.raises(ValueError, match="no gradient"):
         factor.solve(torch.ones(64, dtype=torch.float64, requires_grad=True))
 

@@ -30,6 +30,7 @@ KERNEL_TESTS = (
     "tests/stokes/test_equations.py",
     "tests/stokes/test_flow_tangents.py",
     "tests/stokes/test_iterative.py::test_gradcheck",
+    "tests/test_arguments.py",
     "tests/test_fuzz.py",
 )
 BUILD_WALL_S, TEST_WALL_S = 3600.0, 3600.0

@@ -100,21 +100,6 @@ def soft_body(m, **changes) -> soft.SoftBody:
     return soft.SoftBody(m, **grouped({**arguments, **changes}))
 
 
-def forward_and_reverse(body, name, values, seed=1) -> tuple[float, float]:
-    """<w, J p> by forward mode and <J'w, p> by the adjoint, J = d(end of four steps)/d(values)."""
-    asked = leaf(values)
-    direction, weight = noise(1, len(asked), seed=seed), noise(*body.x_rest.shape, seed=seed + 1)
-    rest = body.rest_state()
-    end = soft.rollout(body, rest, 4, physics=body.physics(**{name: asked})).x[-1]
-    (grad,) = torch.autograd.grad((weight * end).sum(), asked)
-    value = {name: asked.detach()}
-    rates = soft.physics_directions(body, value, {name: direction})
-    asked_rates = soft.Directions(physics=rates)
-    found = soft.rollout_tangents(body, rest, 4, 1, asked_rates, physics=body.physics(**value))
-    forward = float((weight * found.tangent[-1, 0]).sum())
-    return forward, float((grad * direction[0]).sum())
-
-
 def leaf(value) -> Tensor:
     """A float64 tensor that asks for its gradient."""
     return torch.as_tensor(value, dtype=torch.float64).clone().requires_grad_()

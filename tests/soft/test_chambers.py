@@ -1,8 +1,6 @@
 """Pneumatic chambers: volumes, forces, gradients, and the thick-walled sphere of Lame."""
 
-import copy
 import math
-import pickle
 from functools import lru_cache
 
 import numpy as np
@@ -175,26 +173,6 @@ def test_no_pressure_is_no_chamber():
 
 
 @pytest.mark.grad
-@pytest.mark.parametrize("kind", ["hex", "tet"])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_force_gradients(shape, kind):
-    m, chamber = hollow(kind, shape)
-    body = soft_body(m, chambers=[chamber])
-    args = (leaf(deformed(m)), leaf([7.0]))
-
-    def layer(x, pressure):
-        return body.elastic_force(x, pressure=pressure)
-
-    check_directions(layer, args, **TOLERANCE)
-    check_directions(
-        lambda x, pressure: body.elastic_energy(x, pressure=pressure),
-        args,
-        check_forward_ad=True,
-        **TOLERANCE,
-    )
-
-
-@pytest.mark.grad
 @pytest.mark.parametrize("shape", ["cavity", "pocket"])
 def test_the_hessian_is_exact_and_symmetric(shape):
     """All of it, entry by entry: the pressure's own part, without the solid's."""
@@ -227,39 +205,6 @@ def test_the_hessian_is_exact_and_symmetric(shape):
     block = H[nodes].reshape(18, 18)
     assert block.abs().max() > 0.1
     torch.testing.assert_close(block, block.T, rtol=0, atol=1e-13)
-
-
-@pytest.mark.grad
-@pytest.mark.parametrize("kind", ["hex", "tet"])
-@pytest.mark.parametrize("shape", ["cavity", "pocket"])
-@pytest.mark.parametrize(
-    "integrator", ["implicit_euler", "bdf2", "implicit_midpoint", "semi_implicit_euler"]
-)
-def test_step_gradients(integrator, shape, kind):
-    m, chamber = hollow(kind, shape)
-    explicit = integrator == "semi_implicit_euler"
-    body = soft_body(
-        m,
-        chambers=[chamber],
-        fixed=rail_mask(m),
-        integrator=integrator,
-        dt=0.01 if explicit else 0.1,
-        rayleigh_beta=0.01,
-    )
-    x = torch.where(rail_mask(m), m.x_rest, deformed(m, 0.1))
-    args = (leaf(x), leaf(0.3 * noise(*x.shape, seed=2)), leaf([6.0]), leaf(30.0))
-
-    def layer(x, v, pressure, youngs_modulus):
-        physics = body.physics(youngs_modulus=youngs_modulus)
-        state = soft.State(x, v)
-        for _ in range(2):
-            state = body(state, pressure=pressure, physics=physics)
-        return torch.cat([state.x.flatten(), 0.1 * state.v.flatten()])
-
-    out = layer(*args)
-    (slope,) = torch.autograd.grad(out, args[2], torch.linspace(1, 2, out.numel()).double())
-    assert slope.abs() > 1e-4
-    check_directions(layer, args, **TOLERANCE)
 
 
 @pytest.mark.grad
@@ -383,32 +328,6 @@ def test_methods_agree(method):
         assert (one - other).norm() <= 1e-6 * max(1.0, float(other.detach().norm()))
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_threads_do_not_change_a_bit(method):
-    for one, two in zip(inflated(method, 1), inflated(method, 2), strict=True):
-        torch.testing.assert_close(one, two, rtol=0, atol=0)
-
-
-@pytest.mark.parametrize("integrator", ["implicit_euler", "semi_implicit_euler"])
-def test_batch_equals_one_by_one(integrator):
-    m, chamber = hollow("hex", "pocket")
-    dt = 0.1 if integrator == "implicit_euler" else 0.01
-    body = soft_body(m, chambers=[chamber], integrator=integrator, dt=dt)
-    x = torch.stack([deformed(m, 0.1, seed=k) for k in range(6)]).view(2, 3, -1, 3)
-    pressure = leaf(5.0 + noise(2, 3, 1))
-    weights = noise(*x.shape)
-    whole = body(at_rest(x), pressure=pressure)
-    (grad,) = torch.autograd.grad((whole.x * weights).sum(), pressure)
-    for k in np.ndindex(2, 3):
-        own = leaf(pressure[k].detach())
-        single = body(at_rest(x[k]), pressure=own)
-        torch.testing.assert_close(whole.x[k], single.x, rtol=0, atol=0)
-        (g,) = torch.autograd.grad((single.x * weights[k]).sum(), own)
-        torch.testing.assert_close(grad[k], g, rtol=0, atol=0)
-    shared = body(at_rest(x), pressure=pressure[0, 0].detach())
-    torch.testing.assert_close(shared.x[0, 0], whole.x[0, 0], rtol=0, atol=0)
-
-
 @pytest.mark.parametrize("load", ["pressure", "external_force", "dirichlet_target", "activation"])
 def test_static_batch_of_any_load(load):
     """Members of a load, whose guess is one, are what each gives alone."""
@@ -428,17 +347,6 @@ def test_static_batch_of_any_load(load):
     for member, x in zip(many, found.x, strict=True):
         single = body.static_equilibrium(**{load: member}).x
         torch.testing.assert_close(x, single, rtol=0, atol=0)
-
-
-def test_copies_keep_their_chambers():
-    m, chamber = hollow("tet", "pocket")
-    body = soft_body(m, chambers=[chamber])
-    pressure = torch.tensor([3.0], dtype=torch.float64)
-    expected = body(body.rest_state(), pressure=pressure).x
-    for twin in (copy.deepcopy(body), pickle.loads(pickle.dumps(body))):
-        found = twin(twin.rest_state(), pressure=pressure).x
-        torch.testing.assert_close(found, expected, rtol=0, atol=0)
-    assert "1 chambers" in repr(body)
 
 
 # --- what happens at the limits ---

@@ -10,21 +10,14 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from diffsim import mesh, soft
-from tests.gradients import check_directions
 from tests.soft.cases import (
-    SHARP,
-    deformed,
-    forward_and_reverse,
     irregular_mesh,
     leaf,
     noise,
-    rail_mask,
     soft_body,
 )
 
 KINDS = ["hex", "tet"]
-INTEGRATORS = ["implicit_euler", "bdf2", "implicit_midpoint", "semi_implicit_euler"]
-TOLERANCE = {"eps": 1e-6, "atol": 2e-5, "rtol": 2e-5}
 YOUNGS_MODULUS, LENGTH = 1e6, 1.0  # [Pa], [m]
 NEAR, FAR = 2400.0, 800.0  # density of the half that is held, and of the other [kg/m^3]
 
@@ -130,62 +123,6 @@ def test_frequency_of_a_two_density_bar(kind):
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.05)
 
 
-@pytest.mark.grad
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_gradient_through_steps(integrator, kind):
-    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0))
-    dt = 0.02 if integrator == "semi_implicit_euler" else 0.1
-    body = soft_body(m, fixed=rail_mask(m), integrator=integrator, dt=dt)
-    x = torch.where(rail_mask(m), m.x_rest, deformed(m))
-    density = leaf(1.5 + 0.3 * noise(m.num_elements, seed=6).tanh())
-
-    def layer(x, v, density):
-        state, physics = soft.State(x, v), body.physics(density=density)
-        for _ in range(3):
-            state = body(state, physics=physics)
-        return torch.cat([state.x.flatten(), 0.1 * state.v.flatten()])
-
-    args = (leaf(x), leaf(0.3 * noise(m.num_nodes, 3, seed=2)), density)
-    assert float(torch.autograd.grad(layer(*args).sum(), density)[0].abs().min()) > 1e-6
-    check_directions(layer, args, seeds=(0, 1), **TOLERANCE)
-
-
-@pytest.mark.grad
-@pytest.mark.parametrize("kind", KINDS)
-def test_gradient_through_statics(kind):
-    m = irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (1.0, 1.0, 1.0), 0.02)
-    body = soft_body(m, fixed=m.nodes_near_plane("x", 0.0, tol=0.1), youngs_modulus=300.0)
-    density = leaf(1.5 + 0.3 * noise(m.num_elements, seed=6).tanh())
-
-    def layer(density):
-        return body.static_equilibrium(physics=body.physics(density=density)).x
-
-    check_directions(layer, (density,), seeds=(0, 1), **TOLERANCE)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_forward_mode_agrees_with_the_adjoint(kind):
-    """<w, J p> = <J'w, p>."""
-    m = irregular_mesh(kind, (3, 1, 1))
-    body = soft_body(m, fixed=torch.tensor([0, 1, 2]), integrator="bdf2")
-    density = 1.5 + 0.3 * noise(m.num_elements, seed=6).tanh()
-    forward, reverse = forward_and_reverse(body, "density", density)
-    assert forward == pytest.approx(reverse, rel=1e-9)
-
-
-def test_compiles():
-    m = irregular_mesh("hex", (2, 1, 1))
-    body = soft_body(m, solver=soft.SolverOptions(**SHARP))
-    density = leaf(1.5 + 0.3 * noise(m.num_elements, seed=6).tanh())
-
-    def layer(density):
-        return body(body.rest_state(), physics=body.physics(density=density)).v
-
-    compiled = torch.compile(layer, fullgraph=True, backend="aot_eager")
-    torch.testing.assert_close(compiled(density), layer(density))
-
-
 def test_as_many_elements_as_vertices_are_refused():
     """A vector could then mean either."""
     m = mesh.tet_box((2, 1, 1))
@@ -194,13 +131,3 @@ def test_as_many_elements_as_vertices_are_refused():
     with pytest.raises(ValueError, match="may be of elements or of vertices"):
         body.physics(density=torch.ones(m.num_elements, dtype=torch.float64))
     body.physics(density=2.0)
-
-
-def test_bad_densities_are_refused():
-    body = soft_body(mesh.hex_box((2, 1, 1)))
-    with pytest.raises(ValueError, match=r"density must lie in \(0, inf\), got -1; unit is kg/m"):
-        body.physics(density=torch.tensor([1.0, -1.0], dtype=torch.float64))
-    with pytest.raises(ValueError, match=r"\(num_nodes,\) = \(12,\) or \(num_elements,\) = \(2"):
-        body.physics(density=torch.ones(3, dtype=torch.float64))
-    with pytest.raises(TypeError, match=r"density must be a torch\.Tensor, got NoneType"):
-        body.physics(density=None)

@@ -1,16 +1,12 @@
 """Every public function refuses what it cannot use and says what came, what is needed, what to
 do. NaN, infinity, other types and shapes of every argument: tests/test_arguments.py."""
 
-import math
-from contextlib import suppress
-
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from diffsim import mesh, soft
-from diffsim.core.check import LARGEST
 from diffsim.core.errors import DiffsimError, FactorizationError
 from diffsim.soft import _ops_elastic
 from diffsim.soft._arrays import EnergyArrays
@@ -35,46 +31,25 @@ STATE = BODY.rest_state()
 
 # (arguments of SoftBody, exception, message)
 BAD_BODIES = [
-    ({"dt": 0.0}, ValueError, r"dt must lie in \(0, inf\), got 0; unit is s"),
-    ({"dt": True}, TypeError, "dt must be a number, got bool"),
     (
         {"integrator": "implicit_eular"},
         ValueError,
         "got 'implicit_eular'; did you mean 'implicit_euler'",
     ),
     ({"volume_weight": "small-strain"}, ValueError, "did you mean 'small_strain'"),
-    ({"youngs_modulus": 0.0}, ValueError, "youngs_modulus must lie in .*got 0; unit is Pa"),
     (
         {"youngs_modulus": zeros(ELEMENTS + 1)},
         ValueError,
         rf"must be a scalar or have shape \(num_elements,\) = \({ELEMENTS},\), got \(3,\)",
     ),
-    ({"poissons_ratio": 0.5}, ValueError, r"poissons_ratio must lie in \(-1, 0.5\), got 0.5.*0.49"),
-    ({"poissons_ratio": -0.1}, ValueError, "poissons_ratio must lie in.*got -0.1.*non-negative"),
     ({"poissons_ratio": [0.3, 0.6]}, ValueError, "poissons_ratio must lie in.*got 0.6"),
-    ({"density": 0.0}, ValueError, "density must lie in.*got 0; unit is kg/m"),
     (
         {"density": zeros(ELEMENTS + 1)},
         ValueError,
         r"density must be a scalar or have shape \(num_nodes,\)",
     ),
-    ({"gravity": (0.0, -9.81)}, ValueError, r"gravity must have shape \(3\), got \(2,\)"),
-    ({"rayleigh_alpha": -0.1}, ValueError, "rayleigh_alpha must lie in.*unit is 1/s"),
-    ({"rayleigh_alpha": [0.1, 0.2]}, ValueError, "rayleigh_alpha must have shape"),
-    ({"rayleigh_beta": -1e-4}, ValueError, "rayleigh_beta must lie in.*unit is s"),
-    (
-        {"rayleigh_beta": zeros(ELEMENTS + 2)},
-        ValueError,
-        "rayleigh_beta must be a scalar or have shape",
-    ),
     ({"attached_mass": -torch.ones(NODES).double()}, ValueError, "attached_mass must lie in.*kg"),
-    (
-        {"attached_mass": zeros(2)},
-        ValueError,
-        rf"attached_mass must have shape \({NODES}\), got \(2,\)",
-    ),
     ({"node_mass": zeros(NODES)}, ValueError, "node_mass must lie in.*got 0"),
-    ({"node_mass": zeros(2)}, ValueError, "node_mass must have shape"),
     ({"fixed": [0.0, 1.5]}, TypeError, "fixed must be an array of numbers.*not whole numbers"),
     (
         {"fixed": torch.tensor([0, NODES])},
@@ -110,35 +85,6 @@ def test_a_body_needs_a_mesh():
         soft_body(MESH.x_rest)
 
 
-BAD_PHYSICS = [
-    ({"youngs_modulos": 1.0}, ValueError, "did you mean 'youngs_modulus'"),
-    ({"dt": 0.1}, ValueError, "physics override must be one of"),
-    ({"youngs_modulus": zeros(())}, ValueError, "youngs_modulus must lie in"),
-    ({"poissons_ratio": 0.5}, ValueError, "poissons_ratio must lie in"),
-    (
-        {"density": zeros((), device="meta")},
-        TypeError,
-        "density must be on the CPU, got device meta",
-    ),
-    (
-        {"gravity": zeros(3, dtype=torch.float32)},
-        TypeError,
-        "gravity must be torch.float64, got torch.float32",
-    ),
-    ({"fiber_stiffness": [1.0]}, ValueError, "fiber_stiffness must have shape"),
-    ({"fiber_stiffness": [1.0, -1.0]}, ValueError, "fiber_stiffness must lie in"),
-    ({"fiber_stiffness": [1.0, NAN]}, ValueError, "fiber_stiffness must be finite"),
-    ({"fiber_stiffness": torch.ones(2)}, TypeError, "fiber_stiffness must be torch.float64"),
-    ({"gravity": None}, TypeError, "gravity"),
-]
-
-
-@pytest.mark.parametrize("overrides, error, message", BAD_PHYSICS, ids=lambda v: str(v)[:40])
-def test_physics_is_refused(overrides, error, message):
-    with pytest.raises(error, match=message):
-        MUSCULAR.physics(**overrides)
-
-
 X, V = STATE.x, STATE.v
 BAD_STATES = [
     (
@@ -151,16 +97,6 @@ BAD_STATES = [
     (soft.State(X.T, V), ValueError, "state.x must have shape"),
     (soft.State(X, V[:-1]), ValueError, "state.v must have shape"),
     (soft.State(X.expand(2, -1, -1), V), ValueError, "state.v must have shape"),
-    (
-        soft.State(X.float(), V),
-        TypeError,
-        r"state.x must be torch.float64, got torch.float32; convert with",
-    ),
-    (soft.State(X, V.float()), TypeError, "state.v must be torch.float64"),
-    (soft.State(X.to("meta"), V), TypeError, "state.x must be on the CPU, got device meta"),
-    (soft.State(X * NAN, V), ValueError, rf"state.x must be finite, got {3 * NODES} NaN"),
-    (soft.State(X, V + INF), ValueError, "state.v must be finite"),
-    (soft.State(X.numpy(), V), TypeError, "state.x must be a torch.Tensor, got ndarray"),
     (soft.State(X, V, X[:-1], V), ValueError, "state.x_prev must have shape"),
     (soft.State(X, V, X, V * NAN), ValueError, "state.v_prev must be finite"),
 ]
@@ -189,12 +125,6 @@ BAD_INPUTS = [
         ValueError,
         "external_force must broadcast to.*batch axes",
     ),
-    (
-        {"external_force": zeros(NODES, 3, device="meta")},
-        TypeError,
-        "external_force must be on the CPU",
-    ),
-    ({"external_force": 1.0}, TypeError, "external_force must be a torch.Tensor, got float"),
     ({"dirichlet_target": zeros(4, 3)}, ValueError, "dirichlet_target must have shape"),
     ({"dirichlet_target": zeros(3, NODES, 3)}, ValueError, "dirichlet_target must broadcast to"),
     ({"activation": zeros(3)}, ValueError, r"activation must have shape \(..., 2\), got \(3,\)"),
@@ -256,36 +186,9 @@ def test_activation_without_muscles_is_refused():
             call()
 
 
-@pytest.mark.parametrize("function", [BODY.elastic_force, BODY.elastic_energy])
-@pytest.mark.parametrize(
-    "x, error, message",
-    [
-        (zeros(3, 3), ValueError, "x must have shape"),
-        (X.float(), TypeError, "x must be torch.float64"),
-        (X * NAN, ValueError, "x must be finite"),
-        (X.to("meta"), TypeError, "x must be on the CPU"),
-        (X.tolist(), TypeError, "x must be a torch.Tensor, got list"),
-    ],
-)
-def test_elastic_inputs_are_refused(function, x, error, message):
-    with pytest.raises(error, match=message):
-        function(x)
-
-
-def test_guesses_are_refused():
-    with pytest.raises(ValueError, match="guess must have shape"):
-        BODY.static_equilibrium(guess=zeros(3, 3))
-    with pytest.raises(TypeError, match=r"guess must be a torch.Tensor, got list"):
-        BODY.static_equilibrium(guess=[1.0])
-
-
 @pytest.mark.parametrize(
     "arguments, error, message",
     [
-        ({"num_steps": 0}, ValueError, r"num_steps must lie in \[1, inf\), got 0"),
-        ({"num_steps": -3}, ValueError, "num_steps must lie in"),
-        ({"num_steps": 2.0}, TypeError, "num_steps must be a whole number, got float"),
-        ({"num_steps": True}, TypeError, "num_steps must be a whole number, got bool"),
         ({"num_steps": 2, "checkpoint_every": 0}, ValueError, "checkpoint_every must lie in"),
         (
             {"num_steps": 2, "checkpoint_every": 1.5},
@@ -305,75 +208,11 @@ def test_rollouts_are_refused(arguments, error, message):
         soft.rollout(BODY, STATE, **arguments)
 
 
-BAD_OPTIONS = [
-    ({"method": "newton_cg"}, ValueError, "did you mean .*'newton_pcg'"),
-    ({"rtol": 0.0}, ValueError, r"rtol must lie in \(0, 1\), got 0"),
-    ({"rtol": 1.0}, ValueError, "rtol must lie in"),
-    ({"rtol": NAN}, ValueError, "rtol must lie in"),
-    ({"rtol": "1e-6"}, TypeError, "rtol must be a number, got str"),
-    ({"atol": -1.0}, ValueError, "atol must lie in"),
-    ({"adjoint_rtol": 2.0}, ValueError, "adjoint_rtol must lie in"),
-    ({"max_iters": 0}, ValueError, "max_iters must lie in"),
-    ({"max_iters": 10.0}, TypeError, "max_iters must be an int, got float"),
-    ({"adjoint_max_iters": 0}, ValueError, "adjoint_max_iters must lie in"),
-    ({"num_threads": 0}, ValueError, "num_threads must be a whole number"),
-    ({"num_threads": True}, TypeError, "num_threads must be a number, got bool"),
-    (
-        {"on_failure": "ignore"},
-        ValueError,
-        r"on_failure must be one of \['raise', 'warn'\], got 'ignore'",
-    ),
-    ({"max_iter": 10}, TypeError, "max_iter"),
-]
-
-
-@pytest.mark.parametrize("arguments, error, message", BAD_OPTIONS, ids=lambda v: str(v)[:40])
-def test_solver_options_are_refused(arguments, error, message):
-    with pytest.raises(error, match=message):
-        soft.SolverOptions(**arguments)
-
-
 def test_options_and_muscles_are_frozen():
     with pytest.raises(AttributeError):
         soft.SolverOptions().rtol = 1e-3
     with pytest.raises(AttributeError):
         two_muscles()[0].stiffness = 3.0
-
-
-BAD_MUSCLES = [
-    (
-        {"elements": torch.tensor([], dtype=torch.int64)},
-        ValueError,
-        "elements must name at least one",
-    ),
-    ({"elements": torch.tensor([0.0])}, TypeError, "elements must be torch.int64"),
-    ({"elements": torch.tensor([[0]])}, ValueError, r"elements must have shape \(num_fibers\)"),
-    ({"direction": [0.0, 0.0, 0.0]}, ValueError, "direction must not be zero"),
-    ({"direction": [1.0, 0.0]}, ValueError, "direction must have shape"),
-    ({"direction": [[1.0, 0.0, 0.0]] * 3}, ValueError, "direction must have shape"),
-    ({"stiffness": 0.0}, ValueError, "stiffness must lie in.*unit is Pa"),
-    ({"kind": "contract"}, ValueError, "did you mean 'contraction'"),
-]
-
-
-@pytest.mark.parametrize("arguments, error, message", BAD_MUSCLES, ids=lambda v: str(v)[:40])
-def test_muscles_are_refused(arguments, error, message):
-    good = {"elements": torch.tensor([0, 1]), "direction": [1.0, 0.0, 0.0], "stiffness": 2.0}
-    soft.Muscle(**good)
-    with pytest.raises(error, match=message):
-        soft.Muscle(**{**good, **arguments})
-
-
-def test_material_constants_are_refused():
-    one = torch.ones((), dtype=torch.float64)
-    with pytest.raises(ValueError, match="poissons_ratio must lie in"):
-        soft.lame_parameters(one, 0.5 * one)
-    with pytest.raises(ValueError, match="youngs_modulus must lie in"):
-        soft.lame_parameters(-one, 0.3 * one)
-    with pytest.raises(ValueError, match=r"poissons_ratio must lie in.*non-negative"):
-        soft.pd_weights(one, -0.3 * one)
-    with pytest.raises(ValueError, match="did you mean 'thesis'"):
-        soft.pd_weights(one, 0.3 * one, "thesys")
 
 
 def test_statics_that_nothing_holds_are_refused():
@@ -393,30 +232,6 @@ def test_mutating_the_inputs_of_a_mesh_changes_nothing():
     m = mesh.HexMesh(x, MESH.hexes)
     x.zero_()
     assert torch.equal(m.x_rest, MESH.x_rest)
-
-
-@settings(max_examples=60, deadline=None)
-@given(value=st.floats())
-def test_any_poissons_ratio_is_used_or_refused(value):
-    """No number, NaN and infinity included, gets through to a silently wrong result."""
-    if 0.0 <= value < 0.5 - 1e-12:
-        assert MUSCULAR.physics(poissons_ratio=value).weights.isfinite().all()
-    elif not 0.0 <= value < 0.5:
-        with pytest.raises(ValueError, match="poissons_ratio must"):
-            MUSCULAR.physics(poissons_ratio=value)
-
-
-@settings(max_examples=60, deadline=None)
-@given(value=st.floats(), name=st.sampled_from(["youngs_modulus", "density"]))
-def test_any_positive_parameter_is_used_or_refused(value, name):
-    if 0.0 < value <= LARGEST:
-        MUSCULAR.physics(**{name: value})
-    elif LARGEST < value < math.inf:
-        with suppress(ValueError):
-            assert MUSCULAR.physics(**{name: value}).weights.isfinite().all()
-    else:
-        with pytest.raises(ValueError, match=f"{name} must"):
-            MUSCULAR.physics(**{name: value})
 
 
 @settings(max_examples=40, deadline=None)

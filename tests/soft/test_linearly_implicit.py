@@ -20,8 +20,6 @@ from tests.soft.cases import (
     two_muscles,
 )
 
-NOMINAL = {"youngs_modulus": 30.0, "density": 1.5}
-
 
 def linear_body(m, **changes) -> soft.SoftBody:
     solver = soft.SolverOptions(method="linearly_implicit", **SHARP, **changes.pop("options", {}))
@@ -83,14 +81,6 @@ def test_forward_mode_of_every_material_is_the_transpose_of_the_gradient(materia
     require_transposes(two_steps(body, noise(m.num_nodes, 3, seed=5)), leaves_of(m))
 
 
-@pytest.mark.parametrize("kind", KINDS[:3])  # the fourth's curvature is beyond two points
-@pytest.mark.parametrize("material", soft.MATERIALS)
-def test_gradients_of_every_material_are_those_of_differences(material, kind):
-    m = irregular_mesh(kind)
-    body = linear_body(m, element=element_of(kind), material=material)
-    require_differences(two_steps(body, noise(m.num_nodes, 3, seed=5)), leaves_of(m))
-
-
 @pytest.mark.parametrize("preconditioner", ["auto", "multigrid"])
 @pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2", "implicit_midpoint"])
 def test_gradients_with_muscles_damping_and_moving_targets(integrator, preconditioner):
@@ -117,18 +107,6 @@ def test_gradients_at_rest_where_all_stretches_are_equal():
         start = [leaf(v) for v in (m.x_rest, 0.5 * noise(m.num_nodes, 3, seed=3))]
         rest = leaves_of(m)[2:]
         require_differences(two_steps(body, noise(m.num_nodes, 3, seed=5)), start + rest)
-
-
-def test_gradients_with_a_pressure_chamber():
-    box = mesh.hex_box((3, 3, 3), (3.0, 3.0, 3.0))
-    inside = ((box.x_rest[box.elements].mean(1) - 1.5).abs() < 0.5).all(1)
-    shell = mesh.HexMesh(box.x_rest, box.elements[~inside])
-    body = linear_body(shell, chambers=[soft.PressureChamber.from_cavity(shell)])
-    leaves = leaves_of(shell, [3.0])
-    leaves[0] = leaf(shell.x_rest + 0.05 * noise(shell.num_nodes, 3, seed=1))
-    loss = two_steps(body, noise(shell.num_nodes, 3, seed=5), pressure=None)
-    require_differences(loss, leaves)
-    require_transposes(loss, leaves)
 
 
 def test_step_and_gradient_are_those_of_torch_on_the_energy_written_out():
@@ -189,25 +167,6 @@ def test_order_is_that_of_the_integrator(integrator, order):
     assert float(torch.log2(coarse / fine)) == pytest.approx(order, abs=0.25)
 
 
-def test_members_of_a_batch_do_not_depend_on_one_another():
-    m = irregular_mesh("hex")
-    shape = (11, m.num_nodes, 3)
-    start = m.x_rest + 0.05 * noise(*shape, seed=1)
-    for method in ("linearly_implicit", "auto"):
-        body = soft_body(m, fixed=rail_mask(m), solver=soft.SolverOptions(method=method, rtol=1e-8))
-        x, v = leaf(start), leaf(noise(*shape, seed=2))
-        many = body(soft.State(x, v)).x
-        grads = torch.autograd.grad(many.square().sum(), (x, v))
-        for k in (0, 3, 10):
-            own = leaf(start[k]), leaf(v[k].detach())
-            one = body(soft.State(*own)).x
-            assert torch.equal(one, many[k])
-            one_grads = torch.autograd.grad(one.square().sum(), own)
-            assert all(torch.equal(a, b[k]) for a, b in zip(one_grads, grads, strict=True))
-        body.solver = soft.SolverOptions(method=method, rtol=1e-8, num_threads=3)
-        assert torch.equal(body(soft.State(x, v)).x, many)
-
-
 def test_a_tangent_that_is_not_definite_is_solved_all_the_same():
     m = irregular_mesh("hex")
     body = linear_body(m, youngs_modulus=3000.0)
@@ -238,26 +197,6 @@ def test_what_has_no_linearly_implicit_step_is_refused():
     )[0]
     with pytest.raises(NotImplementedError, match="second order"):
         grad.sum().backward()
-
-
-@pytest.mark.parametrize("integrator", ["implicit_euler", "implicit_midpoint"])
-def test_many_directions_of_a_rollout_are_those_of_forward_mode(integrator):
-    m = irregular_mesh("hex")
-    body = linear_body(m, fixed=rail_mask(m), integrator=integrator, rayleigh_beta=0.05)
-    start = soft.State(deformed(m, 0.1), noise(m.num_nodes, 3, seed=2))
-
-    def end(E: Tensor, rho: Tensor) -> Tensor:
-        physics = body.physics(youngs_modulus=E, density=rho)
-        return soft.rollout(body, start, 4, physics=physics).x[-1]
-
-    values = {name: torch.tensor(value).double() for name, value in NOMINAL.items()}
-    one_by_one = torch.stack(torch.func.jacfwd(end, argnums=(0, 1))(*values.values()))
-    units = torch.eye(2, dtype=torch.float64)
-    ways = dict(zip(values, units, strict=True))
-    moving = soft.Directions(physics=soft.physics_directions(body, values, ways))
-    together = soft.rollout_tangents(body, start, 4, 2, moving, physics=body.physics(**values))
-    tolerance = 1e-8 * float(one_by_one.abs().max())
-    torch.testing.assert_close(together.tangent[-1], one_by_one, rtol=0, atol=tolerance)
 
 
 def test_statics_of_such_a_body_are_those_of_auto():

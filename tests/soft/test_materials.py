@@ -13,7 +13,6 @@ from tests.gradients import check_directions
 from tests.soft.cases import (
     SHARP,
     deformed,
-    forward_and_reverse,
     irregular_mesh,
     leaf,
     noise,
@@ -24,7 +23,6 @@ from tests.soft.cases import (
 from tests.soft.test_reference import close as close_to_reference
 from tests.soft.test_reference import load, make_mesh, reference_mass
 from tests.soft.test_step_gradients import (
-    METHODS,
     STRETCHES,
     TOLERANCE,
     all_inputs,
@@ -288,18 +286,6 @@ def test_every_input(material, kind):
 
 
 @pytest.mark.grad
-@pytest.mark.parametrize("integrator", ["bdf2", "implicit_midpoint", "semi_implicit_euler"])
-@pytest.mark.parametrize("material", MATERIALS)
-def test_every_integrator(material, integrator):
-    m = irregular_mesh("tet", (1, 1, 1), (1.0, 1.0, 1.0))
-    dt = 0.02 if integrator == "semi_implicit_euler" else 0.05
-    body = soft_body(m, material=material, integrator=integrator, dt=dt)
-    names = ("x", "v", "youngs_modulus", "poissons_ratio", "rayleigh_beta")
-    args = tuple(all_inputs(m)[name] for name in names)
-    check_directions(layer_of(body, names, 3), args, **TOLERANCE)
-
-
-@pytest.mark.grad
 @pytest.mark.parametrize("name", [*STRETCHES, "three_equal", "nearly_equal"])
 @pytest.mark.parametrize("material", ["pd", *MATERIALS])
 def test_elastic_force_of_hard_elements(material, name):
@@ -369,28 +355,6 @@ def inverted(body, x):
     from diffsim.core.compiled import core
 
     return core.count_inverted(body._context.pattern, x.contiguous().data_ptr())
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("material", MATERIALS)
-def test_solvers_agree(material, kind):
-    m = irregular_mesh(kind, (3, 1, 1), (3.0, 1.0, 1.0))
-    x = 0.5 * (deformed(m, 0.1) + m.x_rest)
-    results = []
-    for method in METHODS:
-        body = soft_body(
-            m,
-            material=material,
-            fixed=torch.tensor([0, 1, 2, 3]),
-            solver=soft.SolverOptions(method=method, rtol=1e-10, adjoint_rtol=1e-10),
-        )
-        x0 = leaf(torch.where(body.fixed, m.x_rest, x))
-        state = body(soft.State(x0, torch.zeros_like(x0)))
-        (state.x * noise(m.num_nodes, 3, seed=4)).sum().backward()
-        results.append((state.x.detach(), x0.grad))
-    for position, gradient in results[1:]:
-        close(position, results[0][0], 1e-8)
-        close(gradient, results[0][1], 1e-7)
 
 
 @pytest.mark.parametrize("method", ["auto", "quasi_newton", "newton_cholesky"])
@@ -488,33 +452,6 @@ def test_the_constant_matrix_depends_on_the_small_strain_moduli_alone(material):
     close(kappa, torch.full_like(kappa, 2.0 * MU + 0.3 * LAMBDA), 1e-12)
 
 
-def test_batches_pickling_and_printing():
-    import pickle
-
-    m = irregular_mesh("tet")
-    body = soft_body(m, material="stvk", fixed=torch.tensor([0, 1, 2]))
-    assert "material stvk" in repr(body)
-    copy = pickle.loads(pickle.dumps(body))
-    x = torch.stack([m.x_rest, m.x_rest + 0.02 * noise(m.num_nodes, 3)])
-    both = copy(soft.State(x, torch.zeros_like(x)))
-    for k in range(2):
-        alone = body(soft.State(x[k], torch.zeros_like(x[k])))
-        close(both.x[k], alone.x, 1e-12)
-
-
-@pytest.mark.parametrize("material", MATERIALS)
-def test_it_compiles(material):
-    m = irregular_mesh("tet", (1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(m, material=material)
-
-    def layer(x):
-        return body(soft.State(x, torch.zeros_like(x))).x
-
-    x = m.x_rest + 0.02 * noise(m.num_nodes, 3)
-    whole = torch.compile(layer, fullgraph=True, backend="aot_eager")
-    close(whole(x), layer(x), 1e-12)
-
-
 def test_bad_arguments():
     m = mesh.hex_box((1, 1, 1))
     with pytest.raises(ValueError, match="did you mean 'neo_hookean'"):
@@ -579,37 +516,6 @@ def test_mooney_rivlin_without_a_second_invariant_is_neo_hookean(kind):
     ]
     close(*(body.elastic_energy(x) for body in bodies), 1e-12)
     close(*(body.elastic_force(x) for body in bodies), 1e-12)
-
-
-@pytest.mark.grad
-@pytest.mark.parametrize("method", ["auto", "linearly_implicit"])
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_second_share_has_gradients(kind, method):
-    """Of each element, over damped steps, by both modes of differentiation and of a batch."""
-    m = irregular_mesh(kind, (2, 1, 1))
-    body = soft_body(
-        m,
-        material="mooney_rivlin",
-        rayleigh_beta=0.02,
-        solver=soft.SolverOptions(method=method, **SHARP),
-    )
-    share = leaf(0.3 + 0.1 * noise(m.num_elements, seed=3).tanh())
-    state = soft.State(m.x_rest, 0.3 * noise(m.num_nodes, 3, seed=2))
-
-    def end(share):
-        return soft.rollout(body, state, 2, physics=body.physics(second_share=share)).x[-1]
-
-    check_directions(end, (share,), **TOLERANCE)
-    forward, reverse = forward_and_reverse(body, "second_share", share.detach())
-    assert forward == pytest.approx(reverse, rel=1e-8)
-    weight = noise(m.num_nodes, 3, seed=4)
-    (one,) = torch.autograd.grad(end(share), share, weight)
-    both = leaf(torch.stack([share.detach(), 0.5 * share.detach()]))
-    start = soft.State(*(part.expand(2, -1, -1).contiguous() for part in (state.x, state.v)))
-    ends = soft.rollout(body, start, 2, physics=body.physics(batch=2, second_share=both)).x[-1]
-    (grad,) = torch.autograd.grad((ends[0] * weight).sum(), both)
-    close(grad[0], one, 1e-8)
-    assert not grad[1].any()
 
 
 def test_the_second_share_is_checked():

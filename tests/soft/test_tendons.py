@@ -218,25 +218,6 @@ def test_gradients_of_length_and_tension(kind):
     assert torch.autograd.grad(measures(*args)[0].sum(), args[0])[0].abs().max() > 0.1
 
 
-@pytest.mark.grad
-def test_gradients_through_a_step():
-    """To the commanded length and to EA, which ``fiber_stiffness`` is for a tendon."""
-    m = irregular_mesh("hex")
-    tendon = soft.Tendon(m, BENT, axial_stiffness=7.0)
-    other = soft.Muscle(elements=torch.tensor([0, 1]), direction=[0.0, 1.0, 0.3], stiffness=4.0)
-    body = soft_body(m, fixed=torch.tensor([0, 1, 2]), muscles=[other, tendon.muscle])
-
-    def after(command, stiffness):
-        activation = torch.cat([f64([0.9]), tendon.activation(command)])
-        physics = body.physics(fiber_stiffness=stiffness)
-        return body(body.rest_state(), activation=activation, physics=physics).x
-
-    args = (leaf([1.4]), leaf([4.0, 7.0]))
-    out = after(*args)
-    assert all(g.abs().min() > 1e-4 for g in torch.autograd.grad(out.sum(), args))
-    assert torch.autograd.gradcheck(after, args, atol=2e-5, rtol=2e-5)
-
-
 # weights of Muscle
 
 
@@ -299,10 +280,7 @@ def test_repr_copy_and_slack():
     ("path", "stiffness", "error", "message"),
     [
         ([[0.1, 0.05, 0.05]], 1.0, ValueError, "path must have at least two corners, got 1"),
-        ([[0.1, 0.05], [0.2, 0.05]], 1.0, ValueError, r"path must have shape \(k, 3\)"),
         ([[0.1, 0.05, 0.05]] * 2, 1.0, ValueError, "path must not repeat a corner"),
-        ([[0.1, 0.05, math.nan], [0.2, 0, 0]], 1.0, ValueError, "path must be finite"),
-        ([[0.1, 0.05, 0.05], [0.2, 0.05, 0.05]], 0.0, ValueError, "axial_stiffness .*unit is N"),
     ],
 )
 def test_bad_arguments(path, stiffness, error, message):
@@ -310,13 +288,9 @@ def test_bad_arguments(path, stiffness, error, message):
         soft.Tendon(slender("hex"), path, axial_stiffness=stiffness)
 
 
-def test_bad_meshes_states_and_weights():
-    m = slender("hex")
+def test_bad_meshes_and_weights():
     with pytest.raises(TypeError, match="mesh must be a HexMesh or TetMesh, got str"):
         soft.Tendon("bar", [[0, 0, 0], [1, 0, 0]], axial_stiffness=1.0)
-    tendon = soft.Tendon(m, [[0, 0.05, 0.05], [1, 0.05, 0.05]], axial_stiffness=3.0)
-    with pytest.raises(ValueError, match=r"x must have shape \(..., 44, 3\), got \(3, 3\)"):
-        tendon.length(m.x_rest[:3])
     one = {"elements": torch.tensor([0]), "direction": [1, 0, 0], "stiffness": 1.0}
     with pytest.raises(ValueError, match=r"weights must have shape \(1\), got \(2,\)"):
         soft.Muscle(**one, weights=torch.ones(2, dtype=torch.float64))

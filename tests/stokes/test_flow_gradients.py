@@ -197,12 +197,3 @@ def test_backward_of_an_older_geometry_uses_its_own_factor():
     flow(first.detach() + 0.03, inlet)  # replaces the kept factor
     (found,) = torch.autograd.grad(loss, first)
     assert torch.equal(found, expected)
-
-
-def test_second_derivatives_raise():
-    flow = small_flow(2)
-    inputs = small_inputs(flow)
-    out = flow(inputs["phi"], inputs["inlet"]).velocity.sum()
-    (grad,) = torch.autograd.grad(out, inputs["phi"], create_graph=True)
-    with pytest.raises(RuntimeError):
-        torch.autograd.grad(grad.sum(), inputs["phi"])

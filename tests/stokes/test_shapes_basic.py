@@ -103,25 +103,6 @@ def test_motions_and_extrusion_are_identities():
 
 
 @pytest.mark.grad
-def test_gradients_of_every_parameter_and_the_points():
-    def phi(radius, center, size, normal, offset, angle, axis, by, r, x):
-        ball = Translate(Sphere(radius, center), by)
-        block = Rotate(Box(size, center), angle, axis=axis, center=by)
-        walls = SmoothUnion(ball, block, Plane(normal, offset), radius=r)
-        return SmoothIntersection(walls, Complement(ball) | block, radius=r)(x)
-
-    inputs = [
-        tensor(0.4), tensor([0.1, 0.2, 0.0]), tensor([0.5, 0.7, 0.9]), tensor([0.3, 0.5, 1.0]),
-        tensor(0.1), tensor(0.7), tensor([1.0, 0.5, 0.2]), tensor([0.2, -0.1, 0.3]), tensor(0.3),
-        POINTS[:25].clone(),
-    ]  # fmt: skip
-    inputs = [i.requires_grad_() for i in inputs]
-    grads = torch.autograd.grad(phi(*inputs).sum(), inputs)
-    assert all(g.abs().max() > 0 for g in grads)
-    assert torch.autograd.gradcheck(phi, inputs)
-
-
-@pytest.mark.grad
 def test_at_a_tie_the_first_shape_has_the_gradient():
     a, b = tensor(0.2).requires_grad_(), tensor(0.2).requires_grad_()
     x = tensor([[0.5, 0.0, 0.0]])
@@ -164,8 +145,6 @@ def test_modules_are_level_sets_and_show_their_parameters():
 def test_errors_say_what_to_do():
     with pytest.raises(ValueError, match="normal must not be zero"):
         Plane((0, 0, 0))
-    with pytest.raises(ValueError, match="radius must lie in"):
-        Sphere(-1.0)
     with pytest.raises(ValueError, match="use Extrude"):
         Union(Sphere(1.0), Sphere(1.0, (0, 0)))
     with pytest.raises(ValueError, match="only a shape in the plane"):
@@ -176,10 +155,6 @@ def test_errors_say_what_to_do():
         Custom(lambda x: x)(POINTS)
     with pytest.raises(ValueError, match=r"Custom gives no finite phi at \("):
         Custom(lambda x: x[:, 0] / 0.0)(POINTS)
-    with pytest.raises(TypeError, match=r"points must be torch\.float64"):
-        Sphere(1.0)(POINTS.float())
-    with pytest.raises(ValueError, match="points must be finite"):
-        Sphere(1.0)(POINTS * math.nan)
     radius = torch.nn.Parameter(tensor(0.5))
     ball = Sphere(radius)
     with torch.no_grad():

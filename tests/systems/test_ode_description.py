@@ -131,11 +131,9 @@ def test_a_hidden_cause_is_named_with_its_size(name):
         ("cubic_stiffness", lambda x, v: -60.0 * x * (1.0 - 0.3 / np.hypot(x, 0.3))),
     ],
 )
-@pytest.mark.parametrize(
-    "effects", [{"only": STIFF}, pytest.param({}, marks=pytest.mark.story)], ids=["few", "all"]
-)
-def test_a_cause_of_another_shape_than_the_usual_is_named(name, force, effects):
-    assert answer(cart_study(force=force, model=described(effects=effects))).named == (name,)
+def test_a_cause_of_another_shape_than_the_usual_is_named(name, force):
+    model = described(effects={"only": STIFF})
+    assert answer(cart_study(force=force, model=model)).named == (name,)
 
 
 def held_cart(every=5, noise=1e-4, **changed):
@@ -197,13 +195,8 @@ IN_TIME = ["held_between_samples", "delay", "lag", "rate_limit"]
 """What a command that comes half a sample late could be taken for."""
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [{"only": IN_TIME}, pytest.param({}, marks=pytest.mark.story)],
-    ids=["few", "all"],
-)
-def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one(effects):
-    report = answer(held_cart(effects=effects))
+def test_a_held_command_that_changes_all_the_time_is_told_from_a_straight_one():
+    report = answer(held_cart(effects={"only": IN_TIME}))
     assert report.named == ("held_between_samples",)
     assert report.best.values["held_between_samples"] == pytest.approx(1.0, abs=0.05)
 

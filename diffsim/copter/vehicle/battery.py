@@ -12,7 +12,7 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.effects import BatterySag
 from diffsim.copter.vehicle.rotor import RotorModel
-from diffsim.core.check import require_count, require_number
+from diffsim.core.check import require_count, require_number, require_range
 from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.values import scalar
@@ -126,6 +126,7 @@ class Battery:
         require_number("reserve", reserve, at_least=0.0, below=1.0)
         if num_points < 2 or num_points % 2:
             raise ValueError(f"num_points must be even and >= 2, got {num_points}")
+        require_range("power", power, above=0.0, hint="unit is W")
         charge = torch.linspace(reserve, 1.0, num_points + 1, dtype=torch.float64)
         weights = torch.ones_like(charge)
         weights[1:-1:2], weights[2:-1:2] = 4.0, 2.0

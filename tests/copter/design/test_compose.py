@@ -184,23 +184,6 @@ def test_gradients(name):
     assert all(float(j.abs().max()) > 0.0 for j in jacobian[:-2])
 
 
-@pytest.mark.grad
-def test_gradients_of_directions_and_spins():
-    design = build_design(cross())
-    directions = torch.nn.functional.normalize(
-        design.directions + 0.1 * torch.arange(12.0, dtype=torch.float64).view(4, 3) / 12.0, dim=-1
-    ).requires_grad_()
-
-    def torque(directions):
-        unit = torch.nn.functional.normalize(directions, dim=-1)
-        return design.multicopter(directions=unit).torque_matrix
-
-    assert torch.autograd.gradcheck(torque, (directions,))
-    spins = torch.ones(4, dtype=torch.float64, requires_grad=True)
-    design.multicopter(spins=spins).torque_matrix.square().sum().backward()
-    assert float(spins.grad.abs().min()) > 0.0
-
-
 @pytest.mark.reference
 def test_mass_properties_agree_with_trimesh():
     """All meshes of the design at a moved point, summed by trimesh."""

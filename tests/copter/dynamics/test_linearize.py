@@ -12,7 +12,6 @@ from diffsim.core.rotation import (
 )
 from tests.copter.designs import random_copter
 from tests.copter.vehicle.test_vehicle import NAMES, from_reference, reference
-from tests.gradients import check_directions
 
 
 def trimmed(copter):
@@ -120,31 +119,7 @@ def test_both_forms_describe_one_motion(seed):
     torch.testing.assert_close(K, lqr(A_vector, B_vector, Q, R).K @ change, atol=1e-9, rtol=0)
 
 
-@pytest.mark.grad
-@pytest.mark.parametrize("form", ["euler", "rotation_vector"])
-def test_gradient_from_design_to_gain(form):
-    """Hover, linearize and LQR in one."""
-    copter = random_copter(1, n=4 + 1)
-
-    def gain(mass, inertia, positions, directions):
-        changed = copter.replace(
-            mass=mass,
-            inertia=0.5 * (inertia + inertia.mT),
-            positions=positions,
-            directions=torch.nn.functional.normalize(directions, dim=-1),
-        )
-        model = linearize(changed, *trimmed(changed), form=form)
-        weights = 10.0 * torch.eye(12, dtype=torch.float64), torch.eye(5, dtype=torch.float64)
-        return lqr(*model, *weights).K
-
-    values = copter.mass, copter.inertia, copter.positions, copter.directions
-    args = [t.clone().requires_grad_() for t in values]
-    check_directions(gain, args, seeds=(0, 1), atol=1e-5, rtol=1e-5)
-
-
 def test_bad_input():
     copter = random_copter(0)
     with pytest.raises(ValueError, match="did you mean 'euler'"):
         linearize(copter, *trimmed(copter), form="eulr")
-    with pytest.raises(ValueError, match=r"thrusts must have shape \(6\)"):
-        linearize(copter, torch.ones(5, dtype=torch.float64), torch.zeros(2, dtype=torch.float64))

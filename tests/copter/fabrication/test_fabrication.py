@@ -425,10 +425,6 @@ def test_errors():
     design = load_design("quadcopter")
     with pytest.raises(ValueError, match=r"stock must be .* 0\.3 m for 'arm_x' of 0\.5 m"):
         plan(design, stock=0.3)
-    with pytest.raises(ValueError, match="kerf"):
-        plan(design, kerf=-1.0)
-    with pytest.raises(ValueError, match="s must"):
-        plan(design, s=torch.zeros(1, dtype=torch.float64))
     with pytest.raises(ValueError, match="bed along y"):
         Printer(bed=(200.0, 0.0, 200.0))
     with pytest.raises(FabricationError, match=r"plate_.*2\.4 mm is thinner than 3 mm"):

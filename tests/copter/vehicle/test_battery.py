@@ -62,23 +62,6 @@ def test_endurance():
     assert time == pytest.approx(found.t_events[0][0], rel=1e-8)
 
 
-@pytest.mark.grad
-def test_endurance_gradients():
-    battery = Battery.lipo(cells=3, capacity_mah=2200)
-
-    def time(capacity, resistance, power):
-        changed = Battery(
-            capacity=capacity,
-            resistance=resistance,
-            open_circuit_coefficients=battery.open_circuit_coefficients,
-            nominal_voltage=battery.nominal_voltage,
-        )
-        return changed.endurance(power)
-
-    inputs = [tensor(v).requires_grad_() for v in (7920.0, 0.036, 150.0)]
-    assert torch.autograd.gradcheck(time, inputs)
-
-
 def sagging_flight(**changes):
     battery = Battery.lipo(cells=3, capacity_mah=5.0)  # a tiny one, to be felt within seconds
     rotors = [rotor_model("kde2814_10in")] * 4

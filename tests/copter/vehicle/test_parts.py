@@ -12,7 +12,6 @@ from diffsim.copter.vehicle.mass import Moments, mesh_moments, placed_moments, r
 from diffsim.copter.vehicle.parts import PART_KINDS, make_part, rotor_data
 from diffsim.copter.vehicle.patches import aligning_rotation, misalignment
 from diffsim.core.errors import MeshError
-from tests.gradients import check_directions
 
 SQUARE = [[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]]
 TILTED = (0.1, -0.2, -math.sqrt(0.95))
@@ -105,21 +104,6 @@ def test_patches_stay_on_the_surface_as_parameters_change(kind):
             _, distance, face = trimesh.proximity.closest_point_naive(mesh, center[None])
             assert distance[0] < 1e-9, name
             np.testing.assert_allclose(mesh.face_normals[face[0]], patch.axis, atol=1e-9)
-
-
-@pytest.mark.grad
-def test_moments_gradients():
-    part = make_part("compound_angle_clip", {"normal": TILTED})
-    faces = torch.from_numpy(part.mesh.faces)
-    owner = torch.zeros(len(faces), dtype=torch.int64)
-    vertices = torch.from_numpy(100.0 * part.mesh.vertices.offset)  # of order one
-    vertices = vertices.requires_grad_()
-    density = torch.tensor([1.3], dtype=torch.float64, requires_grad=True)
-
-    def body(vertices, density):
-        return rigid_body(mesh_moments(vertices, faces, owner, density))
-
-    check_directions(body, (vertices, density))
 
 
 @pytest.mark.property

@@ -65,19 +65,6 @@ def test_weight():
     assert float(plus_quadcopter().weight) == pytest.approx(1.2 * GRAVITY)
 
 
-def test_matrices_carry_gradients():
-    copter = plus_quadcopter()
-    inputs = (copter.positions, copter.directions, copter.torque_ratios)
-    inputs = tuple(t.clone().requires_grad_() for t in inputs)
-
-    def matrix(positions, directions, ratios):
-        directions = torch.nn.functional.normalize(directions, dim=-1)
-        changed = copter.replace(positions=positions, directions=directions, torque_ratios=ratios)
-        return changed.torque_matrix
-
-    torch.autograd.gradcheck(matrix, inputs)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -66,9 +66,8 @@ def test_what_is_not_asked_cannot_change_the_answer(case):
     assert found["followed"] and found["plain"]["outcome"] != "no answer"
     spared = [t for t in listed() if not {variant(t, f) for f in FACTORS} & {*found["asked"]}]
     assert 10 < len(spared) < len(listed()) - 10
-    for threshold in spared[:2]:
-        same = {**case, "key": threshold.key, "factor": 2.0}
-        assert changed(same) == found["plain"]
+    same = {**case, "key": spared[0].key, "factor": 2.0}
+    assert changed(same) == found["plain"]
 
 
 def test_an_answer_that_cannot_be_followed_is_asked_by_all(case, monkeypatch):

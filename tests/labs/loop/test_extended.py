@@ -30,7 +30,6 @@ def made(tmp_path_factory):
     return model, {p.name: p.value for p in model.parameters}, Twin.read(folder, study, PULL).saved
 
 
-@pytest.mark.cpu(10)  # the fixture fits
 def test_causes_become_parameters_with_the_files_posterior(made):
     model, values, saved = made
     assert [e.name for e in model.causes] == ["slack"]
@@ -76,7 +75,6 @@ def test_draws_differ_and_come_again_by_their_seed(made):
     assert all(one["drag_1"] == values["drag_1"] for one in drawn)
 
 
-@pytest.mark.cpu(20)
 def test_a_stroke_for_draws_is_good_in_their_mean(made):
     model, values, saved = made
     drawn = model.draw(values, saved, 2, np.random.default_rng(2))
@@ -88,7 +86,6 @@ def test_a_stroke_for_draws_is_good_in_their_mean(made):
     assert found.loss_after < found.loss_before
 
 
-@pytest.mark.cpu(40)
 def test_what_it_buys_to_mend_the_slack(made):
     model, values, _ = made
     (row,) = worth_of_travel(model, values, Command(PULL), LIMITS, SETTINGS)

@@ -112,13 +112,12 @@ def test_libraries_hold_what_rigs_hide(domain, rig):
 @EACH_RIG
 def test_only_what_is_hidden_differs(domain, rig):
     """Recordings of one seed: the same noise and commands, and nothing of a size of zero."""
-    plain, again = sound(rig.name), rig.record(5, {}, "")
+    plain = sound(rig.name)
     name, cause = next(iter(rig.causes.items()))
     changed = rig.record(5, {name: (cause.typical,) * cause.components}, "")
-    for a, b, c in zip(plain.study.runs, again.study.runs, changed.study.runs, strict=True):
-        np.testing.assert_array_equal(a.measured, b.measured)
-        if domain != "flight":  # there a controller answers what is hidden
-            assert all(np.array_equal(a.command[k], c.command[k]) for k in a.command)
+    if domain != "flight":  # there a controller answers what is hidden
+        for a, b in zip(plain.study.runs, changed.study.runs, strict=True):
+            assert all(np.array_equal(a.command[k], b.command[k]) for k in a.command)
     noise = [
         np.concatenate([(n.measured - e.measured).ravel() for n, e in pairs])
         for pairs in (list(zip(r.study.runs, r.clean.runs, strict=True)) for r in (plain, changed))

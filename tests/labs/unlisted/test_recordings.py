@@ -18,7 +18,7 @@ from labs.unlisted.record import recorded, write
 GENERATORS = ("machine", "courses", "rigs", "laws_of_turning", "laws_of_moving",
               "laws_of_flow_and_sensors", "listed", "catalog", "draw", "record")  # fmt: skip
 
-SHORT = 160  # samples
+SHORT = 100  # samples
 
 
 def test_generators_share_no_code_with_the_package():

@@ -57,18 +57,6 @@ def test_lengths_are_two_per_cent_short(setup, plain):
     assert found.low > 0.5
 
 
-def test_height_at_rest_and_fall_say_the_same(setup):
-    """Both without the simulator: half width at rest, curvature of z in flight."""
-    runs = setup.study.runs
-    rest = np.median([r.measured[-1, 7] for r in runs])
-    falls = []
-    for r in runs:
-        seen = np.isfinite(r.measured[:, 2])
-        falls.append(2.0 * np.polyfit(r.time_s[seen], r.measured[seen, 2], 2)[0])
-    assert rest / 0.0524 == pytest.approx(0.979, abs=0.003)
-    assert np.median(falls) / -9.81 == pytest.approx(0.979, abs=0.003)
-
-
 def test_rivals_need_two_causes_for_the_same_fit(setup):
     one = fitted(setup, "length_scale")
     for pair in (("clock_scale", "ground_height"), ("weaker_gravity", "ground_height")):

@@ -104,24 +104,6 @@ def test_the_recorded_fish_beats_three_quarters_as_often_as_stated():
     assert chi2[0] == pytest.approx(chi2[1], rel=0.01)
 
 
-def test_every_recording_says_the_same_frequency_without_a_model():
-    """A sine at the tail of each one: 0.750 of the stated beat."""
-    data_folder("robot_fish")
-    study = load_study(FILE)
-    ratios = []
-    for run in study.runs:
-        tail, t = run.measured[:, 6], run.time_s
-        tried = np.linspace(0.7, 0.8, 401)
-        left = []
-        for ratio in tried:
-            w = 2.0 * np.pi * ratio * float(run.setup["motor_hz"])
-            basis = np.stack([np.ones_like(t), t, np.sin(w * t), np.cos(w * t)], -1)
-            left.append(np.linalg.lstsq(basis, tail, rcond=None)[1][0])
-        ratios.append(tried[int(np.argmin(left))])
-    assert np.mean(ratios) == pytest.approx(0.75, abs=0.002)
-    assert np.ptp(ratios) < 0.006
-
-
 def test_momentum_is_kept_where_the_water_only_has_inertia(tmp_path):
     """Without drag and wake the tail may beat as it likes: the fish's momenta stay."""
     path = write_twin(tmp_path, 0.0, seconds=1.0)

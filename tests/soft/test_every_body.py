@@ -1,0 +1,303 @@
+"""Whatever a soft body is made of, it keeps this contract: derivatives in both modes are those of
+differences; members, threads and copies change no bit; all methods agree.
+
+A body with something new gets a row in ``BODIES``.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from torch import Tensor
+
+from diffsim import soft
+from tests.covering import covering
+from tests.gradients import check_directions
+from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
+from tests.soft.test_chambers import hollow
+from tests.soft.test_slack_fibers import fibers_of
+from tests.soft.test_step_gradients import INTEGRATORS, METHODS, TOLERANCE
+from tests.soft.test_tangents import IMPLICIT, assert_close, central
+
+KINDS = ["hex", "tet"]
+SIGNALS = ("activation", "pressure")
+
+
+class Parts(NamedTuple):
+    """What a body is made of.
+
+    Attributes:
+        mesh: Of a few elements.
+        options: Arguments of ``soft_body``.
+        inputs: Signals and constants of the material that its motion has gradients to, by name.
+    """
+
+    mesh: Any
+    options: dict[str, Any]
+    inputs: dict[str, Any]
+
+
+def solid(kind: str) -> Any:
+    """Two hexahedra, or the six tetrahedra of one."""
+    return irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (2.0, 1.0, 1.0))
+
+
+def spread(count: int, seed: int) -> Tensor:
+    """Numbers about one, one of each element or node."""
+    return 1.0 + 0.2 * noise(count, seed=seed).tanh()
+
+
+def of_material(name: str, **inputs: Any) -> Callable[[str], Parts]:
+    constants = {"youngs_modulus": 30.0, "poissons_ratio": 0.3, **inputs}
+    return lambda kind: Parts(solid(kind), {"material": name}, constants)
+
+
+def muscles(kind: str) -> Parts:
+    inputs = {"activation": [0.8, 0.3], "fiber_stiffness": [8.0, 6.0]}
+    return Parts(solid(kind), {"muscles": two_muscles()}, inputs)
+
+
+def slack_fibers(kind: str) -> Parts:
+    """Each of three tendons has fibers on both sides of slack."""
+    m = irregular_mesh(kind, (3, 2, 1), (3.0, 2.0, 1.0))
+    inputs = {"activation": [1.05, 1.15, 1.25], "fiber_stiffness": [20.0, 25.0, 15.0]}
+    return Parts(m, {"muscles": fibers_of(m, count=3)}, inputs)
+
+
+def cable(kind: str) -> Parts:
+    m = irregular_mesh(kind, (2, 1, 1))
+    path = [[0.4, 0.4, 0.4], [1.0, 0.6, 0.5], [1.6, 0.5, 0.6]]
+    own = [soft.Tendon(m, path, axial_stiffness=5.0).muscle]
+    return Parts(m, {"muscles": own}, {"activation": [0.7], "fiber_stiffness": [5.0]})
+
+
+def inflated(shape: str) -> Callable[[str], Parts]:
+    def make(kind: str) -> Parts:
+        m, chamber = hollow(kind, shape)
+        return Parts(m, {"chambers": [chamber]}, {"pressure": [6.0], "youngs_modulus": 30.0})
+
+    return make
+
+
+def regions(kind: str) -> Parts:
+    """Stiffness, Poisson's ratio, density and damping of each element."""
+    m = solid(kind)
+    values = {"youngs_modulus": 30.0, "poissons_ratio": 0.3, "density": 1.5, "rayleigh_beta": 0.02}
+    own = {name: v * spread(m.num_elements, k) for k, (name, v) in enumerate(values.items())}
+    return Parts(m, {"rayleigh_beta": own["rayleigh_beta"]}, own)
+
+
+def weighted_nodes(kind: str) -> Parts:
+    m = solid(kind)
+    masses = {
+        "node_mass": spread(m.num_nodes, 6),
+        "attached_mass": 0.2 * spread(m.num_nodes, 7),
+        "added_mass": 0.3 * spread(m.num_nodes, 8),
+    }
+    return Parts(m, masses, masses)
+
+
+def second_shares(kind: str) -> Parts:
+    m = solid(kind)
+    inputs = {"second_share": 0.3 * spread(m.num_elements, 3)}
+    return Parts(m, {"material": "mooney_rivlin", "rayleigh_beta": 0.02}, inputs)
+
+
+BODIES: dict[str, Callable[[str], Parts]] = {
+    **{name: of_material(name) for name in soft.MATERIALS if name != "mooney_rivlin"},
+    "second shares": second_shares,
+    "thesis weights": lambda kind: of_material("pd")(kind)._replace(
+        options={"volume_weight": "thesis"}
+    ),
+    "muscles": muscles,
+    "slack fibers": slack_fibers,
+    "cable": cable,
+    "cavity": inflated("cavity"),
+    "pocket": inflated("pocket"),
+    "regions": regions,
+    "weighted nodes": weighted_nodes,
+}
+
+
+def made(name: str, kind: str, **changes: Any) -> tuple[soft.SoftBody, dict[str, Tensor]]:
+    """A body that is held at one end, and its inputs: a moving, strained state first."""
+    parts = BODIES[name](kind)
+    held = parts.mesh.x_rest[:, 0] < 0.3
+    body = soft_body(parts.mesh, **{"fixed": held, "dt": 0.05, **parts.options, **changes})
+    x = torch.where(held[:, None], parts.mesh.x_rest, deformed(parts.mesh, 0.1))
+    state = {"x": 0.5 * (x + parts.mesh.x_rest), "v": 0.3 * noise(*x.shape, seed=2)}
+    return body, {n: leaf(v) for n, v in (state | parts.inputs).items()}
+
+
+def loads_of(body: soft.SoftBody, given: dict[str, Tensor]) -> dict[str, Any]:
+    """Signals, and the body's constants."""
+    constants = {n: v for n, v in given.items() if n not in (*SIGNALS, "x", "v")}
+    signals = {n: given[n] for n in SIGNALS if n in given}
+    return {"physics": body.physics(**constants), **signals}
+
+
+def moved(body: soft.SoftBody, given: dict[str, Tensor], num_steps: int = 2) -> soft.State:
+    """Where a body is after a few steps."""
+    state, loads = soft.State(given["x"], given["v"]), loads_of(body, given)
+    for _ in range(num_steps):
+        state = body(state, **loads)
+    return state
+
+
+def state_and_gradients(body: soft.SoftBody, given: dict[str, Tensor]) -> list[Tensor]:
+    """The state after two steps, and the gradients of a loss of it to all inputs."""
+    state = moved(body, given)
+    weight = noise(*state.x.shape[-2:], seed=4)
+    loss = (weight * (state.x + 0.1 * state.v)).sum()
+    return [state.x, state.v, *torch.autograd.grad(loss, list(given.values()))]
+
+
+@pytest.mark.grad
+@covering(
+    name=list(BODIES), integrator=INTEGRATORS, kind=KINDS, method=["auto", "linearly_implicit"]
+)
+def test_derivatives_are_those_of_differences(name, integrator, kind, method):
+    """Of a motion, by every input, in both modes; BDF2 takes a third step for two old states."""
+    body, inputs = made(
+        name,
+        kind,
+        integrator=integrator,
+        solver=soft.SolverOptions(method=method, **SHARP),
+        **({"dt": 0.01} if integrator == "semi_implicit_euler" else {}),
+    )
+
+    def end(*values):
+        given = dict(zip(inputs, values, strict=True))
+        state = moved(body, given, 3 if integrator == "bdf2" else 2)
+        return torch.cat([state.x.flatten(), 0.1 * state.v.flatten()])
+
+    args = tuple(inputs.values())
+    out = end(*args)
+    grads = torch.autograd.grad(out, args, torch.linspace(1, 2, out.numel()).double())
+    for input_name, grad in zip(inputs, grads, strict=True):
+        assert grad.abs().max() > 1e-7, f"{input_name} has no gradient"
+    check_directions(end, args, **TOLERANCE)
+
+
+@pytest.mark.grad
+@covering(name=list(BODIES), kind=KINDS)
+def test_energy_force_and_rest_under_load_have_the_derivatives_of_differences(name, kind):
+    body, inputs = made(name, kind)
+    names = [n for n in inputs if n not in ("v", "density", "rayleigh_beta") and "mass" not in n]
+
+    def energy_and_force(*values):
+        given = dict(zip(names, values, strict=True))
+        loads = loads_of(body, given)
+        energy = body.elastic_energy(given["x"], **loads)
+        return energy, body.elastic_force(given["x"], **loads)
+
+    args = tuple(inputs[n] for n in names)
+    check_directions(energy_and_force, args, **TOLERANCE)
+    energy, force = energy_and_force(*args)
+    (slope,) = torch.autograd.grad(energy, args[0])
+    torch.testing.assert_close(force.detach(), -slope, rtol=0, atol=1e-13)
+
+    def at_rest(*values):
+        return body.static_equilibrium(
+            **loads_of(body, dict(zip(names[1:], values, strict=True)))
+        ).x
+
+    if len(names) > 1:
+        check_directions(at_rest, args[1:], **TOLERANCE)
+
+
+@covering(
+    name=list(BODIES), integrator=["implicit_euler", "bdf2", "semi_implicit_euler"], kind=KINDS
+)
+def test_members_threads_and_copies_have_the_same_bits(name, integrator, kind):
+    dt = 0.01 if integrator == "semi_implicit_euler" else 0.05
+    body, inputs = made(name, kind, integrator=integrator, dt=dt)
+    start = inputs["x"].detach() + 0.02 * noise(3, *inputs["x"].shape, seed=5)
+    start = torch.where(body.fixed, body.x_rest, start)
+    batch = inputs | {"x": leaf(start), "v": leaf(inputs["v"].detach().expand_as(start))}
+    whole = state_and_gradients(body, batch)
+    for k in range(3):
+        alone = state_and_gradients(body, batch | {n: leaf(batch[n][k].detach()) for n in "xv"})
+        for one, other in zip(alone[:4], whole[:4], strict=True):
+            torch.testing.assert_close(one, other[k], rtol=0, atol=0)
+    twin = pickle.loads(pickle.dumps(body))
+    twin.solver = replace(body.solver, num_threads=2)
+    for one, other in zip(state_and_gradients(twin, batch), whole, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+
+
+@pytest.mark.reference
+@covering(name=list(BODIES), method=[m for m in METHODS if m != "newton_cholesky"], kind=KINDS)
+def test_methods_agree(name, method, kind):
+    """Residuals of 1e-10 of some 1e2 N, over inertias of at least 1 N/m."""
+    found = []
+    for one in (method, "newton_cholesky"):
+        solver = soft.SolverOptions(method=one, rtol=1e-10, adjoint_rtol=1e-10)
+        found.append(state_and_gradients(*made(name, kind, solver=solver)))
+    for one, other in zip(*found, strict=True):
+        assert (one - other).norm() <= 1e-6 * max(1.0, float(other.detach().norm()))
+
+
+@pytest.mark.parametrize("name", ["second shares", "slack fibers", "regions"])
+def test_a_step_compiles_whole(name):
+    torch.compiler.reset()  # or sizes of the body before are thought to change
+    body, inputs = made(name, "hex")
+
+    def after(*values):
+        return moved(body, dict(zip(inputs, values, strict=True)), 1).x
+
+    whole = torch.compile(after, fullgraph=True, backend="aot_eager")
+    torch.testing.assert_close(whole(*inputs.values()), after(*inputs.values()))
+
+
+def rates_of(values: dict[str, Tensor]) -> dict[str, Tensor]:
+    """One direction that moves all values at once, each by a tenth of it, with a leading axis."""
+    return {
+        n: 0.1 * float(v.abs().max()) * noise(1, *v.shape, seed=30 + k)
+        for k, (n, v) in enumerate(values.items())
+    }
+
+
+def directions_of(body: soft.SoftBody, values: dict[str, Tensor], rates: dict[str, Tensor]):
+    constants = {n: v for n, v in values.items() if n not in (*SIGNALS, "x", "v")}
+    moving = {n: rates[n] for n in constants}
+    return soft.Directions(
+        **{n: rates[n] for n in ("x", "v", *SIGNALS) if n in rates},
+        physics=soft.physics_directions(body, constants, moving) if constants else None,
+    )
+
+
+@pytest.mark.grad
+@covering(name=list(BODIES), integrator=IMPLICIT, kind=KINDS, method=["auto", "linearly_implicit"])
+def test_tangents_of_a_motion_are_those_of_differences(name, integrator, kind, method):
+    """Without a graph."""
+    solver = soft.SolverOptions(method=method, **SHARP)
+    body, inputs = made(name, kind, integrator=integrator, solver=solver)
+    values = {n: v.detach() for n, v in inputs.items()}
+    rates = rates_of(values)
+    start, directions = soft.State(values["x"], values["v"]), directions_of(body, values, rates)
+    found = soft.rollout_tangents(body, start, 3, 1, directions, **loads_of(body, values))
+    expected = central(lambda given: moved(body, given, 3).x, values, rates, 0)
+    assert_close(found.tangent[-1, 0], expected, 1e-6)
+
+
+@pytest.mark.grad
+@covering(name=list(BODIES), kind=KINDS)
+def test_tangents_of_rest_under_load_are_those_of_differences(name, kind):
+    body, inputs = made(name, kind)
+    values = {n: v.detach() for n, v in inputs.items() if n not in ("x", "v")}
+    rates = rates_of(values)
+
+    def at_rest(given):
+        return body.static_equilibrium(**loads_of(body, given)).x
+
+    given = loads_of(body, values)
+    found = soft.static_tangents(
+        body, at_rest(values), 1, directions_of(body, values, rates), **given
+    )
+    assert_close(found[0], central(at_rest, values, rates, 0), 1e-6)
