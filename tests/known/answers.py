@@ -193,9 +193,9 @@ ANSWERS: Mapping[str, Callable[[Path], Mapping[str, Any]]] = {
     "toys": toy_answers,
     "benches": whole("bench", "tared", "seals"),
     "faults": faulty_stages,
-    "flows": whole("flow_in_time", "joints"),
+    "flows": whole("flow_in_time"),
     "laws of an angle": described("cogging"),
     "laws of a temperature": described("thinner_when_warm"),
     "others": whole("arm", "outside"),
-    "rigs": whole("junction", "ode_stores", "wind"),
+    "rigs": whole("joints", "junction", "ode_stores", "wind"),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from tests.known.pages import parts_of_page
 
 def pages(folder: Path) -> dict[str, Any]:
     """A page of every kind, with laws and bodies that move."""
-    from diffsim.viz import diagnosis_report, diagnosis_series, flight_page
+    from diffsim.viz import diagnosis_report, diagnosis_series
     from tests.viz import test_diagnosis_laws as laws
     from tests.viz import test_diagnosis_report as example
     from tests.viz import test_narrow_pages as every
@@ -35,8 +35,19 @@ def pages(folder: Path) -> dict[str, Any]:
         paths = list(every.pages(folder))
         for name, report in reports.items():
             paths.append(diagnosis_report.write_diagnosis(report, folder / f"{name}.html"))
+    return parts_of(paths)
+
+
+def flights(folder: Path) -> dict[str, Any]:
+    """The page of a flight."""
+    from diffsim.viz.flight_page import write_flight_page
+
     design, log = flown(seconds=1.0)
-    paths.append(flight_page.write_flight_page(folder / "flight.html", log, design))
+    return parts_of([write_flight_page(folder / "flight.html", log, design)])
+
+
+def parts_of(paths: Iterable[Path]) -> dict[str, Any]:
+    """Numbers of all parts of pages, by the names of their files."""
     return {
         f"{path.stem} {part}": value
         for path in paths
@@ -151,6 +162,7 @@ def cameras(folder: Path) -> dict[str, Any]:
 SHOWN: Mapping[str, Callable[[Path], Mapping[str, Any]]] = {
     "pages": pages,
     "figures": figures,
+    "flights": flights,
     "runs": runs,
     "cameras": cameras,
 }

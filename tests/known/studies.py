@@ -147,6 +147,16 @@ def swaying(folder: Path) -> Study:
     return replace(recorded(until_s=0.2), model=body)
 
 
+def hexarotor(folder: Path) -> Study:
+    """A hexarotor, with causes of every family, at one rotor alone."""
+    from tests.systems import test_hexarotor as case
+
+    few = ["rotor_drag", "body_drag", "parasitic_drag", "wind", "wake", "slung_load", "gyroscopic"]
+    few += ["battery_sag", "placement", "camera_delay", "weak_rotor_1", "rotor_tilt_1", "delay"]
+    study = case.hexarotor()
+    return replace(study, model={**study.model, "effects": {"only": few}})
+
+
 def starfish(folder: Path) -> Study:
     """A leg that a cable pulls, which may go slack."""
     from tests.systems import slack_starfish as case
@@ -214,7 +224,7 @@ STUDIES: dict[str, Make] = {
     "chip": chip,
     "fish": fish,
     "held": of("systems.test_ode_description.held_cart"),
-    "hexarotor": of("systems.test_hexarotor.hexarotor"),
+    "hexarotor": hexarotor,
     "joints": of("systems.test_flow_description.described", seed=1),
     "meeting": meeting,
     "nanobench": published(
