@@ -50,7 +50,7 @@ def package(tmp_path, monkeypatch):
     def install(*lines):
         (tmp_path / "lingering.py").write_text(MODULE)
         info = tmp_path / "lingering-1.0.dist-info"
-        info.mkdir()
+        info.mkdir(exist_ok=True)
         (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lingering\nVersion: 1.0\n")
         (info / "entry_points.txt").write_text("\n".join(lines))
         monkeypatch.syspath_prepend(tmp_path)
@@ -102,6 +102,10 @@ def test_a_system_of_another_package_is_diagnosed_by_its_name(package):
     package("[diffsim.systems]", "linkage = lingering:LinkageDescription")
     names = [e.name for e in setup_of(linkage).effects]
     assert names == [e.name for e in setup_of(study).effects]
+
+    package("[diffsim.systems]", "ode = lingering:LinkageDescription")
+    with pytest.raises(ValueError, match=r"'ode' is a system of diffsim already; give lingering"):
+        setup_of(linkage)
 
 
 @pytest.mark.parametrize(

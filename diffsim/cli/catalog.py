@@ -72,7 +72,7 @@ def listing(found: dict[str, Example]) -> str:
     return "\n".join(lines)
 
 
-def run(name: str, *, quick: bool = False, options: Sequence[str] = ()) -> int:
+def run(name: str, *, quick: bool, options: Sequence[str]) -> int:
     """Run an example as its own process; returns its exit status.
 
     Raises:

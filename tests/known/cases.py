@@ -530,6 +530,47 @@ def pictures(folder: Path) -> dict[str, Any]:
     return out
 
 
+def beams(folder: Path) -> dict[str, Any]:
+    """Beams that swing free, are pulled, or hang a weight on a string: slopes by every cause."""
+    from tests.systems import test_soft_body_tangents as case
+    from tests.systems.soft_body.causes import CAUSES
+    from tests.systems.test_soft_body import held_beam, held_run
+
+    hung = [CAUSES["slack_string"], CAUSES["weight"]]
+    problems = {
+        "free": case.problem_of(case.beam(), case.FREE, *case.AIR),
+        "pulled": case.problem_of(case.tendon(), case.PULLED, *case.SMOOTH[:6]),
+        "hung": case.problem_of(held_beam(), held_run(0.006), *hung),
+    }
+    out = {}
+    for name, problem in problems.items():
+        x = np.full(len(problem.names), 0.1)
+        out[name] = [problem.linearize(x), problem.records(np.stack([x, 2.0 * x]))]
+        out[f"{name} slope"] = problem.gradient(x)
+    return out
+
+
+def outside_machines(folder: Path) -> dict[str, Any]:
+    """An environment that is stepped, and rates that a function of Python writes."""
+    from diffsim.identify import Parameter
+    from diffsim.systems.ode.traced import formulas_of
+    from diffsim.systems.outside import Environment, outside_setup
+    from tests.systems import test_traced as traced
+    from tests.systems.outside import test_outside as case
+
+    study = case.cart_study()
+    start = [Parameter("state[0]", 0.3, 0.1), Parameter("state[1]", 1.0, 0.1)]
+    numbers = [*start, Parameter("mass", 2.0, 0.1), Parameter("damping", 0.3, 0.1)]
+    out: dict[str, Any] = {}
+    for held in (True, False):
+        environment = Environment(observation=(0,))
+        setup = outside_setup(study, case.Cart(), numbers, environment=environment, held=held)
+        out[f"held {held}"] = setup.model.predict(study.runs[0], setup.model.at_prior())
+    out["traced"] = formulas_of(traced.everyday, "f")
+    out["values"] = [traced.values_of(traced.everyday, a=a, b=0.4) for a in (0.7, -1.2, 3.0)]
+    return out
+
+
 def batches(folder: Path) -> dict[str, Any]:
     """Members of native batches, one of which is lost, over the ends of episodes."""
     from tests.envs import test_vector_standard as many
@@ -573,4 +614,6 @@ CASES: dict[str, Callable[[Path], Mapping[str, Any]]] = {
     "materials": solid_bodies,
     "batches": batches,
     "pictures": pictures,
+    "beams": beams,
+    "outside": outside_machines,
 }

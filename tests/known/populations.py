@@ -26,6 +26,7 @@ import yaml
 from diffsim import cli, copter, envs
 from diffsim.data import save_study
 from diffsim.data.study import Study
+from diffsim.identify import Problem, WhiteNoise
 from diffsim.stokes import devices
 from tests.cli.test_diagnose_faults import STUDY as FAULTS
 from tests.cli.test_diagnose_faults import write as write_day
@@ -33,9 +34,12 @@ from tests.cli.test_diagnose_task import TASK
 from tests.derivatives import models  # noqa: F401 fills the tables
 from tests.derivatives.check import rows
 from tests.envs.cases import OPTIONS, STEPS
+from tests.known.answers import ANSWERS
 from tests.known.cases import CASES
 from tests.known.fingerprint import numbers_in
+from tests.known.pages import parts_of_page
 from tests.known.records import RECORDS
+from tests.known.shown import SHOWN
 from tests.known.studies import STUDIES
 from tests.studies import HERE, NAMES, study_of
 from tests.systems.kinds import SHARE, Ready, uniform
@@ -56,6 +60,9 @@ WRITTEN = (
     "*.stl",
 )
 TIMES = re.compile(r"\b\d[\d.]* (?:ms|s|min)\b(?= (?:of|since|so far))|, \d[\d.]* s(?=[,\n])")
+
+
+FEW = 4  # causes beside base parameters
 
 
 class Answers(NamedTuple):
@@ -102,6 +109,38 @@ def causes_of(study: Callable[[Path], Study]) -> Callable[[Path], Mapping[str, A
             {k: v for k, v in vars(u).items() if isinstance(v, (str, float, int))}
             for u in ready.setup.unknowns
         ]
+        return out
+
+    return make
+
+
+def slopes_of(study: Callable[[Path], Study]) -> Callable[[Path], Mapping[str, Any]]:
+    """What a fit, a page and a search for laws ask of a study: columns and gradient of a problem
+    with a few causes, unknown ones among them, shapes in space, variables and courses of laws."""
+
+    def make(folder: Path) -> dict[str, Any]:
+        ready = Ready(study(folder))
+        setup, run = ready.setup, ready.run
+        smooth = tuple(e for e in setup.effects if e.smooth)[:FEW]
+        asked = Problem(setup.model, (run,), WhiteNoise(ready.channels), smooth)
+        plain, x = replace(asked, effects=()), np.full(len(asked.names), SHARE)
+        at, q = x[: asked.num_base], setup.model.at_prior()
+        out: dict[str, Any] = {"slopes": asked.linearize(x)}
+        if ready.study.model["system"] != "outside":  # which has none but differences
+            out["gradient"] = asked.gradient(x)
+        for unknown in setup.unknowns:
+            out[f"unknown {unknown.name}"] = unknown.slopes(plain, at)
+        measured = torch.from_numpy(run.measured)
+        shapes = (setup.model.shape_at(run, q), setup.model.shape_of(run, measured))
+        out["shapes"] = [vars(shape) for shape in shapes if shape is not None]
+        if (laws := setup.laws) is not None:
+            known, entries = laws.variables(), list(laws.entries)
+            out["entries"] = entries
+            out["variables"] = [[v.name, v.formula, v.unit, v.at, v.numbers] for v in known]
+            at_once = [v for v in known if not v.memory][-2 * FEW :]
+            out["courses"] = laws.courses(plain, at, [*at_once, *known[-FEW:]])
+            gains = (laws.gains(plain, at, entry) for entry in entries[: 2 * FEW])
+            out["gains"] = [[g.rates, g.readings] for g in gains if g is not None]
         return out
 
     return make
@@ -204,6 +243,8 @@ def _read(path: Path) -> dict[str, Any]:
         return dict(_told(content)) if isinstance(content, dict) else {"": _told_value(content)}
     if path.suffix == ".yaml":
         return dict(_told(yaml.safe_load(path.read_text("utf-8")) or {}))
+    if path.suffix == ".html":
+        return dict(parts_of_page(TIMES.sub("", path.read_text("utf-8"))))
     if path.suffix == ".stl":
         return {"": np.asarray(trimesh.load_mesh(path).triangles)}
     return {"": numbers_in(TIMES.sub("", path.read_text("utf-8")))}
@@ -338,7 +379,11 @@ POPULATIONS: dict[str, Answers] = {
     "ranges of arguments": Answers(lambda _: refused_ranges()),
     **{f"causes {name}": Answers(causes_of(lambda _, n=name: study_of(n))) for name in NAMES},
     **{f"causes {name}": Answers(causes_of(make)) for name, make in STUDIES.items()},
+    **{f"slopes {name}": Answers(slopes_of(lambda _, n=name: study_of(n)), 1e-5) for name in NAMES},
+    **{f"slopes {name}": Answers(slopes_of(make), 1e-5) for name, make in STUDIES.items()},
     **{f"case {name}": Answers(make, 1e-5) for name, make in CASES.items()},
+    **{f"answer {name}": Answers(make, 1e-4) for name, make in ANSWERS.items()},
+    **{f"shown {name}": Answers(make, 1e-4) for name, make in SHOWN.items()},
     **{f"records {name}": Answers(make) for name, make in RECORDS.items()},
     **{f"task {name}": Answers(steps_of(name)) for name in sorted(OPTIONS)},
     **{f"design {name}": Answers(design_of(name)) for name in copter.shipped_designs()},

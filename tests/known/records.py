@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import redirect_stdout
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -163,16 +164,36 @@ def formats(folder: Path) -> dict[str, Any]:
     return out
 
 
-def damaged(folder: Path) -> dict[str, Any]:
-    """What is said of records with faults."""
+def damaged(folder: Path, first: int = 0) -> dict[str, Any]:
+    """What is said of records with faults, of every second kind."""
     from labs.records.__main__ import told
     from labs.records.damages import DAMAGES, damaged
 
     out = {}
-    for damage in DAMAGES[::2]:
+    for damage in DAMAGES[first::2]:
         _, record = damaged(np.random.default_rng(3), damage)
         said = told(record, folder / damage.name)
         out[damage.name] = [(rule, numbers_in(text), stops) for rule, text, stops in said]
+    return out
+
+
+def jumping(folder: Path) -> dict[str, Any]:
+    """Commands that jump off and back, or stay; what is made of them."""
+    from diffsim.data.command_jumps import jumps_of, without_jumps
+    from tests.data import test_command_jumps as case
+
+    out = {}
+    for name, rows, off in (
+        ("back", [60, 200, 201], [9e-4, -6e-4, -6e-4]),
+        ("lasting", slice(260, None), 8e-4),
+        ("both", [*range(30, 500), 100], [8e-4] * 470 + [2e-3]),
+    ):
+        values = case.SWAY + case.NOISE
+        values[rows] += off
+        for is_measured in (True, False):
+            jumps = jumps_of(values, is_measured=is_measured, times=case.TIME)
+            mended = without_jumps(values, case.TIME, jumps)
+            out[f"{name} {is_measured}"] = [jumps.back, jumps.lasting, jumps.size, mended]
     return out
 
 
@@ -224,6 +245,15 @@ def _trials(folder: Path) -> None:
     write(folder / "all.csv", "date,trial,angle_deg,volts (V)", [days, trial, angle, drive])
 
 
+def _hours(folder: Path) -> None:
+    """Times of day beside a command that steps."""
+    from tests.cli.test_diagnose_init import noisy, write
+
+    clock = [f"{11 + k // 40}:{58 + k // 30:02d}:{k % 30 + 0.25:05.2f}" for k in range(60)]
+    drive = np.repeat([0.0, 2.0, 1.0, 3.0, 0.0, 1.0], 10)
+    write(folder / "day.csv", "clock,volts (V),x [mm]", [clock, drive, 5.0 * drive + noisy(2)])
+
+
 def _arm(folder: Path) -> None:
     from tests.cli.test_diagnose_init_folders import arm
 
@@ -236,7 +266,13 @@ def _instruments(folder: Path) -> None:
     two_instruments(folder, late=0.3)
 
 
-FOLDERS = {"logger": _logger, "trials": _trials, "arm": _arm, "instruments": _instruments}
+FOLDERS = {
+    "logger": _logger,
+    "trials": _trials,
+    "hours": _hours,
+    "arm": _arm,
+    "instruments": _instruments,
+}
 
 
 def first_studies(folder: Path) -> dict[str, Any]:
@@ -273,6 +309,8 @@ RECORDS: Mapping[str, Any] = {
     "mappings": mappings,
     "formats": formats,
     "damaged": damaged,
+    "damaged otherwise": partial(damaged, first=1),
+    "jumping": jumping,
     "exports": exports,
     "columns": columns_beside,
     "first studies": first_studies,

@@ -82,7 +82,7 @@ class _FollowedPath:
         assert isinstance(scene, OdeScene)
         with torch.no_grad():
             x = scene.solved(self.read)[0][..., 0]
-        return x.reshape(-1, x.shape[-1])[0][scene.grid.samples].numpy()
+        return x[scene.grid.samples].numpy()
 
 
 def _bend(library: Library, law: Law, row: Row, other: Law | None = None) -> Effect:

@@ -181,6 +181,10 @@ def test_damping_that_falls_with_a_recorded_temperature_is_found():
     curve = fitted.curve
     slope, level = np.polyfit(curve.u - 298.0, curve.values, 1, w=1.0 / curve.sd)
     assert slope / (1.0 + level) == pytest.approx(-0.024, rel=0.1)
+    # a form that slopes promise to be closer than bumps counts by what it gains
+    for gained in (3.0, -3.0):
+        promised = replace(fitted, left=fitted.forms[0].nats + gained)
+        assert promised.reach - fitted.evidence == pytest.approx(max(gained, 0.0), abs=1e-9)
 
 
 def stiffer_when_warm(angle, speed, temp):

@@ -54,6 +54,27 @@ def test_facts_are_numbers_or_labels():
     assert not far(replace(FITTED[0], command={"other": FITTED[0].command["u"]}))
 
 
+@pytest.mark.property
+def test_facts_lie_outside_by_their_distance_from_the_middle_of_what_was_fitted():
+    rng, levels = np.random.default_rng(2), np.array([-2.0, -1.0, 0.0, 0.0, 0.0, 0.5, 3.0])
+    ends = set()
+    for ends_and_new in rng.choice(levels, (60, 3)):
+        low, high, new = *sorted(ends_and_new[:2]), ends_and_new[2]
+        fitted = [made(name, 1.0, 1.0, load=v) for name, v in (("a", low), ("b", high))]
+        spans = spans_of(fitted, CHANNELS)
+        rows = outside_rows([made("c", 1.0, 1.0, load=new)], CHANNELS, spans)
+        middle = 0.5 * (low + high)
+        half = max(0.5 * (high - low), 0.1 * abs(middle))  # alike: a tenth of the middle
+        times = abs(new - middle) / half if half else np.inf if new else 0.0
+        # at its ends rounding is not outside, nor is a range of one value
+        is_inside = low <= new <= high or times <= 1.02
+        assert [(row.what, row.times) for row in rows] == (
+            [] if is_inside else [("load", pytest.approx(times))]
+        ), (low, high, new)
+        ends.add((is_inside, np.isinf(times)))
+    assert ends == {(True, False), (False, False), (False, True)}
+
+
 def test_commands_have_the_unit_of_the_study():
     commands = (Command("u", "rad"),)
     spans = spans_of(FITTED, CHANNELS, commands)

@@ -1,6 +1,7 @@
 """Effects with kinks: found where slopes at zero show nothing, alone and masked by each other."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,14 @@ from diffsim.diagnose.search.scan import (
     records_for,
     scan,
 )
-from diffsim.diagnose.search.search import begin, repaired, search_sets
+from diffsim.diagnose.search.search import (
+    FIT_NATS,
+    FIT_RTOL,
+    _better_subset,
+    begin,
+    repaired,
+    search_sets,
+)
 from diffsim.diagnose.search.simulations import Simulations
 from diffsim.diagnose.search.store import Store
 from diffsim.identify import DiagnosisSettings, Effect, SearchSettings, UnknownDrift
@@ -211,6 +219,26 @@ def test_a_set_is_never_worse_than_its_subset():
     after = repaired(search).fit_of(both)
     assert after.converged
     assert after.chi2 + after.prior <= search.fit_of(one).chi2 + search.fit_of(one).prior + 1e-6
+
+
+@pytest.mark.property
+def test_a_subset_is_better_by_misfit_and_prior_together():
+    rng, both = np.random.default_rng(4), frozenset({0, 1})
+    names = (frozenset(), frozenset({0}), frozenset({1}), both)
+    found = set()
+    for misfit in (0.0, 300.0):
+        for costs in rng.uniform(0.0, 40.0, (40, 4, 2)):
+            fits = {
+                s: SimpleNamespace(chi2=misfit + chi2, prior=prior, num_samples=100)
+                for s, (chi2, prior) in zip(names, costs, strict=True)
+            }
+            search = SimpleNamespace(fits=fits, fit_of=fits.__getitem__)
+            best = names[np.argmin(costs[:3].sum(1))]
+            lead = 0.5 * (costs[3].sum() - costs[:3].sum(1).min())
+            exact = max(FIT_NATS, FIT_RTOL * 0.5 * max(fits[both].chi2 - 100.0, 0.0))
+            assert _better_subset(search, both) == (best if lead > exact else None)
+            found.add(lead > exact)
+    assert found == {True, False}
 
 
 def test_scans_end_when_their_budget_is_spent():
