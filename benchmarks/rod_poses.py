@@ -1,27 +1,21 @@
-"""Time of a rod's pose, alone and in a batch: ``python -m benchmarks.rod_poses``.
+"""The rod of benchmarks/members.py: tapered, twelve elements, two tendons, a load, pressed rubber.
 
-A tapered rod of twelve elements with two tendons, a load, a marker and pressed rubber. Each pose is
-found from strains that are 2 % off, with and without gradients of all its numbers; ``survey`` is
-one evaluation of frames, sections and residual. CPU time, one thread, medians.
+Each pose is found from strains that are 2 % off, with and without gradients of all its numbers.
 """
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
 
-from diffsim.core.compiled import core
 from diffsim.systems.rod import _ops
 from diffsim.systems.rod.layout import points_on, rod_shape
 from diffsim.systems.rod.statics import RodStatics
 
 YOUNG, TOLERANCE = 5e5, 1e-9
-COUNTS = (1, 16, 288)
 
 
 def tentacle(count: int) -> RodStatics:
@@ -55,18 +49,6 @@ def tentacle(count: int) -> RodStatics:
     )
 
 
-def microseconds(call: Callable[[], object], repeats: int, rounds: int) -> float:
-    """Median CPU time of a call [us]."""
-    call()
-    found = []
-    for _ in range(rounds):
-        began = time.process_time()
-        for _ in range(repeats):
-            call()
-        found.append((time.process_time() - began) / repeats)
-    return 1e6 * float(np.median(found))
-
-
 def calls_of(count: int) -> dict[str, Callable[[], object]]:
     """What is timed, of so many rods."""
     rod = tentacle(count)
@@ -82,23 +64,6 @@ def calls_of(count: int) -> dict[str, Callable[[], object]]:
         return torch.autograd.grad(places.square().sum(), list(numbers.values()))
 
     return {
-        "survey": lambda: rod.survey(u),
-        "solve": lambda: rod.solve(seen, seen.offset, near, TOLERANCE),
-        "solve and gradient": differentiate,
+        "`rod`, pose": lambda: rod.solve(seen, seen.offset, near, TOLERANCE),
+        "`rod`, pose with gradient": differentiate,
     }
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--rounds", type=int, default=7)
-    rounds = parser.parse_args().rounds
-    torch.set_num_threads(1)
-    print(f"{core.__name__}, {TOLERANCE:g} rad; us a pose (us a call)")
-    for count in COUNTS:
-        for name, call in calls_of(count).items():
-            took = microseconds(call, max(3, 200 // count), rounds)
-            print(f"{count:5d} {name:20s} {took / count:8.1f} ({took:.0f})")
-
-
-if __name__ == "__main__":
-    main()

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cmath>
+#include <functional>
 #include <limits>
 
 #include "kernels/linalg/krylov.h"
@@ -30,6 +31,8 @@ class GmresCycle {
   }
   int size() const { return size_; }
   bool full() const { return size_ == restart_; }
+  /// Of the residual, by the least-squares problem.
+  double residual_norm() const { return std::abs(g_[u(size_)]); }
   const Vector& basis(int i) const { return basis_[u(i)]; }
   /// The direction whose image is wanted next, and where to put that image.
   const Vector& latest() const { return basis_[u(size_)]; }
@@ -91,9 +94,11 @@ class GmresCycle {
 /// @param apply         apply(in, out): out = A in
 /// @param precondition  precondition(in, out): out about A^-1 in
 /// @param restart       directions after which it begins anew; memory grows with those taken
+/// @param gives_up      gives_up(iterations, norm of the residual): whether to leave it there
 template <typename Kept, typename Apply, typename Precondition>
 KrylovResult flexible_gmres(Apply&& apply, Precondition&& precondition, const Vector& b, Vector& x,
-                            double tolerance, int max_iters, int restart, VectorOps& ops) {
+                            double tolerance, int max_iters, int restart, VectorOps& ops,
+                            const std::function<bool(int, double)>& gives_up = {}) {
   const std::size_t n = b.size();
   KrylovResult result;
   x.assign(n, 0.0);
@@ -116,6 +121,10 @@ KrylovResult flexible_gmres(Apply&& apply, Precondition&& precondition, const Ve
       apply(z, cycle.image());
       done = cycle.take(0.7 * tolerance, ops);
       ++result.num_iters;
+      if (!done && gives_up && gives_up(result.num_iters, cycle.residual_norm())) {
+        max_iters = result.num_iters;
+        done = true;
+      }
     }
     const std::vector<double>& y = cycle.coefficients();
     for (std::size_t k = 0; k < static_cast<std::size_t>(cycle.size()); ++k)

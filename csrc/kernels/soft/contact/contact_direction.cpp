@@ -13,8 +13,8 @@ constexpr std::size_t kMaxKrylovIterations = 2000;
 
 /// q of ContactSolve::solve; one on which iterations do not converge gets a factor of the tangent,
 /// where the method allows one. A tangent that is not positive definite is clamped: conjugate
-/// gradients meet its negative curvature, GMRES stalls far from the answer and then it has no
-/// factor.
+/// gradients meet its negative curvature, GMRES stalls far from the answer. It is not factored
+/// where GMRES met negative curvature, too.
 /// @return whether H is clamped now
 bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double tolerance,
                   bool is_clamped, Vector& q) {
@@ -28,12 +28,14 @@ bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double 
   };
   KrylovResult result = p.solve.solve(rhs, tolerance, limit, q);
   if (!result.converged && !result.negative_curvature && may_factor) result = solve_factored();
-  const bool is_usable = !result.negative_curvature &&
-                         result.residual_norm <= kLargestResidual * p.objective.ops().norm(rhs);
+  // Conjugate gradients end at negative curvature, GMRES may go on to an answer.
+  const bool has_ended = result.negative_curvature && !p.space.any_sliding_friction();
+  const bool is_usable =
+      !has_ended && result.residual_norm <= kLargestResidual * p.objective.ops().norm(rhs);
   if (!result.converged && !is_usable && !is_clamped) {
     is_clamped = true;
     p.objective.assemble(x, true);
-    p.solve.matrix_changed();
+    p.solve.matrix_changed(true);
     result = p.solve.solve(rhs, tolerance, limit, q);
   }
   if (!result.converged && !is_usable && may_factor) solve_factored();
@@ -62,7 +64,7 @@ ContactDirection contact_direction(ContactProblem& problem, const ContactIterate
   for (int trial = 0; trial < kMaxReversals; ++trial) {
     solve_on_statuses(problem, at, accuracy, d);
     if (!problem.statuses.stop_reversed(at.x, d.within)) break;
-    problem.solve.statuses_changed();
+    problem.solve.contacts_stopped();
   }
   d.is_corrected = std::any_of(d.onto.begin(), d.onto.end(), [](double v) { return v != 0.0; });
   return d;

@@ -14,9 +14,20 @@ class ContactSolve {
                StepMethod method, double rtol, bool cache_columns, ThreadPool& pool);
 
   /// The statuses or the assembled H changed. On the constant factor a new H alone costs nothing;
-  /// multigrid takes it over by itself.
-  void statuses_changed() { stale_statuses_ = true; }
-  void matrix_changed() { stale_matrix_ = true; }
+  /// multigrid takes it over by itself. A factor of the tangent serves one set of contacts: what
+  /// it costs is weighed against the iterations on this set.
+  void statuses_changed() {
+    stale_statuses_ = true;
+    spent_ = 0;
+  }
+  /// Some contacts stick that slid. A factor of the tangent made before serves on.
+  void contacts_stopped() {
+    if (!preconditioner_.on_tangent()) statuses_changed();
+  }
+  void matrix_changed(bool is_clamped) {
+    stale_matrix_ = true;
+    is_clamped_ = is_clamped;
+  }
 
   /// Whether the next solve is on multigrid, whose errors hold rigid motion.
   bool on_multigrid() {
@@ -41,6 +52,13 @@ class ContactSolve {
   /// Expected of a step, or of one solve at an answer, by those at rest.
   double iterations(double at_rest) const;
   void prepare();
+  /// out = H in; notes where H has negative curvature, if iterations on it may be given up.
+  void multiply(const Vector& in, Vector& out);
+  /// Whether iterations are those of GMRES on multigrid.
+  bool may_give_up() const;
+  /// Whether so many iterations on multigrid left so much of a right-hand side that no answer is
+  /// near: those on an indefinite or a clamped H either soon converge or never.
+  bool is_hopeless(int iterations, double left) const;
   void apply(const Vector& in, Vector& out);
   void apply_transposed(const Vector& in, Vector& out);
   void precondition(const Vector& in, Vector& out);
@@ -53,7 +71,7 @@ class ContactSolve {
   StepMethod method_;
   double rtol_;
   Kind kind_ = Kind::kBase;
-  bool at_answer_ = false;
+  bool at_answer_ = false, is_clamped_ = false, is_indefinite_ = false;
   bool stale_statuses_ = true, stale_matrix_ = true;
   int age_ = 0, spent_ = 0;  // iterations on this factor of the tangent; on others
   ContactPreconditioner preconditioner_;

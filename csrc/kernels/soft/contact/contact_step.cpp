@@ -17,7 +17,9 @@ namespace {
 // be wrong by as much as weight is at short steps. Cholesky leaves a tenth of it, and the constant
 // factor has no error of rigid motion. A Newton step on multigrid costs a set-up, as much as 8
 // iterations: what Newton leaves should decide when it ends, not what the linear solve leaves.
+// Not where statuses change: they change again, and what a loose solve leaves is less than that.
 constexpr double kEnoughOfTolerance = 0.3, kEnoughOnMultigrid = 0.01, kMultigridForcing = 1e-3;
+constexpr double kChangingForcing = 0.03;
 // A direction solved to its digits. GMRES, unlike conjugate gradients, may stop at one that leads
 // up: on a stiff body a small residual leaves rigid motion open. At this accuracy it leads down.
 constexpr double kTightForcing = 1e-9;
@@ -54,14 +56,16 @@ struct NewtonStep {
 };
 
 /// Solves for the free unknowns and moves x.
+/// @param forcing    residual of the linear system, of its right-hand side, on a factor
+/// @param changed    the statuses, since the last step
 /// @param tolerance  of the whole step [N]
-NewtonStep newton_step(ContactProblem& p, double forcing, double tolerance, bool is_clamped,
-                       ContactIterate& at) {
+NewtonStep newton_step(ContactProblem& p, double forcing, bool changed, double tolerance,
+                       bool is_clamped, ContactIterate& at) {
   p.objective.assemble(at.x, is_clamped);
-  p.solve.matrix_changed();
+  p.solve.matrix_changed(is_clamped);
   const bool on_multigrid = p.solve.on_multigrid();
   const double enough = on_multigrid ? kEnoughOnMultigrid : kEnoughOfTolerance;
-  if (on_multigrid) forcing = std::min(forcing, kMultigridForcing);
+  if (on_multigrid) forcing = std::min(forcing, changed ? kChangingForcing : kMultigridForcing);
   const ContactDirection loose =
       contact_direction(p, at, {forcing, enough * tolerance}, is_clamped);
   const SearchResult first = search_along(p, loose, forcing > kTightForcing, at);
@@ -99,7 +103,7 @@ void iterate(ContactProblem& p, ContactIterate& at, StepStats& stats) {
     relaxation.remember(p.space);
     const double forcing = forcing_term(stats.residual_norm, last_norm);
     if (was_clamped && stats.residual_norm > kClampedDecrease * last_norm) is_clamped = false;
-    const NewtonStep step = newton_step(p, forcing, stats.tolerance, is_clamped, at);
+    const NewtonStep step = newton_step(p, forcing, changed, stats.tolerance, is_clamped, at);
     last_norm = stats.residual_norm;
     is_clamped = step.clamps_next;
     was_clamped = step.was_clamped;
