@@ -1,7 +1,7 @@
 """Environments by name: classes with data sheets, and the native vector environments.
 
-Packages of users add tasks by entry points of the group ``diffsim.environments``; they are made,
-trained and played by the same names.
+Both are made of the rows of ``environments.yaml``. Packages of users add tasks by entry points of
+the group ``diffsim.environments``; they are made, trained and played by the same names.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.plugins import ENVIRONMENTS, find_plugins, load_plugin
+from diffsim.core.yaml_text import read_yaml_file
 from diffsim.envs.env import TaskEnv
 from diffsim.envs.task import Task
 from diffsim.envs.task_file import TaskFile, is_task_file, read_task_file
@@ -33,25 +34,27 @@ class NamedTask(NamedTuple):
         max_steps: Length of an episode with default options, control steps; None: as the task says.
         threshold: Return of an episode at which the task counts as solved: what published runs
             (``docs/measured/learning.md``) reached, rounded down; None where none was measured.
+        data_sheet: What the robot must do, and a table in Markdown of what it commands and senses.
     """
 
     module: str | None = None
     max_steps: int | None = None
     threshold: float | None = None
+    data_sheet: str = ""
 
 
-_COPTER, _SOFT = "diffsim.envs.copter_tasks", "diffsim.envs.soft_named"
-_TASKS = {
-    "CopterHover": NamedTask(_COPTER, 200, 180.0),
-    "CopterTrack": NamedTask(_COPTER, 200, 150.0),
-    "StarfishSwim": NamedTask(_SOFT, 200, 80.0),
-    "SharkSwim": NamedTask(_SOFT, 200, 90.0),
-    "QuadrupedWalk": NamedTask(_SOFT, 100),
-    "CowWalk": NamedTask(_SOFT, 60),
-    "TorusRoll": NamedTask(_SOFT, 100),
-    "TendonReach": NamedTask(_SOFT, 100),
-    "SoftJumper": NamedTask(_SOFT, 300),
-}
+def _read_table() -> dict[str, NamedTask]:
+    """The rows of ``environments.yaml``."""
+    table = {}
+    for name, row in read_yaml_file(Path(__file__).with_name("environments.yaml")).items():
+        lines = [row["does"], "", "| | |", "|---|---|"]
+        lines += [f"| {key} | {text} |" for key, text in row["sheet"].items()]
+        module, steps = f"diffsim.envs.{row['module']}", row["max_steps"]
+        table[name] = NamedTask(module, steps, row.get("threshold"), "\n".join(lines))
+    return table
+
+
+_TASKS = _read_table()
 ENV_IDS = tuple(f"diffsim/{name}-v0" for name in _TASKS)
 #: Tasks that are nothing without options: no environment is registered for them.
 _OF_FILES = {"SoftBody": NamedTask("diffsim.envs.soft_body")}
@@ -257,196 +260,20 @@ class NamedEnv(TaskEnv):
         return super().reset(seed=seed, options=options)
 
 
-class CopterHoverEnv(NamedEnv):
-    """A multicopter that must come to rest at the origin.
-
-    | | |
-    |---|---|
-    | actions | one per rotor: 0 is hover thrust, 1 as much above it as the motor or zero allows |
-    | observations | 0-2 position error, 3-5 velocity (both body frame) [m, m/s], 6-14 rotation \
-matrix by rows, 15-17 body rates [rad/s], then one per rotor: thrust over its maximum; unbounded \
-but for the rotation, in [-1, 1] |
-    | reward | 1 - position / 3 - 0.02 velocity - 0.003 turning (each sqrt(x^2 + 0.01) - 0.1) \
-- 0.003 mean squared action; 1 at best |
-    | start | sd of position 0.5 m, velocity 0.25 m/s, attitude 0.05 rad, rates 0.1 rad/s; motors \
-at hover thrust |
-    | termination | farther than 3 m, upside down, turning faster than 30 rad/s |
-    | truncation | 200 steps of 20 ms |
-    | options | design (shipped name, file), vehicle (its file), dt, seconds, start_spread, \
-model (a diagnosis's extended_model.yaml), posterior, motor_time_constant, drag, wind_speed, \
-battery, action_delay, randomization (thrust, mass, inertia, drag, motor_lag, battery), \
-sensor_noise |
-    | versions | v0: first |
-    """
-
-    task_name = "CopterHover"
-
-
-class CopterTrackEnv(NamedEnv):
-    """A multicopter that must follow a horizontal figure of eight.
-
-    As ``CopterHoverEnv``, with errors relative to the moving reference, and, at the end of the
-    observations, the way of the reference over the next 0.1 s and 0.3 s (body frame) [m].
-
-    | | |
-    |---|---|
-    | start | at a random place of the figure with its velocity, spread as for hovering |
-    | options | also size [m] and period [s] of the figure |
-    | versions | v0: first |
-    """
-
-    task_name = "CopterTrack"
-
-
-class StarfishSwimEnv(NamedEnv):
-    """A soft starfish in water that must rise (thesis 4.1.6).
-
-    | | |
-    |---|---|
-    | actions | 0-3: bend an arm (+x, +y, -x, -y) down (1) or up (-1); +-1 is the muscles' stroke |
-    | observations | velocities x, y, z of 137 nodes spread over the body: 411 numbers, unbounded \
-[m/s] |
-    | reward | per step, speeds of the center over 0.1 m/s: 1.0 upward - 0.5 sideways |
-    | start | shape of rest, still water; velocities linear in place, at random, up to about \
-0.1 m/s at the arms' ends, center at rest |
-    | termination | none |
-    | truncation | 200 steps of 33.3 ms |
-    | options | robot (arguments of ``diffsim.systems.robots.starfish``, ``coarse`` for quick \
-trials), num_steps, substeps, start_speed, current, clock, drift_weight, rise_weight, speed_scale, \
-action_delay, randomization (muscles, water), sensor_noise |
-    | versions | v0: first |
-    """
-
-    task_name = "StarfishSwim"
-
-
-class SharkSwimEnv(NamedEnv):
-    """A soft shark in water that must swim along +x (thesis 4.1.6).
-
-    | | |
-    |---|---|
-    | actions | 0: bend the tail to +y (1) or -y (-1) |
-    | observations | velocities x, y, z of 95 nodes spread over the body: 285 numbers, unbounded \
-[m/s] |
-    | reward | per step, speeds of the center over 0.1 m/s: 1.0 along +x - 0.5 across |
-    | start, termination, truncation | as ``StarfishSwimEnv`` |
-    | options | robot: arguments of ``diffsim.systems.robots.shark``; others as \
-``StarfishSwimEnv`` |
-    | versions | v0: first |
-    """
-
-    task_name = "SharkSwim"
-
-
-class QuadrupedWalkEnv(NamedEnv):
-    """A soft slab on four legs that must walk along +x on a floor (thesis 4.1.6).
-
-    | | |
-    |---|---|
-    | actions | 0-7: shorten (1) or lengthen (-1) the muscle along the front (even) or back (odd) \
-of a leg: hind left, hind right, front left, front right |
-    | observations | 0-35 velocities x, y, z of 12 nodes [m/s], 36 height of the center [m], 37-45 \
-mean deformation gradient by rows [-]: where the robot's axes point; all unbounded |
-    | reward | per step, speeds of the center over 0.1 m/s: 1.0 along +x - 0.5 along y |
-    | start | shape of rest, on the floor, at rest; it settles under its weight |
-    | termination | tipped over: its z axis has turned by more than about 60 degrees |
-    | truncation | 100 steps of 10 ms |
-    | options | robot (arguments of ``diffsim.systems.robots.quadruped``: coarse, friction, \
-per_muscle, ...), num_steps, substeps, start_speed, clock, drift_weight, rise_weight, \
-speed_scale, action_delay, randomization (muscles), sensor_noise |
-    | versions | v0: first |
-    """
-
-    task_name = "QuadrupedWalk"
-
-
-class CowWalkEnv(NamedEnv):
-    """A soft quadruped whose head is so heavy that it tends to fall on its face.
-
-    | | |
-    |---|---|
-    | actions, observations, start, termination | as ``QuadrupedWalkEnv`` |
-    | reward | as there, + 0.3 upward speed (thesis: -0.3 z in the loss) |
-    | truncation | 60 steps of 10 ms, each 10 time steps of the body |
-    | options | robot: arguments of ``diffsim.systems.robots.cow``; others as ``QuadrupedWalkEnv`` |
-    | versions | v0: first |
-    """
-
-    task_name = "CowWalk"
-
-
-class TorusRollEnv(NamedEnv):
-    """A soft ring on its edge that must roll along +x (thesis 4.1.6).
-
-    | | |
-    |---|---|
-    | actions | 0-7: shorten (1) or lengthen (-1) an eighth of the rim, from the lowest point \
-towards +x and up |
-    | observations | 0-23 velocities x, y, z of 8 nodes [m/s], 24 height of the center [m], 25-33 \
-mean deformation gradient by rows [-]: how far it has rolled; all unbounded |
-    | reward | per step, speeds of the center over 0.1 m/s: 1.0 along +x - 0.5 along y |
-    | start | shape of rest, on the floor, at rest; it settles under its weight |
-    | termination | fallen: its y axis has turned by more than about 60 degrees |
-    | truncation | 100 steps of 16 ms, each 4 time steps of the body |
-    | options | robot: arguments of ``diffsim.systems.robots.torus``; others as \
-``QuadrupedWalkEnv`` |
-    | versions | v0: first |
-    """
-
-    task_name = "TorusRoll"
-
-
-class TendonReachEnv(NamedEnv):
-    """An upright soft arm, fixed at its foot, whose tip must reach a goal (thesis 4.1.6).
-
-    | | |
-    |---|---|
-    | actions | 0-15: shorten (1) or lengthen (-1) a corner of a quarter of the length: quarters \
-from below, corners (+x, +y), (-x, +y), (-x, -y), (+x, -y) |
-    | observations | 0-11 velocities x, y, z of the middles of the quarters' ends [m/s], 12-14 way \
-from the tip to the goal [m]; all unbounded |
-    | reward | per step: -1.0 distance of tip and goal over the arm's length (0.4 m; smooth at \
-zero) - 0.001 mean squared action |
-    | start | upright, at rest; the goal is uniform in a box about the tip, x and y +-0.12 m, z \
--0.06 to 0.02 m |
-    | termination | none |
-    | truncation | 100 steps of 10 ms |
-    | options | robot (arguments of ``diffsim.systems.robots.tendon_arm``: coarse, gravity, ...), \
-num_steps, substeps, goal_low, goal_high, node, effort_weight, start_speed, clock, action_delay, \
-randomization (muscles), sensor_noise |
-    | versions | v0: first |
-    """
-
-    task_name = "TendonReach"
-
-
-class SoftJumperEnv(NamedEnv):
-    """A light soft table that must jump along +x, after the soft jumper of SAPO's authors
-    (Xing, Luk, Oh, ICLR 2025, arXiv:2412.12089; our mesh, solver and contact differ).
-
-    | | |
-    |---|---|
-    | actions | 0-215: shrink (1) or swell (-1) two tetrahedra each, by an isotropic stress of up \
-to 300 Pa |
-    | observations | 0-2 center [0.1 m], 3-5 its velocity [0.1 m/s], 6-221 last actions, 222-752 \
-x, y, z of 177 nodes from the center [0.1 m]; all unbounded but for actions |
-    | reward | per step: 1.0 forward speed of the center [m/s] + 3.0 its height above the start's \
-[m] - 0.001 sum of squared actions |
-    | start | at rest, soles 0 to 0.4 m above the floor, x and y +-0.8 m, size of the positions \
-times 0.9 to 1.1 |
-    | termination | none |
-    | truncation | 300 steps of 16.7 ms, each 2 time steps of the body |
-    | options | robot (arguments of ``diffsim.systems.robots.soft_jumper``: coarse, dt, \
-active_stress, friction, ...), num_steps, substeps, forward_weight, rise_weight, effort_weight, \
-drop, aside, size_spread, start_speed, clock, action_delay, randomization (muscles), sensor_noise |
-    | versions | v0: first |
-    """
-
-    task_name = "SoftJumper"
+_ENVS: dict[str, type[NamedEnv]] = {
+    f"{name}Env": type(
+        f"{name}Env",
+        (NamedEnv,),
+        {"task_name": name, "__doc__": named.data_sheet, "__module__": __name__},
+    )
+    for name, named in _TASKS.items()
+}
 
 
 def __getattr__(name: str) -> Any:
-    """``CopterHoverVectorEnv`` and the like, by name, as gymnasium's registry asks for them."""
+    """``CopterHoverEnv``, ``CopterHoverVectorEnv`` and the like, as gymnasium's registry asks."""
+    if name in _ENVS:
+        return _ENVS[name]
     short = name.removesuffix("VectorEnv")
     if name.endswith("VectorEnv") and short in _TASKS:
         return partial(make_vector, short)

@@ -1,6 +1,6 @@
 """The soft-body tasks that have a name: robot, reward, and usual options such as the length.
 
-Their data sheets are those of the environments in ``diffsim.envs.registry``.
+Their data sheets are those of the environments in ``environments.yaml``.
 """
 
 from __future__ import annotations
