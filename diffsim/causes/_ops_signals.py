@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.compiled import core
 from diffsim.core.ops import Call, Given, Op, array
 
@@ -70,7 +70,7 @@ def find_intervals(times: Tensor, places: Tensor, *, of_equal: Literal["left", "
     return torch.from_numpy(found)
 
 
-def _numbers(values: Tensor) -> NDArray[np.float64]:
+def _numbers(values: Tensor) -> Array:
     return np.ascontiguousarray(values.numpy(), dtype=np.float64)
 
 

@@ -13,18 +13,17 @@ from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
 from diffsim.causes.scene import grid_of
 from diffsim.causes.signals import Grid, lagged
+from diffsim.core.arrays import Array
 from diffsim.core.expression import FUNCTIONS, Expression, parse_expression
 from diffsim.core.schema import Part
 from diffsim.data.study import Run, Study
 from diffsim.identify.law import Shape
 
-Array = NDArray[np.float64]
 MEAN = "mean_of_"  # before the name of a command or column: its mean over the run
 ORDER = "run_order"
 #: names that mean something else in formulas

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.causes.acting import ByFormula
@@ -33,6 +32,7 @@ from diffsim.causes.plant import Plant
 from diffsim.causes.ports import OF_FORCES
 from diffsim.causes.scene import ForceLaw, grid_of
 from diffsim.causes.signals import Grid
+from diffsim.core.arrays import Array
 from diffsim.data.study import Run
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 from diffsim.identify.law import (
@@ -50,7 +50,6 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
 from diffsim.identify.setup import LawPort, law_effect
 
-Array = NDArray[np.float64]
 _HIDDEN, _LASTING = "hidden", "lasting"
 _USUAL = 0.1  # factor of a number, of which slopes are asked
 _OUTER = 1.0  # percent of the positions of a place that its usual range leaves out at each end

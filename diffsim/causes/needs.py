@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.data.study import Study
 from diffsim.identify.effect import Needs, needs_nothing
 
-Array = NDArray[np.float64]
 FINE = 48  # values of a command that tell it from one that was rounded itself
 _NOTHING = 1e-300  # of a command that is zero throughout
 

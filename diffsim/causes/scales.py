@@ -12,11 +12,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.data.study import Run, Study
 
-Array = NDArray[np.float64]
 SCALES = "scales"  # place in a study's frame
 HELD = "held"  # another: commands that are held; a long record has it before it has scales
 _NO_RANGE = 1e-12  # of a command that is the same throughout

@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.causes._ops_signals import approach, find_intervals, follow
+from diffsim.core.arrays import Array, IntArray
 
 _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
 _SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
@@ -38,10 +38,10 @@ class Grid:
 
     times: Tensor
     samples: Tensor
-    seconds: NDArray[np.float64]
+    seconds: Array
 
     @classmethod
-    def of(cls, seconds: NDArray[np.float64], step: float) -> Grid:
+    def of(cls, seconds: Array, step: float) -> Grid:
         """Samples with as many equal steps between two of them that none is longer than ``step``.
 
         Args:
@@ -78,7 +78,7 @@ class Grid:
         """Time since the run's first sample; 0 before it, where a grid begins earlier [s]."""
         return (self.times - float(self.seconds[0])).clamp(min=0.0)
 
-    def resampled(self, values: NDArray[np.float64] | Tensor, *, held: bool) -> Tensor:
+    def resampled(self, values: Array | Tensor, *, held: bool) -> Tensor:
         """Values at the samples, (..., num_samples), at the times of the integrator.
 
         Gradient: values, where they are a tensor.
@@ -90,7 +90,7 @@ class Grid:
         return torch.from_numpy(np.interp(self.times.numpy(), self.seconds, values))
 
     @cached_property
-    def _last_sample(self) -> NDArray[np.int64]:
+    def _last_sample(self) -> IntArray:
         """Index of the sample at or before each time."""
         return np.searchsorted(self.seconds, self.times.numpy(), side="right") - 1
 

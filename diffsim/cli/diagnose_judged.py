@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.core.files import write_text_atomic
 from diffsim.data.shown import shown
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.judge.unseen import Array, Unseen
+from diffsim.diagnose.judge.unseen import Unseen
 
 FOLDER = "judged"
 MODELS = ("measured", "before", "after")

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from diffsim.cli.diagnose_export import flown_constants, is_text
+from diffsim.core.arrays import Array, Mask
 from diffsim.core.expression import parse_expression
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.units import factor
@@ -29,8 +29,6 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.outside import joint_drive
 from diffsim.systems.registry import setup_of
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 MUJOCO = "mujoco"
 FLOWN = ("kp", "load_inertia", "load_moment")  # constants that a drive on a joint needs to be flown
 MAX_RUNS = 20  # that an export is flown on

@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter.airframe import Airframe
@@ -19,9 +18,9 @@ from diffsim.copter.dynamics.hover import hover
 from diffsim.copter.dynamics.linearize import linearize
 from diffsim.copter.dynamics.lqr import lqr
 from diffsim.copter.vehicle.effects import FlightEffects, MotorLag
+from diffsim.core.arrays import Array
 from diffsim.core.torch_names import on_constants
 
-Array = NDArray[np.float64]
 # What the controller's numbers weigh, and the states of 12 that share each.
 WEIGHTS: dict[str, tuple[int, ...]] = {
     "x, y": (0, 1),

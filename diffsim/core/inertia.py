@@ -11,7 +11,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from diffsim.core.arrays import Array
 
 ENTRIES = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -23,7 +24,7 @@ LEAST_GYRATION, LARGEST_GYRATION = 1.0 / 20.0, 5.0
 _UNITS = {1e9: "g mm^2", 1e7: "g cm^2", 1e6: "kg mm^2", 1e4: "kg cm^2", 1e3: "g m^2"}
 
 
-def inertia_matrix(entries: Sequence[float]) -> NDArray[np.float64]:
+def inertia_matrix(entries: Sequence[float]) -> Array:
     """The matrix (3, 3) of xx, yy, zz, xy, xz, yz."""
     xx, yy, zz, xy, xz, yz = entries
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -73,7 +74,7 @@ def inertia_mistake(
     return None
 
 
-def size_mistake(mass: float, inertia: NDArray[np.float64], reach: float) -> str | None:
+def size_mistake(mass: float, inertia: Array, reach: float) -> str | None:
     """A radius of gyration that is far from the size of the body; None where it may be right.
 
     Args:
@@ -105,7 +106,7 @@ def mass_mistake(mass: float, entries: Mapping[str, float]) -> str | None:
     return None
 
 
-def _broken_triangle(moments: NDArray[np.float64], names: Sequence[str]) -> str | None:
+def _broken_triangle(moments: Array, names: Sequence[str]) -> str | None:
     k = int(np.argmax(moments))
     rest = [i for i in range(3) if i != k]
     most = float(moments[rest].sum())

@@ -14,9 +14,9 @@ from threading import Lock
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
+
 _Value = TypeVar("_Value")
 LARGE = 4 << 20  # bytes from which on an array is laid aside
 AT_HAND = 2  # arrays that were asked for last and stay in memory

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.units import factor
 from diffsim.data.study import Command, Run, Study
 
-Array = NDArray[np.float64]
 MAX_RUNS = 24
 MAX_SAMPLES = 600  # of a run: the clock of the longest recorded one is thinned or cut to it
 NEXT = "next"  # use of a run that nobody has recorded

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import rq
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
+
 _TURNED = np.diag([-1.0, 1.0, -1.0])  # computer vision looks along +z with v down; here along -z
 
 

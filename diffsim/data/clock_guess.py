@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.units import to_si
 from diffsim.data.names import COUNTER, TIME, TRIAL, may_be_time, unit_of_clock
 from diffsim.data.study_check import LATE
@@ -60,7 +60,7 @@ def guess_clock(
     return {"step": 0.01}, None, ["time.step: seconds between two rows"]
 
 
-def seconds_of(table: Table, time: Mapping[str, Any]) -> NDArray[np.float64]:
+def seconds_of(table: Table, time: Mapping[str, Any]) -> Array:
     """Clock of a table [s] by keys of ``time``."""
     unit = time.get("unit", "s")
     factor = None if unit == "clock" else to_si(unit).factor
@@ -74,7 +74,7 @@ def is_late(table: Table, time: Mapping[str, Any]) -> bool:
     return bool(seconds_of(table, time)[0] > LATE)
 
 
-def is_counter(column: Column, table: Table, rows: NDArray[np.int64]) -> bool:
+def is_counter(column: Column, table: Table, rows: IntArray) -> bool:
     """Whether a column is called a counter, and counts."""
     if not COUNTER.match(column.base) or not table.is_number[column.name]:
         return False
@@ -132,7 +132,7 @@ def _numeric_time(
     return {"column": column.name, "unit": unit}, column, todo
 
 
-def _unit_since_1970(now: NDArray[np.float64], step: float) -> str | None:
+def _unit_since_1970(now: Array, step: float) -> str | None:
     """Unit in which readings are dates of our time; None: they are none."""
     first = now[0] if len(now) else 0.0
     for unit, size in _SINCE_1970.items():
@@ -161,7 +161,7 @@ def _numbers_rows(column: Column, tables: Sequence[Table]) -> bool:
 
 
 def _split_at(
-    back: NDArray[np.int64], columns: Sequence[Column], table: Table, clock: Column, said: list[str]
+    back: IntArray, columns: Sequence[Column], table: Table, clock: Column, said: list[str]
 ) -> tuple[Column, ...]:
     for column in columns:
         if not column.name or column is clock:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 def from_sign_bit(values: Array, bit: int, one: float = 1.0) -> Array:

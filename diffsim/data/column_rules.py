@@ -13,9 +13,10 @@ from itertools import combinations
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.core.units import to_si
 from diffsim.data.clock_guess import is_counter, seconds_of
-from diffsim.data.guess import Array, Guess, GuessedColumn, listed
+from diffsim.data.guess import Guess, GuessedColumn, listed
 from diffsim.data.names import (
     DRIVING,
     GIVEN_OUT,

@@ -11,8 +11,8 @@ from dataclasses import replace
 from keyword import kwlist
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.expression import CONSTANTS, FUNCTIONS
 from diffsim.core.units import to_si
 from diffsim.data.formula import CLOCK
@@ -22,7 +22,6 @@ from diffsim.data.study import Column, Run, Study
 from diffsim.data.study_schema import Source
 from diffsim.data.table_guess import column_of
 
-Array = NDArray[np.float64]
 _WORDS = {CLOCK, "nan", *CONSTANTS, *FUNCTIONS, *kwlist}  # of formulas: no names of columns
 _AS_IS = Source()  # as the file has it
 _EVEN = 0.5  # of the usual step: a clock varies by less, as for diffsim.data.clock_guess

@@ -10,13 +10,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.data.steps import rest_and_jump
 
-Array = NDArray[np.float64]
 WIDTH = 5  # samples whose median is compared with: what lasts longer than two is no outlier
 JUMP_SD = 6.0  # robust sd of what others are off by, and usual changes from sample to sample
 LEAST = 0.02  # of the command's range
@@ -100,7 +99,7 @@ def without_jumps(values: Array, times: Array, jumps: Jumps) -> Array:
     return mended
 
 
-def _lasting(change: Array, least: float) -> NDArray[np.int64]:
+def _lasting(change: Array, least: float) -> IntArray:
     """Indices of samples after changes that stand alone among two on either side."""
     padded = np.pad(change, 2, mode="reflect")
     around = [padded[k : k + len(change)] for k in (0, 1, 3, 4)]

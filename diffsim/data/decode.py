@@ -7,9 +7,9 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PlainValidator, model_validator
 
+from diffsim.core.arrays import Array
 from diffsim.core.schema import KindWords, Part
 from diffsim.data.codes import (
     from_sign_bit,
@@ -19,7 +19,6 @@ from diffsim.data.codes import (
 )
 from diffsim.data.study_types import Number, Positive, read_number
 
-Array = NDArray[np.float64]
 SAME = 1e-9  # relative: a number in a file and the one that stands for nothing
 
 

@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import parse_expression
 from diffsim.data.codes import unwrapped
 
-Array = NDArray[np.float64]
 CLOCK = "t"
 _QUOTED = re.compile(r"`([^`]*)`")
 _DERIVATIVE = re.compile(r"\bderivative\(\s*([A-Za-z_]\w*)\s*\)")

@@ -7,15 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from diffsim.core.arrays import Array, IntArray
 from diffsim.data.folder_tables import FoundTable
 from diffsim.data.joined_files import Kind
 from diffsim.data.table import Table
 from diffsim.data.table_guess import Column
-
-Array = NDArray[np.float64]
 
 
 @dataclass(eq=False)
@@ -57,7 +53,7 @@ class GuessedRun:
     name: str
     files: tuple[str, ...]
     tables: tuple[Table, ...]
-    rows: NDArray[np.int64]
+    rows: IntArray
     value: str | None = None
     use: str = "fit"
     repeat_of: str | None = None

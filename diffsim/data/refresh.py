@@ -14,12 +14,11 @@ from functools import cache
 from itertools import starmap
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from diffsim.core.arrays import Array
 from diffsim.core.progress import say_stage
 
-Array = NDArray[np.float64]
 WINDOW, DEGREE = 11, 3  # samples and degree of the smooth motion
 SHORTEST, LONGEST = 0.3, 2.5  # periods that are looked for, in usual steps between samples
 FINE = 4.0  # beats that are tried per one over a record's duration

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean
 from diffsim.core.units import factor, to_si
 from diffsim.data.columns_beside import choose_columns, numeric_columns
@@ -51,7 +51,6 @@ from diffsim.data.study_schema import (
 )
 from diffsim.data.table import Rows, Table
 
-Array = NDArray[np.float64]
 _WITH_HEADER = TableFormat()
 _TIME = "time_s"  # column of the clock where none is stated
 FEWEST_STAMPS = 2  # of a run

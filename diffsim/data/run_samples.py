@@ -11,9 +11,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.core.schema import problem_lines
 from diffsim.core.units import to_si
 from diffsim.data.codes import unwrapped
@@ -24,7 +24,6 @@ from diffsim.data.study import Run
 from diffsim.data.study_schema import Fact, RunEntry, Source
 from diffsim.data.table import Rows, Table, as_label
 
-Array = NDArray[np.float64]
 _SLACK_S = 1e-9  # times such as 0.30000000000000004 are 0.3
 
 
@@ -226,7 +225,7 @@ def zero_of(
     return _of_run(entry.zero_time, labels) or 0.0
 
 
-def _window(entry: RunEntry, recorded_s: Array, labels: Sequence[str]) -> NDArray[np.bool_]:
+def _window(entry: RunEntry, recorded_s: Array, labels: Sequence[str]) -> Mask:
     keep = np.ones(len(recorded_s), dtype=bool)
     if (start := _of_run(entry.from_s, labels)) is not None:
         keep &= recorded_s >= start - _SLACK_S

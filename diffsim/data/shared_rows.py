@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array, IntArray
+
 Hashes = NDArray[np.uint64]
 STRETCH = 8  # rows that are compared at once: fewer hold no information that counts
 COMMON = 50  # places of a stretch from which it says nothing, such as a sensor at rest
@@ -75,7 +76,7 @@ def shared_stretches(
             yield SharedStretch(first, second, int(part[0]), len(part) + STRETCH - 1)
 
 
-def _windows(values: Array, *, distinct: bool) -> tuple[Hashes, NDArray[np.int64]]:
+def _windows(values: Array, *, distinct: bool) -> tuple[Hashes, IntArray]:
     """Hashes of all stretches of a recording, and their first rows."""
     count = len(values) - STRETCH + 1
     if count < 1 or not values.shape[1]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.expression import parse_expression
 from diffsim.core.units import factor
 from diffsim.data.steps import step_of
 from diffsim.data.study import Channel, Command, Study
 
-Array = NDArray[np.float64]
 MOST_STEPS = 3  # of channels that are said
 
 

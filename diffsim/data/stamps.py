@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.schema import Part
 from diffsim.data.study_types import Number
 
-Array = NDArray[np.float64]
 MAX_LOST = 100_000  # rows
 JUMP = 100.0  # usual steps, from which on a clock may have been set
 
@@ -71,9 +70,7 @@ class Stamps(Part):
 Duplicates = Literal["first", "last", "mean", "spread"]
 
 
-def mended(
-    clock: Array, stamps: Stamps, duplicates: Duplicates | None
-) -> tuple[NDArray[np.int64], Array]:
+def mended(clock: Array, stamps: Stamps, duplicates: Duplicates | None) -> tuple[IntArray, Array]:
     """Rows that stay, in order, and their stamps [s].
 
     Args:

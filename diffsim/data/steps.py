@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from diffsim.core.arrays import Array
 from diffsim.data.study import Run
 
-Array = NDArray[np.float64]
 FEWEST_VALUES = 8  # different readings from which on steps are no coincidence
 ON_STEP = 0.05  # of a step: how far off it a reading may lie
 ROUND = 1e-9  # of the range: readings that close are equal
@@ -88,7 +88,7 @@ def moves_on(runs: Iterable[Run], commands: Sequence[str]) -> bool:
     return any(len(c) >= MIN_STEP_SAMPLES and np.mean(np.diff(c) != 0.0) > RESTS for c in columns)
 
 
-def _changes(column: NDArray[np.float64]) -> tuple[int, int]:
+def _changes(column: Array) -> tuple[int, int]:
     """Number of changes of a column that rests, and how many of them stand alone."""
     if len(column) < MIN_STEP_SAMPLES:
         return 0, 0

@@ -7,12 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.data.fault_keys import FaultKeys
-
-Array = NDArray[np.float64]
 
 USES = ("fit", "select", "test")
 

@@ -20,13 +20,13 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import did_you_mean
 from diffsim.core.progress import say_stage
 from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
 from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = IntArray
 MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
 MAX_LINE = 4_000_000  # characters
 ROWS_SHOWN = 20_000  # rows after which reading says how far it is
@@ -230,7 +230,7 @@ def parse_number(
     return value
 
 
-def read_numbers(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+def read_numbers(path: Path, names: Sequence[str]) -> dict[str, Array]:
     """Columns of numbers by name; an empty cell is NaN.
 
     Raises:

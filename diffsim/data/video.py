@@ -20,13 +20,12 @@ from scipy import ndimage
 from scipy.cluster.vq import kmeans2
 from scipy.optimize import linear_sum_assignment
 
+from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.check import require_number
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
 from diffsim.core.optional import optional
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _FULL = 0.6  # of a ball's usual area: below it, a region is noise or a ball that leaves
 
 
@@ -88,7 +87,7 @@ class Tracks:
         merged: (num_frames,) whether balls touched in the picture: centers are then less sure.
     """
 
-    frames: NDArray[np.int64]
+    frames: IntArray
     time_s: Array
     centers: Array
     merged: Mask

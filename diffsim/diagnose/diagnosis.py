@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.threads import one_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
@@ -65,7 +65,6 @@ from diffsim.identify.problem import PredictionError
 from diffsim.identify.setup import LawPort
 from diffsim.identify.unknown import Unknown, drifts
 
-Array = NDArray[np.float64]
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
 ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws are short of it
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain, write_json_atomic
@@ -45,7 +45,6 @@ from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.ranges import Range
 
-Array = NDArray[np.float64]
 CORRELATED = 0.8
 EXTEND_FILE = "extend.json"  # beside the model that it writes
 CLOSED_VERDICTS = ("none", "data_sheet", "named", DESCRIBED)  # verdicts that may leave nothing open

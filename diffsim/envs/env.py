@@ -11,6 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.envs.sensing import ObservationNoise
 from diffsim.envs.starts import with_options
@@ -39,7 +40,7 @@ class TaskEnv(gymnasium.Env):
         task: Task,
         *,
         render_mode: str | None = None,
-        sensor_noise: float | NDArray[np.float64] = 0.0,
+        sensor_noise: float | Array = 0.0,
     ):
         if render_mode is not None:
             require_choice("render_mode", render_mode, RENDER_MODES)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
+
 if TYPE_CHECKING:
     from diffsim.copter import FlightState, Multicopter
 
@@ -84,9 +86,7 @@ def body_picture(
     return _pixels(figure)
 
 
-def _tiles(
-    cx: float, cy: float, reach: float, height: float
-) -> tuple[NDArray[np.float64], list[str]]:
+def _tiles(cx: float, cy: float, reach: float, height: float) -> tuple[Array, list[str]]:
     """Squares (n, 4, 3) of a chessboard fixed in the world, those in reach; and colors."""
     size = 0.4 * reach
     first = np.ceil((np.array([cx, cy]) - reach) / size).astype(int)
@@ -109,7 +109,7 @@ def _scene() -> tuple[Any, Any]:
     return figure, axes
 
 
-def _line(axes: Any, points: NDArray[np.float64], **style: Any) -> None:
+def _line(axes: Any, points: Array, **style: Any) -> None:
     """A line through points in NED, drawn with z up."""
     axes.plot(points[:, 0], points[:, 1], -points[:, 2], **style)
 

@@ -17,6 +17,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.plugins import ENVIRONMENTS, find_plugins, load_plugin
 from diffsim.core.yaml_text import read_yaml_file
@@ -172,7 +173,7 @@ def make_env(
     name: str | Path,
     *,
     render_mode: str | None = None,
-    sensor_noise: float | NDArray[np.float64] = 0.0,
+    sensor_noise: float | Array = 0.0,
     **options: Any,
 ) -> TaskEnv:
     """The environment of a task that has no class of its own.
@@ -194,7 +195,7 @@ def make_vector(
     max_episode_steps: int | None = None,
     autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     render_mode: str | None = None,
-    sensor_noise: float | NDArray[np.float64] = 0.0,
+    sensor_noise: float | Array = 0.0,
     **options: Any,
 ) -> TaskVectorEnv:
     """The native vector environment of a task: one prepared solver, the whole batch per call.
@@ -237,7 +238,7 @@ class NamedEnv(TaskEnv):
         self,
         *,
         render_mode: str | None = None,
-        sensor_noise: float | NDArray[np.float64] = 0.0,
+        sensor_noise: float | Array = 0.0,
         **options: Any,
     ):
         task = make_task(self.task_name, **options)

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from diffsim.core.arrays import Mask
 from diffsim.envs.vector_env import TaskVectorEnv
 
 
@@ -48,7 +49,7 @@ class Sb3VecEnv(VecEnv):
 
     def step_wait(
         self,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask, list[dict[str, Any]]]:
         """Take the step."""
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
 
 Array32 = NDArray[np.float32]
@@ -18,7 +19,7 @@ class ObservationNoise:
         size: Number of observations.
     """
 
-    def __init__(self, noise: float | NDArray[np.float64], size: int):
+    def __init__(self, noise: float | Array, size: int):
         hint = f"give one standard deviation, or one for each of the {size} observations"
         try:
             given = np.asarray(noise, dtype=np.float64)
@@ -30,7 +31,7 @@ class ObservationNoise:
             require_number("sensor_noise", float(extreme), at_least=0.0)
         self.sd = np.broadcast_to(given, (size,))
 
-    def __call__(self, observation: NDArray[np.float64], rng: np.random.Generator) -> Array32:
+    def __call__(self, observation: Array, rng: np.random.Generator) -> Array32:
         """Noisy observation(s), (..., n) float32."""
         if self.sd.any():
             observation = observation + self.sd * rng.standard_normal(observation.shape)

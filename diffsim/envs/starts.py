@@ -10,6 +10,7 @@ import torch
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Mask
 from diffsim.core.check import did_you_mean
 from diffsim.envs.task import Task, TaskState
 
@@ -49,7 +50,7 @@ def with_options(state: TaskState, options: Mapping[str, Any], where: str) -> Ta
     return out
 
 
-def checked_mask(mask: Any, num_envs: int) -> NDArray[np.bool_]:
+def checked_mask(mask: Any, num_envs: int) -> Mask:
     """``options["reset_mask"]``: which members start anew; as gymnasium's own environments ask.
 
     Raises:

@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.core.check import require_choice, require_count
 from diffsim.envs.env import RENDER_MODES, action_rows, frame_rate, spaces_of
 from diffsim.envs.sensing import ObservationNoise
@@ -20,7 +21,7 @@ from diffsim.envs.task import Task, TaskState
 from diffsim.envs.window import PictureWindow, side_by_side
 
 Floats = NDArray[np.float32]
-Bools = NDArray[np.bool_]
+Bools = Mask
 Members = NDArray[np.intp]
 
 
@@ -55,7 +56,7 @@ class TaskVectorEnv(VectorEnv):
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         render_mode: str | None = None,
-        sensor_noise: float | NDArray[np.float64] = 0.0,
+        sensor_noise: float | Array = 0.0,
     ):
         num_envs = require_count("num_envs", num_envs, at_least=1)
         if render_mode is not None:
@@ -110,7 +111,7 @@ class TaskVectorEnv(VectorEnv):
 
     def step(
         self, actions: NDArray[np.float32]
-    ) -> tuple[Floats, NDArray[np.float64], Bools, Bools, dict[str, Any]]:
+    ) -> tuple[Floats, Array, Bools, Bools, dict[str, Any]]:
         """One control step of all members."""
         if self.state is None:
             raise RuntimeError(f"{self.task.name}: call reset() before step()")
@@ -155,12 +156,12 @@ class TaskVectorEnv(VectorEnv):
         """The same step in torch: see ``Task.step``. Leaves the environment's own state alone."""
         return self.task.step(state, action)
 
-    def _advance(self, rows: Tensor, going: Bools) -> tuple[dict[str, NDArray[np.float64]], Bools]:
+    def _advance(self, rows: Tensor, going: Bools) -> tuple[dict[str, Array], Bools]:
         """Step and sense the members that go on; terms and failures are zero for the others."""
         assert self.state is not None  # of step
         members = np.flatnonzero(going)
         failed = np.zeros(self.num_envs, dtype=bool)
-        terms: dict[str, NDArray[np.float64]] = {}
+        terms: dict[str, Array] = {}
         if not len(members):
             return terms, failed
         with torch.no_grad():

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from diffsim.core.arrays import Array
 from diffsim.identify.problem import Problem
 
-Array = NDArray[np.float64]
 FIRST = 4  # cosines of the narrowest band; each further one is twice as wide
 RISES = 4.0  # nats by which a wider band must be better: odds of 55 to 1
 

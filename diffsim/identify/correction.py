@@ -20,16 +20,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.memo import Memo, memo_field
 from diffsim.identify.numerics import Numerics
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
 
-Array = NDArray[np.float64]
 _MOST_RUNS = 1024  # whose corrections are kept
 
 

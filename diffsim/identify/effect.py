@@ -14,16 +14,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run, Study
 from diffsim.identify.law import Shape
 from diffsim.identify.locate import Course, Proposal
 
 KINDS = ("force", "actuator", "sensor", "material", "environment", "numerical")
-Array = NDArray[np.float64]
 Real = TypeVar("Real", Array, Tensor)
 PRIOR_WIDTH = 1.5  # slope of a size at zero by its coordinate, in typical sizes
 TAIL = 1.5

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 from torch import Tensor
 
 from diffsim import optim
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Aside
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from diffsim.identify.model import SimModel
     from diffsim.identify.numerics import Numerics
 
-Array = NDArray[np.float64]
 METHODS = ("gauss_newton", "lbfgs")
 IMPOSSIBLE = 1e8  # noise sd per sample
 

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
 
-Array = NDArray[np.float64]
 PredictMany = Callable[[Sequence[Tensor]], Tensor]  # K points -> (K, ...)
 METHODS = ("auto", "differences", "forward_mode")
 

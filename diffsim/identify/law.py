@@ -14,12 +14,11 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from diffsim.core.arrays import Array
 from diffsim.data.study import Study
 
-Array = NDArray[np.float64]
 Where = Literal["force", "rate", "number", "value", "input", "reading"]
 Memory = Literal["", "heat", "slip", "oscillator", "relaxation", "work"]
 VALUE = "u"  # what the variable is called in the formula of a term

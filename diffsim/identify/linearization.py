@@ -11,15 +11,14 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Aside
 from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 
-Array = NDArray[np.float64]
 LARGEST = 1e140  # of a slope: the square of all of them, over noise of 1e-9 and less, is a number
 
 

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
+
 VISIBLE_SHARE = 1e-6  # of the most visible knot
 
 

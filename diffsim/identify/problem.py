@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import LARGEST
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo, memo_field
@@ -41,7 +41,6 @@ from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.identify.whitening import WhitenedRuns, Whitener
 
-Array = NDArray[np.float64]
 SECANT = 0.1  # of the typical size
 _MOST_KEPT = 256
 AT_ONCE = 1 << 22  # samples that are simulated at once: states beside them take some 200 MB

@@ -7,9 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from diffsim.core.arrays import Array
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
@@ -17,8 +15,6 @@ from diffsim.identify.law import LAWS, Entry, Gains, Law, Variable, numbers_of
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import Problem
 from diffsim.identify.unknown import Unknown
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

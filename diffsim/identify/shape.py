@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from diffsim.core.arrays import Array, IntArray
 
 _ROUND = 2  # times that a ball's icosahedron is refined: 320 triangles
 
@@ -22,12 +23,12 @@ class MovingShape:
             what faces away is not drawn.
     """
 
-    triangles: NDArray[np.int64]
-    nodes_m: NDArray[np.float64]
+    triangles: IntArray
+    nodes_m: Array
     closed: bool = False
 
     @classmethod
-    def of_balls(cls, places_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> MovingShape:
+    def of_balls(cls, places_m: Array, radii_m: Array) -> MovingShape:
         """Balls, which look the same however they are turned.
 
         Args:

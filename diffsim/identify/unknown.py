@@ -12,9 +12,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from diffsim.core.arrays import Array
 from diffsim.identify.effect import Effect
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model import has_tangents
@@ -22,8 +22,6 @@ from diffsim.identify.problem import Problem
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
-
-Array = NDArray[np.float64]
 
 
 class Unknown(ABC):

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from diffsim.core.arrays import Array
 from diffsim.core.memo import Memo
 from diffsim.data.study import Channel, Run
 
-Array = NDArray[np.float64]
 MOST_RUNS = 1024  # whose matrices are kept
 
 

@@ -13,10 +13,10 @@ from typing import Any
 import cma
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from diffsim.core.arrays import Array
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.task import Task
 from diffsim.learn.members import steer_members
@@ -95,7 +95,7 @@ class CmaLearner:
         }
         return cma.CMAEvolutionStrategy(first, self.options.spread, options)
 
-    def _rewards(self, candidates: NDArray[np.float64]) -> Tensor:
+    def _rewards(self, candidates: Array) -> Tensor:
         """Mean reward per step of each candidate, (population,)."""
         episodes = self.options.episodes
         start = self.task.start(episodes, self.rng)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from diffsim import optim
 from diffsim.control import Knots, OpenLoop, Sinusoid
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.envs.rollout import rollout_task
@@ -64,7 +64,7 @@ def fit_open_loop(
     trained = [p for p in controller.parameters() if p.requires_grad]
     first = parameters_to_vector(trained).detach().numpy().astype(np.float64)
 
-    def loss_and_gradient(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def loss_and_gradient(x: Array) -> tuple[float, Array]:
         vector_to_parameters(torch.from_numpy(x), trained)
         try:
             loss: Tensor = -rollout_task(task, controller, start, task.max_steps).rewards.mean()

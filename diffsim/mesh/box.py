@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_counts, require_numbers
 from diffsim.mesh.core import HexMesh, TetMesh
-from diffsim.mesh.reference import HEX_CORNERS, Array, IntArray
+from diffsim.mesh.reference import HEX_CORNERS
 
 KUHN: IntArray = np.array(
     [[0, 4, 6, 7], [0, 5, 4, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 1, 5, 7], [0, 3, 1, 7]], np.int64

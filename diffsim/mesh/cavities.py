@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.arrays import IntArray
 from diffsim.core.checked import checked
 from diffsim.core.torch_names import on_constants
 from diffsim.mesh.components import connected_parts
 from diffsim.mesh.core import HexMesh, TetMesh
-from diffsim.mesh.reference import IntArray
 from diffsim.mesh.surface import surface_triangles
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import MeshError
 from diffsim.mesh.crossings import crossing_triangles
-from diffsim.mesh.reference import Array, IntArray
 from diffsim.mesh.surface_bodies import enclosed_volume, refuse_crossings
 from diffsim.mesh.surface_check import check_indices
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffsim.mesh.reference import IntArray
+from diffsim.core.arrays import IntArray
 
 
 def connected_parts(num: int, first: IntArray, second: IntArray) -> IntArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from diffsim.mesh.reference import Array, IntArray
+from diffsim.core.arrays import Array, IntArray
 
 RELATIVE_QUANTUM = 1e-12
 

@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
+from diffsim.core.arrays import IntArray
 from diffsim.core.check import require, require_constant
 from diffsim.core.errors import MeshError
 from diffsim.core.module import loadable
@@ -16,7 +17,7 @@ from diffsim.core.numbers import values_of
 from diffsim.core.torch_names import on_constants
 from diffsim.core.values import as_array
 from diffsim.mesh import validate
-from diffsim.mesh.reference import HEX_EDGES, TET_EDGES, IntArray
+from diffsim.mesh.reference import HEX_EDGES, TET_EDGES
 
 Kind = Literal["hex", "tet"]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from diffsim.mesh.reference import Array, IntArray
+from diffsim.core.arrays import Array, IntArray
 
 _TOUCH = 1e-9  # of the triangles' size: what merely touches does not cross
 _MOST_PAIRS = 2_000_000  # looked at together

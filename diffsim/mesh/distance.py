@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.mesh.closed_surface import SurfaceLike, closed_surface
-from diffsim.mesh.reference import Array, IntArray
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.errors import MeshError
 from diffsim.core.optional import optional
@@ -18,7 +19,6 @@ from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance
 from diffsim.mesh.inside import grid_inside
 from diffsim.mesh.measure import total_volume
-from diffsim.mesh.reference import Array, IntArray
 from diffsim.mesh.repair import flip_inverted, remove_degenerate
 from diffsim.mesh.stuffing import fill
 from diffsim.mesh.surface_bodies import count_bodies, enclosed_volume

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from diffsim.core.arrays import IntArray
 from diffsim.mesh.components import connected_parts
-from diffsim.mesh.reference import (
-    HEX_EDGES,
-    HEX_FACES,
-    TET_EDGES,
-    TET_FACES,
-    IntArray,
-)
+from diffsim.mesh.reference import HEX_EDGES, HEX_FACES, TET_EDGES, TET_FACES
 from diffsim.mesh.surface import face_keys
 
 

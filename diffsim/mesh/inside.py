@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import MeshError
-from diffsim.mesh.reference import Array, IntArray
 
 _BUDGET = 4_000_000
 _TRIES = 5

@@ -8,19 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
 from diffsim.core.torch_names import on_constants
 from diffsim.mesh.congruence import congruence_classes
 from diffsim.mesh.core import HexMesh, TetMesh
-from diffsim.mesh.reference import (
-    HEX_CORNERS,
-    HEX_EDGES,
-    TET_EDGES,
-    TET_FACES,
-    Array,
-    det3,
-    hex_jacobians,
-)
+from diffsim.mesh.reference import HEX_CORNERS, HEX_EDGES, TET_EDGES, TET_FACES, det3, hex_jacobians
 from diffsim.mesh.shape import shape_gradients
 
 

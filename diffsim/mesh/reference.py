@@ -10,10 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from diffsim.core.arrays import Array, IntArray
 
 HEX_CORNERS: IntArray = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)], np.int64)
 """(di, dj, dk) of the eight local nodes, (8, 3)."""

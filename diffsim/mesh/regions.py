@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import IntArray
 from diffsim.core.check import did_you_mean, require, require_choice
 from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
@@ -24,7 +24,7 @@ SETS = "sets"
 """Key of the named groups of elements, beside the names of cell data."""
 
 _PHYSICAL = "gmsh:physical"
-_Labels = tuple[tuple[str, ...], NDArray[np.int64]]  # names; position in them, -1: in none
+_Labels = tuple[tuple[str, ...], IntArray]  # names; position in them, -1: in none
 
 
 @checked

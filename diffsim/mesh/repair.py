@@ -9,11 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.arrays import IntArray
 from diffsim.core.check import require, require_number
 from diffsim.core.numbers import to_numpy, values_of
 from diffsim.mesh.components import connected_parts
 from diffsim.mesh.core import HexMesh, TetMesh
-from diffsim.mesh.reference import HEX_MIRROR, IntArray
+from diffsim.mesh.reference import HEX_MIRROR
 from diffsim.mesh.validate import (
     COINCIDENT,
     DEGENERATE,

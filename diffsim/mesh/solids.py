@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_number, require_numbers
 from diffsim.mesh import sdf
 from diffsim.mesh.box import box_arrays
 from diffsim.mesh.core import HexMesh, TetMesh
-from diffsim.mesh.reference import HEX_FACES, Array, IntArray
+from diffsim.mesh.reference import HEX_FACES
 from diffsim.mesh.stuffing import tet_from_sdf
 from diffsim.mesh.surface import boundary_faces
 

@@ -6,12 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.arrays import IntArray
 from diffsim.core.check import require
 from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.torch_names import on_constants
 from diffsim.mesh.core import TetMesh
-from diffsim.mesh.reference import TET_EDGES, IntArray
+from diffsim.mesh.reference import TET_EDGES
 
 EIGHTHS: IntArray = np.array(
     [

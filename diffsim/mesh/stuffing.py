@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_choice
 from diffsim.core.errors import MeshError
 from diffsim.mesh.box import grid_hexes
 from diffsim.mesh.core import TetMesh
 from diffsim.mesh.hinges import without_hinges
-from diffsim.mesh.reference import TET_EDGES, Array, IntArray
+from diffsim.mesh.reference import TET_EDGES
 from diffsim.mesh.repair import remove_unreferenced_nodes
 from diffsim.mesh.voxels import evaluate, grid
 

@@ -9,11 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.arrays import IntArray
 from diffsim.core.checked import checked
 from diffsim.core.numbers import to_numpy
 from diffsim.core.torch_names import on_constants
 from diffsim.mesh.core import HexMesh, TetMesh
-from diffsim.mesh.reference import HEX_FACES, TET_FACES, IntArray
+from diffsim.mesh.reference import HEX_FACES, TET_FACES
 
 if TYPE_CHECKING:
     import trimesh

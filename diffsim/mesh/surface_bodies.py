@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import MeshError
 from diffsim.mesh.components import connected_parts
-from diffsim.mesh.reference import Array, IntArray
 
 _MOST_NAMED = 6
 

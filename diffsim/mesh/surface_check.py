@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import MeshError
-from diffsim.mesh.reference import Array, IntArray
 
 _STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL
 _ZERO_INDEX = re.compile(rb"^f\b[^\n]*[ \t]0+(?=[/\s]|$)", re.MULTILINE)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import IntArray
 from diffsim.core.errors import MeshError
 from diffsim.core.optional import optional
 from diffsim.mesh.volume_files import VolumeFile
@@ -101,7 +101,7 @@ def _read(path: Path, stage: Any, prim: Any, geom: Any) -> VolumeFile:
     )
 
 
-def _subset(path: Path, subset: Any, size: int) -> NDArray[np.int64]:
+def _subset(path: Path, subset: Any, size: int) -> IntArray:
     given = subset.GetIndicesAttr().Get()
     members = np.asarray([] if given is None else given, np.int64)
     outside = members[(members < 0) | (members >= size)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import MeshError
 from diffsim.mesh.congruence import congruence_classes
 from diffsim.mesh.reference import (
@@ -11,8 +12,6 @@ from diffsim.mesh.reference import (
     HEX_FROM_VTK,
     HEX_GAUSS,
     HEX_MIRROR,
-    Array,
-    IntArray,
     det3,
     hex_jacobians,
 )

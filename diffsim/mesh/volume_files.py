@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import MeshError
 from diffsim.core.xml_text import refuse_document_type
 from diffsim.mesh.reference import HEX_FROM_VTK
@@ -48,10 +49,10 @@ class VolumeFile:
         tag_names: Names of GMSH's physical groups of volumes, by their tag.
     """
 
-    x: NDArray[np.float64]
-    elements: NDArray[np.int64]
+    x: Array
+    elements: IntArray
     element_data: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    groups: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    groups: Mapping[str, IntArray] = field(default_factory=dict)
     tag_names: Mapping[int, str] = field(default_factory=dict)
 
 
@@ -119,7 +120,7 @@ def _one_kind(path: Path, cells: Sequence[Any]) -> tuple[str, list[int]]:
     return kind, [b for b, block in enumerate(cells) if block.type == kind and len(block.data)]
 
 
-def _members(blocks: Sequence[Any], sizes: Sequence[int]) -> NDArray[np.int64]:
+def _members(blocks: Sequence[Any], sizes: Sequence[int]) -> IntArray:
     """Members of a group as indices of the joined elements."""
     starts = np.cumsum([0, *sizes])[:-1]
     parts = [

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.errors import MeshError
 from diffsim.mesh.box import grid_hexes
 from diffsim.mesh.core import HexMesh
 from diffsim.mesh.hinges import without_hinges
-from diffsim.mesh.reference import Array, IntArray
 from diffsim.mesh.repair import remove_unreferenced_nodes
 
 _CHUNK = 1 << 20

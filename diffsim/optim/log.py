@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.core.files import append_atomic, to_plain, write_bytes_atomic
-from diffsim.optim.evaluation import Array, Evaluation
+from diffsim.optim.evaluation import Evaluation
 
 FORMAT = "diffsim.optim.log"
 VERSION = 1

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import optimize
 
+from diffsim.core.arrays import Array
 from diffsim.optim.evaluation import (
-    Array,
     Callback,
     Evaluation,
     NotFiniteError,

@@ -9,11 +9,11 @@ from functools import partial
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
 from diffsim.core.errors import DiffsimError
 from diffsim.core.runs import run_each
 from diffsim.optim.evaluation import (
-    Array,
     Callback,
     Evaluation,
     NotFiniteError,

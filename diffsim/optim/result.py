@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.core.record import Solve
-from diffsim.optim.evaluation import Array, Evaluation
+from diffsim.optim.evaluation import Evaluation
 
 Ended = Literal["converged", "budget", "callback", "failed"]
 

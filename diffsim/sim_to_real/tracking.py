@@ -22,11 +22,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 from torch import Tensor
 
 from diffsim import optim
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.core.expression import parse_expression
@@ -35,7 +35,6 @@ from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
 from diffsim.systems.twin import Twin
 
-Array = NDArray[np.float64]
 TIME = "t"
 EVALUATIONS = 300  # of each search
 NUDGE = 0.02  # of a command's range: how far the first commands are from rest

@@ -18,10 +18,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.torch_names import on_constants
 from diffsim.mesh import HexMesh, TetMesh
-from diffsim.mesh.reference import HEX_CORNERS, TET_EDGES, Array
+from diffsim.mesh.reference import HEX_CORNERS, TET_EDGES
 from diffsim.mesh.shape import different_elements, shape_tables, tet_gradients
 from diffsim.mesh.split import join_eighths
 from diffsim.soft.materials import SmallStrain

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.mesh import HexMesh, TetMesh, shape_gradients
-from diffsim.mesh.reference import Array, IntArray, hex_shape, hex_shape_derivatives
+from diffsim.mesh.reference import hex_shape, hex_shape_derivatives
 
 _INSIDE = 1e-9  # slack in local coordinates, so that a path on a face belongs to the element
 _OUTSIDE = 1e-6  # share of the path that rounding may leave in no element

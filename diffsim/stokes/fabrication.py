@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.core.check import require, require_number
 from diffsim.core.errors import MeshError
 from diffsim.core.record import warn
@@ -25,7 +25,6 @@ from diffsim.stokes.printing import FabricationReport, fabrication_report
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 
 _SKIN = 0.02  # thickness of the layer in which a closed face turns from fluid to solid [cells]
 _MISMATCH = 0.1  # of the fluid's volume between surface and cells, above which to warn [-]
@@ -205,9 +204,7 @@ def _slope(grid: Grid, values: Array) -> float:
     return max(float(np.median(np.concatenate(slopes))), np.finfo(float).tiny)
 
 
-def _open_nodes(
-    grid: Grid, values: Array, openings: Boundary | Sequence[str] | None
-) -> list[NDArray[np.bool_]]:
+def _open_nodes(grid: Grid, values: Array, openings: Boundary | Sequence[str] | None) -> list[Mask]:
     """For every face of the box, at which of its nodes the channel may leave."""
     faces = grid.faces
     if isinstance(openings, str) or not isinstance(openings, (Boundary, Sequence, type(None))):
@@ -236,7 +233,7 @@ def _open_nodes(
     return masks
 
 
-def _needs_wall(mask: NDArray[np.bool_], face: Array, margin: float, shell: bool) -> bool:
+def _needs_wall(mask: Mask, face: Array, margin: float, shell: bool) -> bool:
     """Whether material must be added outside of a face with these openings and level set."""
     fluid = face > 0.0
     if shell and not fluid.any():
@@ -249,11 +246,11 @@ def _needs_wall(mask: NDArray[np.bool_], face: Array, margin: float, shell: bool
 def _pad(
     coords: list[Array],
     values: Array,
-    masks: list[NDArray[np.bool_]],
+    masks: list[Mask],
     axis: int,
     side: int,
     steps: list[float],
-) -> tuple[list[Array], Array, list[NDArray[np.bool_]]]:
+) -> tuple[list[Array], Array, list[Mask]]:
     """Layers outside of a face: solid, but for the channel at open nodes, which runs on."""
     face = np.take(values, -side, axis=axis)
     beyond = np.where(masks[2 * axis + side], face, -np.abs(face))

@@ -11,10 +11,10 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from diffsim.core.arrays import Array, IntArray, Mask
+
+Indices = IntArray
 
 NEAREST = 0.01
 """Crossings keep this share of an edge [-] from its ends: no triangle vanishes when written in
@@ -50,7 +50,7 @@ def wall(coords: Sequence[Array], level: Array) -> tuple[Array, Indices]:
 # or a node (twice the same index).
 
 
-def _interior(inside: NDArray[np.bool_], strides: Indices) -> Indices:
+def _interior(inside: Mask, strides: Indices) -> Indices:
     """Triangles on level = 0, (F, 3, 2)."""
     corners = list(itertools.product((0, 1), repeat=3))
     views = [inside[tuple(slice(b, n - 1 + b) for b, n in zip(c, inside.shape, strict=True))]
@@ -87,7 +87,7 @@ def _cut_tet(pattern: int, places: Array) -> list[Indices]:
     return _fan(loop, places, out)
 
 
-def _box_face(inside: NDArray[np.bool_], strides: Indices, axis: int, high: bool) -> Indices:
+def _box_face(inside: Mask, strides: Indices, axis: int, high: bool) -> Indices:
     """Triangles of the negative part of one face of the box, (F, 3, 2)."""
     a, b = (k for k in range(3) if k != axis)
     shape = inside.shape

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from torch import Tensor
 
+from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.check import require, require_choice, require_number
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
-
-Array = NDArray[np.float64]
 
 ENDS = ("length", "box", "wall", "rest", "closed")
 """Why a line ended: its greatest length; it left the box; it met the wall; the fluid rests there;
@@ -178,7 +176,7 @@ def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     return torch.from_numpy(np.array(grid.origin) + scaled * np.array(grid.spacing))
 
 
-def _equal_shares(flow: Array, count: int) -> NDArray[np.int64]:
+def _equal_shares(flow: Array, count: int) -> IntArray:
     """Flat indices of samples in the middle of ``count`` equal parts of a flow over a face."""
     if flow.ndim == 1:
         return _quantiles(flow, count)
@@ -203,7 +201,7 @@ def _equal_shares(flow: Array, count: int) -> NDArray[np.int64]:
     return np.array(out, dtype=np.int64)
 
 
-def _quantiles(flow: Array, count: int) -> NDArray[np.int64]:
+def _quantiles(flow: Array, count: int) -> IntArray:
     cumulative = np.cumsum(flow)
     at = (np.arange(count) + 0.5) / count * cumulative[-1]
     return np.minimum(np.searchsorted(cumulative, at), len(flow) - 1)
@@ -221,7 +219,7 @@ class _Sampler:
     def scaled(self, points: Array) -> Array:
         return (points - self.origin) / self.spacing
 
-    def in_box(self, at: Array) -> NDArray[np.bool_]:
+    def in_box(self, at: Array) -> Mask:
         return np.all((at >= -1e-9) & (at <= self.cells + 1e-9), axis=-1)
 
     def __call__(self, at: Array) -> tuple[Array, Array]:
@@ -293,7 +291,7 @@ def _follow(
     return [np.array(line) for line in lines], [ENDS[k] for k in end]
 
 
-def _clip_to_box(sampler: _Sampler, x: Array, new: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _clip_to_box(sampler: _Sampler, x: Array, new: Array) -> tuple[Array, Mask]:
     """Steps cut where they leave the box."""
     move = new - x
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -314,7 +312,7 @@ def _to_wall(sampler: _Sampler, x: Array, new: Array) -> Array:
     return x + low[:, None] * (new - x)
 
 
-def _passes(seed: Array, x: Array, new: Array, spacing: Array) -> NDArray[np.bool_]:
+def _passes(seed: Array, x: Array, new: Array, spacing: Array) -> Mask:
     """Whether steps pass their seed within a hundredth of a cell."""
     move, away = (new - x) * spacing, (seed - x) * spacing
     square = np.maximum((move**2).sum(-1), np.finfo(float).tiny)

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.data.study import Run, Study
 from diffsim.data.study_file import load_study
@@ -26,7 +26,6 @@ from diffsim.systems.description import Description
 from diffsim.systems.registry import description_class, known_systems, setup_of
 
 PLANNED = "planned"  # name of the run that was never recorded
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.optional import optional
 from diffsim.viz.figures import COLORS, INK, LINE, SOFT
 
-Array = NDArray[np.float64]
 MAX_POINTS = 2500  # of a line: what a screen can show, and a page of a few megabytes
 CHART_POINTS = 300_000  # of all lines of a chart: 5 MB
 FEWEST_POINTS = 200  # of a line, however many there are
@@ -113,7 +112,7 @@ def dots(color: str, size: float = 4.0, opacity: float = 0.8) -> dict[str, Any]:
     return {"mode": "markers", "marker": {"color": color, "size": size, "opacity": opacity}}
 
 
-def thinned(count: int, most: int = MAX_POINTS) -> NDArray[np.int64]:
+def thinned(count: int, most: int = MAX_POINTS) -> IntArray:
     """Indices of at most ``most`` of ``count`` samples, evenly."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 

@@ -8,9 +8,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from diffsim.core.arrays import Array
 from diffsim.data.shown import shown, shown_change
 from diffsim.data.study import Channel
 from diffsim.viz import charts
@@ -26,7 +26,6 @@ from diffsim.viz.diagnosis_series import (
 )
 from diffsim.viz.figures import INK, LINE, SOFT
 
-Array = NDArray[np.float64]
 _KNOT = re.compile(r"(?P<shape>.*?)(?P<knot>\d+)")
 BAND_LABEL = "90 % band"
 MAX_LABEL = 40  # characters beside a matrix

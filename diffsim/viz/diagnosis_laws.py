@@ -6,8 +6,8 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.core.expression import parse_expression
 from diffsim.core.figures import figure, unit_of, with_interval
 from diffsim.data.study import Study
@@ -22,7 +22,6 @@ from diffsim.viz.charts import EXTENDED
 from diffsim.viz.figures import INK, LINE
 from diffsim.viz.formulas import write_formula
 
-Array = NDArray[np.float64]
 MOST_ROWS = 15  # of the table of all that was weighed
 PERIODS = 3.0  # of a law that repeats, in its picture: more of them are a grey wall
 NUM_FINE = 400  # points of a formula's line
@@ -79,7 +78,7 @@ def _picture(r: Report, law: DescribedLaw, curve: LawCurve) -> page.Chart:
     return page.Chart(figure=law_over_variable(r.study, law, curve, values, kept), caption=caption)
 
 
-def _seen_part(law: DescribedLaw, u: Array) -> NDArray[np.bool_]:
+def _seen_part(law: DescribedLaw, u: Array) -> Mask:
     """Points that are drawn: all, or a few periods in the middle."""
     number = law.numbers.get("wave_number")
     if number is None:
@@ -93,7 +92,7 @@ def law_over_variable(
     law: DescribedLaw,
     curve: LawCurve,
     values: dict[str, float] | None,
-    kept: NDArray[np.bool_],
+    kept: Mask,
 ) -> Any:
     """A missing term over its variable, with its band and its formula.
 

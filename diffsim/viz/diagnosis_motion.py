@@ -6,16 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.diagnose.say.report import Report
 from diffsim.identify import Fit, MovingShape
 from diffsim.viz.charts import EXTENDED, NULL
 from diffsim.viz.diagnosis_series import PredictedRun
 from diffsim.viz.figures import INK
 from diffsim.viz.moving import MAX_TRIANGLES, Deforming, Moving, MovingChoice
-
-Array = NDArray[np.float64]
 
 MAX_RUNS = 12  # in the menu
 FRAME_RATE = 25.0  # [Hz]

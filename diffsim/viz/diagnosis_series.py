@@ -8,14 +8,13 @@ from types import MappingProxyType
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from diffsim.core.arrays import Array
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.judge.own_values import held_out_point
 from diffsim.identify import Fit
 
-Array = NDArray[np.float64]
 CONFOUNDED = 0.95  # cosine beyond which two components are hardly told apart
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.core.optional import optional
-from diffsim.viz.figures import COLORS, CYCLE, INK, LINE, SOFT, Array, new_figure
+from diffsim.viz.figures import COLORS, CYCLE, INK, LINE, SOFT, new_figure
 
 if TYPE_CHECKING:
     import trimesh

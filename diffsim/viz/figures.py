@@ -10,7 +10,6 @@ import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
 
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 INK, SOFT, LINE = "#1d2433", "#5b6475", "#d9dde4"
 #: Colors by role; readable for color-blind readers and in grey (Okabe and Ito, darkened).

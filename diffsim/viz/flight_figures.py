@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.simulator import FlightLog
 from diffsim.core.files import write_bytes_atomic
@@ -17,8 +16,6 @@ from diffsim.viz.figures import COLORS, CYCLE, INK, SOFT, new_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 def motor_outputs(flights: Sequence[tuple[str, FlightLog]], *, columns: int = 2) -> Figure:

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter.design.design import Design
 from diffsim.copter.simulator import FlightLog
 from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
+from diffsim.core.arrays import Array
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.figures import COLORS, CYCLE
@@ -22,7 +22,6 @@ from diffsim.viz.moving import Line, Moving, Rigid
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 
 FRAME_RATE = 25.0  # [Hz]
 _UP = np.diag([1.0, -1.0, -1.0])  # north-west-up from north-east-down

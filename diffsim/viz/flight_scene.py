@@ -9,18 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter.design.design import Design
 from diffsim.copter.simulator import FlightLog, FlightSample
 from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
+from diffsim.core.arrays import Array
 from diffsim.core.optional import optional
 from diffsim.viz.figures import COLORS
 from diffsim.viz.flight_shapes import FlightShapes, shapes_of
 from diffsim.viz.scene import rgb, write_recording
-
-Array = NDArray[np.float64]
 
 FRAME_RATE = 30.0  # [Hz]
 _UP = np.diag([1.0, -1.0, -1.0])  # north-west-up from north-east-down

@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.design.design import Design
 from diffsim.copter.simulator import flight_rotors
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
+from diffsim.core.arrays import Array
 
 if TYPE_CHECKING:
     import trimesh
 
-Array = NDArray[np.float64]
 
 _ARM = 0.05  # radius of an arm over that of its propeller
 _DISC = 0.03  # thickness of a propeller over its radius

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
 from diffsim.stokes.fabrication import wall_mesh
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 SPEED = ("#f3f8f8", "#b9dcd9", "#62b3b2", "#0b7f86", "#0d5163", "#152a3f")
 """Colors from rest to the greatest speed, in equal steps; light to dark also in gray."""

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
 from diffsim.stokes.fabrication import wall_mesh
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.streamlines import Streamline, streamlines
 from diffsim.viz.flow import SPEED
 from diffsim.viz.scene import write_recording
-
-Array = NDArray[np.float64]
 
 
 def write_rerun(

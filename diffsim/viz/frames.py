@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import IntArray
 
-def triangles(quads: NDArray[np.int64]) -> NDArray[np.int64]:
+
+def triangles(quads: IntArray) -> IntArray:
     """Two triangles for each quadrilateral, (2 Q, 3) from (Q, 4)."""
     return quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
 

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +30,7 @@ class MovingSurface:
     path: str
     time_s: Array
     nodes_m: NDArray[np.float32]
-    triangles: NDArray[np.int64]
+    triangles: IntArray
     color: str
 
 
@@ -121,7 +120,7 @@ def _surface(rr: Any, stream: Any, surface: MovingSurface) -> None:
         )
 
 
-def _normals(nodes: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.float32]:
+def _normals(nodes: NDArray[np.float32], triangles: IntArray) -> NDArray[np.float32]:
     a, b, c = (nodes[triangles[:, i]] for i in range(3))
     face = np.cross(b - a, c - a)
     normal = np.zeros_like(nodes)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from diffsim.causes.listing import list_causes
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.schema import read_part
-from diffsim.data.study import Array, Run, Study
+from diffsim.data.study import Run, Study
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.unknown import UnknownForce, smooth_covariance

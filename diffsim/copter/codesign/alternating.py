@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL
@@ -24,9 +23,8 @@ from diffsim.copter.codesign.solve import LocalSolution
 from diffsim.copter.codesign.spin_condition import condition_number, most_controllable
 from diffsim.copter.codesign.steps import direction_step, shape_step, soft_energy, thrust_step
 from diffsim.copter.codesign.task import Point, Task
+from diffsim.core.arrays import Array
 from diffsim.core.runs import run_each
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

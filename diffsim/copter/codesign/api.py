@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter.codesign.alternating import alternating, judge
@@ -24,6 +23,7 @@ from diffsim.copter.codesign.report import design_metrics, largest_weight
 from diffsim.copter.codesign.result import CoDesignResult, StartRecord, attitude_of
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.copter.codesign.task import Point, Task, hover_residual
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 
 _HOVERS = 1e-8
@@ -109,7 +109,7 @@ class _Solution(NamedTuple):
     task: Task
     point: Point
     program: Program
-    x: NDArray[np.float64]
+    x: Array
     history: list[float]
     seconds_history: list[float]
     status: str
@@ -119,7 +119,7 @@ class _Solution(NamedTuple):
 
 def _by_joint_program(
     task: Task,
-    spins: NDArray[np.float64] | None,
+    spins: Array | None,
     search: SearchOptions,
     rng: np.random.Generator,
     executor: Executor | None,
@@ -141,7 +141,7 @@ def _by_joint_program(
 
 def _by_alternation(
     task: Task,
-    spins: NDArray[np.float64] | None,
+    spins: Array | None,
     options: AlternatingOptions,
     num_starts: int,
     rng: np.random.Generator,
@@ -204,7 +204,7 @@ def _find_bound(task: Task, warnings: list[str]) -> float:
         return -np.inf
 
 
-def _spins(spins: str | Sequence[float] | Tensor, task: Task) -> NDArray[np.float64] | None:
+def _spins(spins: str | Sequence[float] | Tensor, task: Task) -> Array | None:
     if isinstance(spins, str):
         require_choice("spins", spins, ("search", "given"))
         return None if spins == "search" else task.model.vehicle.spins.numpy()

@@ -7,13 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.wrench import Case, Rotors
 from diffsim.copter.vehicle.multicopter import GRAVITY
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

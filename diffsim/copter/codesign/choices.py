@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.pareto import undominated
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.core.runs import run_each
 
-Array = NDArray[np.float64]
 C = TypeVar("C")
 
 

@@ -6,15 +6,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import LinearConstraint, minimize
 
 from diffsim.copter.codesign.polytope import random_feasible
+from diffsim.core.arrays import Array
 
 if TYPE_CHECKING:
     from diffsim.copter.codesign.task import Point, Task
 
-Array = NDArray[np.float64]
 
 CONTROLLABLE = 1e-4  # margin below which a design counts as lost
 _FLOOR = 1e-8  # keeps the barrier finite where control is lost

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.metrics import CurrentModel
 from diffsim.copter.codesign.space import Shape
 from diffsim.copter.codesign.wrench import Rotors
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 _LEAST_THRUST = 1e-6  # of the limit; keeps second derivatives of u^alpha, alpha < 2, finite
 

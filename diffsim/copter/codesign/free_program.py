@@ -6,12 +6,10 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.hessian import lagrangian_hessian
 from diffsim.copter.codesign.program import Program
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 class FreeProgram:

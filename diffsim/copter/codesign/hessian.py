@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign import wrench
 from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.space import Shape
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 def lagrangian_hessian(

@@ -6,13 +6,11 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog, lsq_linear
 
 from diffsim.copter.codesign.space import Shape
 from diffsim.copter.codesign.wrench import Case, Rotors
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 LEVEL = np.array([0.0, 0.0, 1.0])  # direction of gravity in the body frame of a level body
 _MAX_ENUMERATED = 12  # rotors: 4096 assignments

@@ -9,7 +9,6 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.controllable import CONTROLLABLE, control_margin, move_to_controllable
 from diffsim.copter.codesign.errors import CoDesignError
@@ -21,12 +20,12 @@ from diffsim.copter.codesign.result import StartRecord
 from diffsim.copter.codesign.solve import LocalSolution, second_solver
 from diffsim.copter.codesign.space import ShapeModel
 from diffsim.copter.codesign.task import Point, Task, hover_residual
+from diffsim.core.arrays import Array
 from diffsim.core.runs import run_each
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-Array = NDArray[np.float64]
 
 FEASIBLE = 1e-7  # relative violation of constraints that a solution may have
 _HOVER = 1e-8  # relative imbalance of the whole model

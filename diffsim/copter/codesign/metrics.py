@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.optional import optional
-
-Array = NDArray[np.float64]
 
 # All are minimized; {name: what it is, in relative units}.
 METRICS = {

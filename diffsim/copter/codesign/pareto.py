@@ -9,17 +9,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.api import codesign
 from diffsim.copter.codesign.metrics import parse_objective
 from diffsim.copter.codesign.result import CoDesignResult
 from diffsim.copter.codesign.space import DesignSpace
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
 from diffsim.core.progress import show_progress
 from diffsim.core.runs import run_each
-
-Array = NDArray[np.float64]
 
 
 def pareto_front(

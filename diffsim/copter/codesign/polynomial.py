@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array, IntArray
 
 RTOL = 1e-9  # relative to the values: a polynomial that misses by more is not the function
 _MOST_TERMS = 500
@@ -29,7 +28,7 @@ class Polynomial:
 
     origin: Array
     scale: float
-    exponents: NDArray[np.int64]
+    exponents: IntArray
     coefficients: Array
 
     def at(self, s: Array) -> tuple[Array, Array]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from diffsim.copter.codesign.errors import CoDesignError
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 _TOLERANCE = 1e-9  # of A s - b [unit of b], above the rounding of LP solvers
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign import wrench
 from diffsim.copter.codesign.currents import Currents, hover_currents
@@ -20,8 +19,7 @@ from diffsim.copter.codesign.metrics import EPIGRAPH, CurrentModel
 from diffsim.copter.codesign.space import Shape, ShapeModel
 from diffsim.copter.codesign.wrench import Case, Rotors
 from diffsim.copter.vehicle.multicopter import GRAVITY
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 class Program:

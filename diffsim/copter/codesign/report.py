@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.metrics import METRICS
 from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.task import Point, Task
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 def design_metrics(task: Task, program: Program, x: Array) -> dict[str, float]:

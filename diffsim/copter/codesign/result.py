@@ -6,12 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.free_program import FreeProgram, Notes
 from diffsim.copter.codesign.program import Program
 from diffsim.copter.codesign.solver_scipy import by_scipy
 from diffsim.copter.codesign.solver_uno import PRESETS, by_uno
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
 from diffsim.copter.codesign.free_program import FreeProgram, Notes
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 def by_scipy(

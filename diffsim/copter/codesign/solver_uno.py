@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.free_program import FreeProgram, Notes
+from diffsim.core.arrays import Array
 from diffsim.core.optional import optional
-
-Array = NDArray[np.float64]
 
 # Uno's names of what diffsim calls uno and uno-ipm.
 PRESETS = {"uno": "filtersqp", "uno-ipm": "ipopt"}

@@ -9,15 +9,13 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter.codesign.polynomial import RTOL, Polynomial, fit
 from diffsim.copter.codesign.polytope import closest_feasible, random_feasible
 from diffsim.copter.design.design import Design
 from diffsim.copter.vehicle.multicopter import Multicopter
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 class DesignSpace(Protocol):

@@ -7,14 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.copter.dynamics.control_metrics import controllability
 from diffsim.copter.dynamics.linearize import linearize
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 def condition_number(task: Task, point: Point, u: Array) -> float:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from diffsim.copter.codesign.errors import CoDesignError
@@ -16,8 +15,7 @@ from diffsim.copter.codesign.options import AlternatingOptions
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.copter.codesign.wrench import skew
 from diffsim.copter.vehicle.multicopter import GRAVITY
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 _HALVINGS = 8  # of a shape step that the linearized positions overrate
 

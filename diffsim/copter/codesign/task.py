@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter.codesign.cases import Demands, flight_cases
@@ -20,8 +19,7 @@ from diffsim.copter.codesign.solve import LocalSolution, solve_local
 from diffsim.copter.codesign.space import DesignSpace, ShapeModel
 from diffsim.copter.codesign.wrench import Rotors
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 @dataclass(frozen=True)

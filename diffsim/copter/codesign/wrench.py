@@ -16,11 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.codesign.space import Shape
-
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
 
 
 @dataclass(frozen=True)

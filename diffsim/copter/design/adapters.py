@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diffsim.copter.vehicle.geometry import Array
 from diffsim.copter.vehicle.patches import Patch
+from diffsim.core.arrays import Array
 
 # (fitting, fitting) in alphabetical order -> adapters from the first to the second
 RULES: dict[tuple[str, str], tuple[str, ...]] = {

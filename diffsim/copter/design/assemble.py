@@ -15,7 +15,7 @@ from diffsim.copter.design.contact import Target
 from diffsim.copter.design.feasible import FeasibleSet, eliminate, staged_least_squares
 from diffsim.copter.design.placement import PlacedPart, distance_weights
 from diffsim.copter.design.spec import DesignSpec
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array
 
 
 class Assembly(NamedTuple):

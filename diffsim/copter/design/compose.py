@@ -19,9 +19,10 @@ from diffsim.copter.design.expressions import parse_constraint
 from diffsim.copter.design.placement import LinearForm, PlacedPart
 from diffsim.copter.design.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.design.tilts import clip_for, require_direction
-from diffsim.copter.vehicle.geometry import Array, rotation_rpy
+from diffsim.copter.vehicle.geometry import rotation_rpy
 from diffsim.copter.vehicle.parts import Part, make_part
 from diffsim.copter.vehicle.patches import aligning_rotation
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.errors import MeshError
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import linprog
 
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from diffsim.copter.design.constraints import Constraint
 from diffsim.copter.design.placement import LinearForm, PlacedPart
-from diffsim.copter.vehicle.geometry import Array, frame_of
+from diffsim.copter.vehicle.geometry import frame_of
 from diffsim.copter.vehicle.patches import Patch, misalignment
+from diffsim.core.arrays import Array
 
 Target = tuple[LinearForm, float]
 _ALIGNED = 0.05  # [deg]

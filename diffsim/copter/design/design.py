@@ -19,10 +19,10 @@ from diffsim.copter.design.listing import PartEntry, part_entries, placed_meshes
 from diffsim.copter.design.placement import PlacedPart, distance_weights
 from diffsim.copter.design.spec import DesignSpec
 from diffsim.copter.design.spec_file import write_spec
-from diffsim.copter.vehicle.geometry import Array
 from diffsim.copter.vehicle.mass import rigid_body
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.parts import RotorMount
+from diffsim.core.arrays import Array
 from diffsim.core.check import require, require_choice, require_constant
 from diffsim.core.checked import checked
 from diffsim.core.numbers import to_numpy, values_of

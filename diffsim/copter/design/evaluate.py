@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.design.placement import PlacedPart
-from diffsim.copter.vehicle.geometry import Array
 from diffsim.copter.vehicle.mass import Moments, mesh_moments, placed_moments
+from diffsim.core.arrays import Array
 
 
 class PartTensors:

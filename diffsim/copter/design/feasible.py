@@ -23,7 +23,7 @@ from diffsim.copter.design.constraints import (
     satisfiable,
 )
 from diffsim.copter.design.quadratic_program import solve_qp
-from diffsim.copter.vehicle.geometry import Array, IntArray
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import ConvergenceError
 
 _RANK_TOL = 1e-9  # coefficients are lengths' multiples, of order one

@@ -10,7 +10,8 @@ import numpy as np
 from torch import Tensor
 
 from diffsim.copter.design.placement import PlacedPart
-from diffsim.copter.vehicle.geometry import Array, frame_of
+from diffsim.copter.vehicle.geometry import frame_of
+from diffsim.core.arrays import Array
 
 if TYPE_CHECKING:
     import trimesh

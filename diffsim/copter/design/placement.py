@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from diffsim.copter.design.constraints import Constraint
-from diffsim.copter.vehicle.geometry import Array, LinearPoints
+from diffsim.copter.vehicle.geometry import LinearPoints
 from diffsim.copter.vehicle.parts.part import Part
 from diffsim.copter.vehicle.patches import Patch, Slide
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 
 AXES = "xyz"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.optional import optional
 

@@ -7,9 +7,10 @@ import numpy as np
 from diffsim.copter.design.contact import ContactEnd
 from diffsim.copter.design.placement import PlacedPart
 from diffsim.copter.design.spec import PartSpec
-from diffsim.copter.vehicle.geometry import UP, Array
+from diffsim.copter.vehicle.geometry import UP
 from diffsim.copter.vehicle.parts import Part, make_part
 from diffsim.copter.vehicle.patches import aligning_rotation
+from diffsim.core.arrays import Array
 
 _CLIP = "compound_angle_clip"
 _SQUARE = 0.01  # a motor that deviates by less needs no clip [deg]

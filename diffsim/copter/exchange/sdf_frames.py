@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter.exchange.xml_nodes import Node
+from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean
 
-Array = NDArray[np.float64]
 Pose = tuple[Array, Array]  # turn (3, 3) and place (3,) [m]
 
 _HERE = (np.eye(3), np.zeros(3))

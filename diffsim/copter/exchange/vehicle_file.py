@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from diffsim.copter.exchange.vehicle_mjcf import body_of, vehicle_of_mjcf, vehicle_of_urdf
 from diffsim.copter.exchange.vehicle_sdf import sdf_body, vehicle_of_sdf
@@ -34,7 +33,6 @@ from diffsim.core.yaml_text import load_yaml, read_text, read_yaml_file
 if TYPE_CHECKING:
     from diffsim.copter.exchange.vehicle_keys import BatteryFacts, RotorFacts, VehicleFile
 
-Array = NDArray[np.float64]
 
 _TO_FRD = {"FRD": np.eye(3), "FLU": FRD}
 _WHOLE = {  # MJCF and SDF say where rotors are, URDF is refused with the way

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.exchange.mjcf_text import refuse_too_much, whole_mjcf
 from diffsim.copter.exchange.stated_inertia import refuse_impossible_inertia
@@ -32,9 +31,9 @@ from diffsim.copter.vehicle.vehicle_record import (
     own_rotor,
     usual_radius,
 )
+from diffsim.core.arrays import Array
 from diffsim.core.optional import optional
 
-Array = NDArray[np.float64]
 _ROTOR = re.compile(r"prop|rotor|motor", re.I)
 _PROPERTIES = ("kf", "km", "thrust2weight", "prop_radius")  # of gym-pybullet-drones
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.exchange.sdf_frames import Frames, pose_of
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
@@ -27,10 +26,9 @@ from diffsim.copter.vehicle.vehicle_record import (
     own_rotor,
     usual_radius,
 )
+from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean
 from diffsim.core.inertia import ENTRIES, inertia_matrix, inertia_mistake
-
-Array = NDArray[np.float64]
 
 _SPINS = {"cw": 1.0, "ccw": -1.0}
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from diffsim.copter.design.spec import Connection, PartSpec
-from diffsim.copter.vehicle.geometry import Array, rotation_rpy
+from diffsim.copter.vehicle.geometry import rotation_rpy
+from diffsim.core.arrays import Array
 from diffsim.core.errors import MeshError
 from diffsim.mesh.files import load_surface
 

@@ -11,7 +11,8 @@ from diffsim.copter.design.design import Design
 from diffsim.copter.fabrication.motors import MotorPlan
 from diffsim.copter.fabrication.printable import clip_angles, clip_middle, has_screw_holes
 from diffsim.copter.fabrication.rods import RodCut
-from diffsim.copter.vehicle.geometry import UP, Array
+from diffsim.copter.vehicle.geometry import UP
+from diffsim.core.arrays import Array
 
 _SAME_AXIS = 1e-6  # [m]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffsim.copter.design.design import Design
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array
 
 _UPRIGHT = 0.01  # a motor that deviates by less has no azimuth to speak of [deg]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array
 from diffsim.mesh.distance import SurfaceDistance
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from diffsim.copter.fabrication.print_check import PrintCheck, Printer, check_pr
 from diffsim.copter.fabrication.printable import print_mesh
 from diffsim.copter.fabrication.rods import RodCut, StockBar, pack, rod_cuts
 from diffsim.copter.vehicle.clearance import disc_clearances
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 
 if TYPE_CHECKING:

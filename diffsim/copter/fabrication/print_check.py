@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
 
 if TYPE_CHECKING:

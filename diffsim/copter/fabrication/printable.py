@@ -14,7 +14,7 @@ import numpy as np
 from diffsim.copter.design.design import Design
 from diffsim.copter.design.placement import PlacedPart
 from diffsim.copter.fabrication.prism import circle, perforated_prism, refined
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array
 
 if TYPE_CHECKING:
     import trimesh

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from diffsim.copter.vehicle.geometry import Array
+from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.errors import MeshError
 
 if TYPE_CHECKING:
     import trimesh
 
-IntArray = NDArray[np.int64]
 _FLAT = 1e-9  # height over length of triangles between three points of one straight side: rounding
 
 
@@ -75,7 +73,7 @@ def perforated_prism(
     return trimesh.Trimesh(np.concatenate([bottom, top]), np.concatenate(faces), process=False)
 
 
-def inside(points: Array, loops: Sequence[Array]) -> NDArray[np.bool_]:
+def inside(points: Array, loops: Sequence[Array]) -> Mask:
     """Whether points lie within an odd number of closed loops, (num_points,)."""
     x, y = points[:, :1], points[:, 1:]
     crossings = np.zeros(len(points), dtype=int)

@@ -12,10 +12,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain, write_text_atomic
-
-Array = NDArray[np.float64]
 
 _UP = np.diag([1.0, -1.0, -1.0])  # north-east-down to north-west-up
 
@@ -52,7 +51,7 @@ class FlightSample:
     estimate: Array
     pwm: Array
     thrusts: Array
-    saturated: NDArray[np.bool_]
+    saturated: Mask
     motors_on: bool
     voltage: float
     current: float

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter._shipped import read_named, shipped
 from diffsim.copter.simulator.setpoint import Setpoint
+from diffsim.core.arrays import Array
 from diffsim.core.yaml_text import load_yaml
 
 _PEAK_SPEED = 15.0 / 8.0  # of the least-jerk polynomial, per mean speed
@@ -47,8 +47,8 @@ class Leg:
     name: str
     start: float
     duration: float
-    pose: NDArray[np.float64]
-    move: NDArray[np.float64]
+    pose: Array
+    move: Array
 
     def at(self, time: float) -> Setpoint:
         """Targets at a time [s]."""
@@ -140,7 +140,7 @@ def _require_order(name: str, *, flying: bool) -> None:
         raise ValueError(f"{name} on the ground; put a take_off before it")
 
 
-def _leg(name: str, values: dict[str, Any], time: float, pose: NDArray[np.float64]) -> Leg:
+def _leg(name: str, values: dict[str, Any], time: float, pose: Array) -> Leg:
     end = pose.copy()
     if name == "hover":
         return Leg(name=name, start=time, duration=values["seconds"], pose=pose, move=0.0 * pose)

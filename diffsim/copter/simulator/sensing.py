@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.copter.vehicle.multicopter import GRAVITY
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
-
-Array = NDArray[np.float64]
 
 # A bias may change by that share of itself from reading to reading: found within seconds. At 1e-3
 # it takes ten of them, during which a hover stands 3 cm off (SensorNoise() at 100 Hz).

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.simulator.setpoint import Setpoint
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
 
 NAMES = ("roll", "pitch", "yaw", "throttle")
@@ -60,8 +60,8 @@ class RecordedSticks:
         values: Roll, pitch, yaw, throttle, (T, 4).
     """
 
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
+    time_s: Array
+    values: Array
 
     @property
     def duration(self) -> float:

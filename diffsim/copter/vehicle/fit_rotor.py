@@ -16,7 +16,8 @@ import yaml
 from scipy.optimize import least_squares
 
 from diffsim.copter.vehicle.rotor import SIGNAL_HIGH, SIGNAL_LOW, RotorModel
-from diffsim.copter.vehicle.rotor_table import Array, RotorTable
+from diffsim.copter.vehicle.rotor_table import RotorTable
+from diffsim.core.arrays import Array
 from diffsim.core.files import write_text_atomic
 
 # Not in the tables. A first-order lag of 50 ms is usual for 10 to 14 inch propellers, 25 ms for

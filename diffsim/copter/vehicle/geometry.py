@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from diffsim.core.arrays import Array, IntArray
 
 SEGMENTS = 32  # around a circle; a multiple of 8, so that a square loop has its corners
 UP = np.array([0.0, 0.0, -1.0])  # north-east-down

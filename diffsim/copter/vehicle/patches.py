@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from diffsim.copter.vehicle.geometry import Array, LinearPoints, frame_of, rotation_about
+from diffsim.copter.vehicle.geometry import LinearPoints, frame_of, rotation_about
+from diffsim.core.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array, Mask
+
 INCH = 0.0254
 # Motors of small_motors.csv by the first word of their short name.
 _SMALL_MOTORS = {
@@ -55,7 +55,7 @@ class RotorTable:
     current: Array
     torque: Array | None
     voltage: Array | None
-    down: NDArray[np.bool_]
+    down: Mask
     source: str
 
     def __post_init__(self) -> None:
@@ -66,7 +66,7 @@ class RotorTable:
         if not all(np.isfinite(c).all() for c in columns):
             raise ValueError(f"columns of {self.name} must be finite")
 
-    def rows(self, keep: NDArray[np.bool_]) -> RotorTable:
+    def rows(self, keep: Mask) -> RotorTable:
         """Some of the rows."""
 
         def some(column: Array | None) -> Array | None:

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from diffsim.copter.vehicle.battery import Battery
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.rotor import RotorModel
+from diffsim.core.arrays import Array
 from diffsim.core.inertia import size_mistake
-
-Array = NDArray[np.float64]
 
 AIR_DENSITY = 1.225  # [kg/m^3], standard atmosphere at sea level
 # Thrust coefficient T / (rho n^2 D^4) of usual propellers of multirotors near hover, and the share

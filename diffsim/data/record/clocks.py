@@ -7,14 +7,12 @@ from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 from diffsim.data.stamps import JUMP
 from diffsim.data.study import Run
 
-Array = NDArray[np.float64]
 GAP = 1.5  # usual steps
 NEVER = 1e7  # usual steps: no run pauses that long
 LEAST_MOVED = 0.1  # of a command's range, in a gap

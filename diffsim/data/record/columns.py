@@ -7,13 +7,12 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.unit_slips import UNIT_SLIPS
 from diffsim.data.record.finding import Finding
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 
-Array = NDArray[np.float64]
 _GAIN = re.compile(r"(?<![\w.])(\d+\.?\d*(?:e[-+]?\d+)?)\s*[*/]|[*/]\s*(\d+\.?\d*(?:e[-+]?\d+)?)")
 OF_RANGE = 1e-3  # of the range, at most
 EQUAL = 4e-6  # of the values: copies in a file of six digits differ by less

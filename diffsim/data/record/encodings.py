@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.data.codes import from_sign_bit, from_twos_complement
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 
-Array = NDArray[np.float64]
 COUNTS = tuple(2.0**k for k in range(7, 33))
 TURNS = (360.0, 2.0 * np.pi, 1.0, 3600.0, 36000.0, 400.0, 6400.0)
 CODES = (

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.core.units import factor
 from diffsim.data.command_jumps import Jumps, jumps_of
@@ -15,7 +15,6 @@ from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 from diffsim.data.study import Command
 
-Array = NDArray[np.float64]
 FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself
 BURST = 6  # far samples that may be alike: more are a place where it stays
 MOST_TOGETHER = 2  # samples off both sides that are told from what a model lacks
@@ -76,7 +75,7 @@ def find_far(record: Record) -> Iterator[Finding]:
 
 def _leaping(
     record: Record, signal: Signal, samples: Samples, off_by: Array, least: float
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Places of stretches outside that begin and end by a leap which no command makes."""
     at = np.flatnonzero(off_by > 0.0)
     out: list[int] = []
@@ -169,7 +168,7 @@ def _jumps_of(signal: Signal, samples: Samples, values: Array) -> Jumps:
     return Jumps(rows, [], size) if len(rows) < FEW_MISREAD * len(samples) else Jumps([], [], 0.0)
 
 
-def spikes(samples: Samples, sd: float = 0.0, speed: Samples | None = None) -> NDArray[np.int64]:
+def spikes(samples: Samples, sd: float = 0.0, speed: Samples | None = None) -> IntArray:
     """Places of samples off both sides, that no bounce or cusp explains.
 
     Args:

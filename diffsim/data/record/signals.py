@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.data.signal import scatter
 from diffsim.data.steps import step_of
 from diffsim.data.study import Channel, Command, Run, Study
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 DIGITS = 1e-9  # of the range: numbers that close are equal
 FOLLOWS = 0.4  # least correlation of ranks with a command: who misses one goal of four has half
 PROBES = 20_000  # samples that tell it
@@ -33,7 +31,7 @@ class Samples:
     """
 
     run: str
-    at: NDArray[np.int64]
+    at: IntArray
     times: Array
     values: Array
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from itertools import combinations, groupby
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.progress import say_stage
 from diffsim.data.shared_rows import SHARED_BITS, STRETCH, SharedStretch, bits_of, shared_stretches
@@ -26,7 +26,6 @@ from diffsim.identify import Fit
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.model import SimModel
 
-Array = NDArray[np.float64]
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
 REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
 

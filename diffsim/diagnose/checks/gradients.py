@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.numerics import ROUNDING
@@ -31,7 +31,6 @@ from diffsim.identify import Jacobian, Problem
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import has_tangents
 
-Array = NDArray[np.float64]
 GRADIENT_RTOL = 1e-4
 # of the work that null fit and screening took; a diagnosis takes some times that
 GRADIENT_SHARE = 0.25
@@ -157,7 +156,7 @@ def _unit(values: Array) -> Array:
     return values / length if length > 0.0 else values
 
 
-def _order_runs(shows: NDArray[np.bool_], lengths: Sequence[int]) -> list[int]:
+def _order_runs(shows: Mask, lengths: Sequence[int]) -> list[int]:
     """Runs in the order in which they are checked: few and short ones show every effect first.
 
     Args:

@@ -6,12 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.data.command_jumps import jumps_of, without_jumps
 from diffsim.data.study import Command, Run
-
-Array = NDArray[np.float64]
 
 
 def without_misread(run: Run, commands: Sequence[Command]) -> tuple[Run, int]:

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse, special
 from scipy.ndimage import median_filter
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.core.memo import Memo
 from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.data.signal import noise_std, scatter
@@ -19,7 +19,6 @@ from diffsim.data.study import Channel, Run
 from diffsim.identify import Fit
 from diffsim.identify.whitening import MOST_RUNS
 
-Array = NDArray[np.float64]
 MAX_ORDER = 4
 LONGEST_MEMORY = 1000  # samples over which a color is followed
 UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
@@ -328,7 +327,7 @@ def without_spikes(
     return tuple(cleaned), count
 
 
-def _find_spikes(left: Array, usual: Array | None) -> NDArray[np.bool_]:
+def _find_spikes(left: Array, usual: Array | None) -> Mask:
     away = np.abs(left - median_filter(left, size=(5, 1), mode="nearest"))
     # a channel that was never measured, or never five samples in a row, has no scale
     scale = np.zeros(away.shape[1])
@@ -339,7 +338,7 @@ def _find_spikes(left: Array, usual: Array | None) -> NDArray[np.bool_]:
     return np.asarray(away > SPIKE * np.where(scale > 0.0, scale, np.inf))
 
 
-def _stretches(valid: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _stretches(valid: Mask) -> list[tuple[int, int]]:
     """[start, stop) of consecutive True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -16,8 +16,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.identify import Fit, Problem
@@ -26,7 +26,6 @@ from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import Linearization, record_at, whitened
 from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
-Array = NDArray[np.float64]
 NUMERICS_LAMBDA = 2.0
 # Of what a cause does, from which refining a setting once could be the cause: all further
 # refinements of a first-order method change as much again, and near kinks none are in proportion.

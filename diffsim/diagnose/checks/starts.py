@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.data.shown import shown_step
 from diffsim.data.signal import scatter
 from diffsim.data.study import Run, Study
@@ -20,7 +20,6 @@ from diffsim.data.study_check import Problem
 from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
 
-Array = NDArray[np.float64]
 RULE = "starts"
 MOST_RUNS = 12  # that are simulated
 LEAST_ROWS, MOST_ROWS, ROW_SHARE = 6, 32, 0.01  # of a run, that show where and how fast it begins
@@ -102,7 +101,7 @@ def _begin(model: SimModel, study: Study, run: Run) -> _Begin | None:
     return _Begin(run, seen, told[0], doubt)
 
 
-def _far(begins: Sequence[_Begin], usual: Array) -> NDArray[np.bool_]:
+def _far(begins: Sequence[_Begin], usual: Array) -> Mask:
     """Where runs begin elsewhere, (num_runs, 2, num_channels)."""
     off = np.stack([b.seen - b.told for b in begins])
     sure = np.abs(off) > SURE_SDS * np.stack([b.sd for b in begins])

@@ -13,8 +13,8 @@ from itertools import combinations, islice, product
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.unit_slips import UNIT_SLIPS
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -105,7 +105,7 @@ class _PlainModel:
     study: Study
     runs: Sequence[Run]
 
-    def left(self, q: torch.Tensor, runs: Sequence[Run]) -> NDArray[np.float64]:
+    def left(self, q: torch.Tensor, runs: Sequence[Run]) -> Array:
         """Share that is left of each channel, (num_channels,); inf where there is no number.
 
         Args:
@@ -149,7 +149,7 @@ class _PlainModel:
                 return True
         return False
 
-    def _predict(self, q: torch.Tensor) -> NDArray[np.float64]:
+    def _predict(self, q: torch.Tensor) -> Array:
         with torch.no_grad():
             return np.concatenate([self.model.predict(run, q).numpy() for run in self.runs])
 

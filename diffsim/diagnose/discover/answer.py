@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.discover.look_alikes import look_alikes
@@ -29,7 +29,6 @@ from diffsim.diagnose.say.report import Report
 from diffsim.identify import Fit
 from diffsim.identify.law import VALUE, Law, Variable
 
-Array = NDArray[np.float64]
 MOST_ROWS = 40  # of the table
 OF_NUMBERS = ("number", "value")  # kinds of entries that change a number of the model
 POSSIBLE = "possible"  # of one of several laws

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Aside
 from diffsim.data.study import Run
@@ -29,7 +29,6 @@ from diffsim.identify.law import Entry, Gains, Variable
 from diffsim.identify.linearization import linearization_at, measured_of, record_at, whitened
 from diffsim.identify.setup import LawPort
 
-Array = NDArray[np.float64]
 MOST_KNOTS = 300  # of a run's course, over all its entries
 MAX_STEPS = 8
 COURSE = "course"  # family of what drives a simulation along a recording

@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array
+
 NUM_STARTS = 7  # of each number of a form, over the range of its variable
 FORM_PRIOR_SD = 10.0  # of the prior of a form's number, in sd that the record leaves
 NUMBER_NATS = float(np.log(FORM_PRIOR_SD))  # what each number costs, by that prior

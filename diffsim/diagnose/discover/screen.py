@@ -14,9 +14,9 @@ from functools import cached_property
 from itertools import pairwise, permutations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, special
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord, Reach
 from diffsim.diagnose.discover.forms import Curve, LawMisfit
@@ -26,7 +26,6 @@ from diffsim.identify import Fit, Problem
 from diffsim.identify.law import VALUE, Entry, Variable
 from diffsim.identify.setup import LawPort
 
-Array = NDArray[np.float64]
 NUM_BUMPS = 11  # over the range of a variable, half overlapping
 FEWEST_PERIODS = 2.0  # over the range: fewer are no repetition, bumps follow them
 MOST_NUMBERS = 4000  # wave numbers that are tried
@@ -583,7 +582,7 @@ class _Parts:
         roots: Inverse Cholesky factors of the rest's gram matrix of J and 1, (P, n, n).
     """
 
-    begins: NDArray[np.int64]
+    begins: IntArray
     known: Sequence[Array]
     grams: Array
     roots: Array

@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import follow
 from diffsim.diagnose.discover.forms import FORM_PRIOR_SD, Curve, FittedForm, fit_forms
@@ -34,7 +34,6 @@ from diffsim.identify.law import Entry, Law, Shape
 from diffsim.identify.linearization import linearization_at, measured_of, records_at, whitened
 from diffsim.identify.setup import LawPort
 
-Array = NDArray[np.float64]
 PARTS_OF_WAY = (1.0, 0.5, 0.25, 0.125)  # of a law's first step, the longest that holds is taken
 KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
 NUM_JUDGING = 2  # laws of a screen whose fits tell whether its slopes hold

@@ -10,14 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp, ndtr, owens_t
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.diagnose.faults.local import Local
 from diffsim.diagnose.faults.marginal import Information, Priors, without
 from diffsim.identify.effect import TAIL, Effect, coordinate_of, precision_at
 
-Array = NDArray[np.float64]
 NUM_MODE_STEPS = 8
 NUM_SAMPLES = 40  # of the sizes, for each draw of the scatter
 TINY = 1e-12  # share of a normal distribution that is computed, and mean that one is divided by
@@ -128,7 +127,7 @@ def mixed(parts: Sequence[Evidence], log_weights: Sequence[float]) -> Evidence:
     )
 
 
-def _mode(found: Sequence[Information], signed: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _mode(found: Sequence[Information], signed: Mask) -> tuple[Array, Array]:
     """Most probable scaled sizes, and the precision of the normal prior that stands there."""
     curvature = np.mean([f.curvature for f in found], axis=0)
     slope = np.mean([f.slope for f in found], axis=0)
@@ -141,14 +140,14 @@ def _mode(found: Sequence[Information], signed: NDArray[np.bool_]) -> tuple[Arra
     return mode, width
 
 
-def _prior_at(mode: Array, width: Array, signed: NDArray[np.bool_]) -> float:
+def _prior_at(mode: Array, width: Array, signed: Mask) -> float:
     """Log density of the prior of scaled sizes at the mode, its normal stand-in taken off."""
     x = coordinate_of(mode)
     density = -0.5 * x**2 - 0.5 * np.log(2.0 * np.pi) - np.log(np.cosh(TAIL * x))
     return float(np.sum(density + np.where(signed, 0.0, np.log(2.0)) + 0.5 * width * mode**2))
 
 
-def _log_shares(means: Array, covariances: Array, signed: NDArray[np.bool_]) -> Array:
+def _log_shares(means: Array, covariances: Array, signed: Mask) -> Array:
     """Logarithms of the shares of normal distributions on the allowed side, (num_draws,)."""
     one = np.flatnonzero(~signed)
     if not len(one):
@@ -192,14 +191,14 @@ def _samples(
     means: Array,
     covariances: Array,
     weight: Array,
-    signed: NDArray[np.bool_],
+    signed: Mask,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Samples of the sizes on the allowed side, and their weights."""
     factors = np.linalg.cholesky(covariances)
     drawn = rng.standard_normal((len(means), NUM_SAMPLES, means.shape[1]))
     drawn = means[:, None] + drawn @ factors.swapaxes(1, 2)
-    allowed: NDArray[np.bool_] = np.asarray(np.all(signed | (drawn > 0.0), axis=2))
+    allowed: Mask = np.asarray(np.all(signed | (drawn > 0.0), axis=2))
     none = ~np.any(allowed, axis=1)  # there the mean, moved to the allowed side, is the only sample
     drawn[none, 0] = np.where(signed, means, np.maximum(means, 0.0))[none]
     allowed[none, 0] = True

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.figures import figure
 from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.data.study import Run
@@ -27,9 +27,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.problem import Problem
 from diffsim.identify.whitening import WhitenedRuns
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+Index = IntArray
 ROW_ODDS = 0.01  # of a row that was misread, beforehand
 ROW_SCALE = 10.0  # of its Cauchy distribution, in sd of the noise
 MISSED, TAKEN = 1.0, 50.0  # goals that were missed and taken, before any is seen

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.threads import one_thread
 from diffsim.data.fault_keys import FaultKeys
@@ -39,7 +39,6 @@ from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.whitening import WhiteNoise
 
-Array = NDArray[np.float64]
 REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes
 NUM_REFINEMENTS = 2
 ENDS = (0.05, 0.95)  # shares of draws below the two ends of an interval

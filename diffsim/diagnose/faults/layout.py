@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.check import did_you_mean
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.fault_keys import FaultKeys
@@ -15,7 +15,6 @@ from diffsim.data.study import Run
 from diffsim.identify.effect import touches
 from diffsim.identify.model import Parameter
 
-Array = NDArray[np.float64]
 COMMON = -1
 
 
@@ -33,9 +32,9 @@ class Layout:
     """
 
     names: tuple[str, ...]
-    family: NDArray[np.int64]
-    is_daily: NDArray[np.bool_]
-    is_state: NDArray[np.bool_]
+    family: IntArray
+    is_daily: Mask
+    is_state: Mask
     families: tuple[str, ...]
     stated: tuple[float, ...]
     _acting: Memo[tuple[list[int], list[int]]] = memo_field()

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.diagnose.faults.goals import Fit, Rows, Tails, learned_tails, rows_at
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.layout import Layout
@@ -27,7 +27,6 @@ from diffsim.diagnose.faults.one_sided import Terms
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.problem import Problem
 
-Array = NDArray[np.float64]
 FACTOR_SD = 1.0  # sd of the logarithm of a spread about the stated one: a factor of e
 KNOWN_PRECISION = 1.0 / 3.0**2  # of known sizes: up to about five typical sizes
 NUM_TAILS = 5  # rounds over which rows and goals are trusted
@@ -374,7 +373,7 @@ class _Squares(NamedTuple):
     """Posterior mean of the square of each parameter with a spread, and its family."""
 
     value: Array
-    family: NDArray[np.int64]
+    family: IntArray
 
 
 def _mean_squares(

@@ -11,12 +11,11 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from diffsim.core.arrays import Array
 from diffsim.diagnose.faults.local import Local
 
-Array = NDArray[np.float64]
 LOG_ROOT_TWO_PI = 0.5 * np.log(2.0 * np.pi)
 SMALLEST_SHARE = 1e-6  # of a variance that a condition leaves
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number
 from diffsim.diagnose.faults.candidates import Candidate
@@ -25,7 +25,6 @@ from diffsim.diagnose.say.causes import PROBABLE
 from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 
-Array = NDArray[np.float64]
 SILENT, UNLISTED = "nothing visible", "not in the library"
 SOUND = "nothing"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)

@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special
 
+from diffsim.core.arrays import Array
 from diffsim.core.memo import Memo, memo_field
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.judge import Judgment
@@ -36,7 +36,6 @@ from diffsim.diagnose.search.simulations import NONE, Members
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, is_of_run
 
-Array = NDArray[np.float64]
 MODEL_FORM = 0.01  # relative uncertainty of a size, beside the statistical one
 POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a parameter's spread
 

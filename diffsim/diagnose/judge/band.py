@@ -26,10 +26,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.judge.gain import RAN_AWAY, LeftOut, Validation, held_out_residual
@@ -41,7 +41,6 @@ from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import touches
 from diffsim.identify.fitting import posterior_covariance
 
-Array = NDArray[np.float64]
 OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated too large
 LEAST_PARTS = 2  # one does not tell how parts differ
 

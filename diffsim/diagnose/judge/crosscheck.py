@@ -14,14 +14,13 @@ from __future__ import annotations
 from collections import defaultdict
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.data.study import Run
 from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.identify import Fit, Problem
 from diffsim.identify.bandwidth import band_nats, octaves_of
 
-Array = NDArray[np.float64]
 BLOCK_S = 0.3
 DRAWS = 200
 LOUDEST = 3.0  # rms of a block, in noise sd: louder ones count as if they were as loud as that
@@ -85,7 +84,7 @@ def swap_probability(problem: Problem, residual: Array, *, seed: int) -> float |
     return (hits + 1) / (DRAWS + 1)
 
 
-def _shares(mean: Array, half: Array, label: NDArray[np.int64]) -> Array:
+def _shares(mean: Array, half: Array, label: IntArray) -> Array:
     """Factor of each sample, (num_samples, 1), that no block is above ``LOUDEST``.
 
     The same for mean and half-difference: under noise alone they stay exchangeable.
@@ -107,5 +106,5 @@ def _pairs(runs: tuple[Run, ...]) -> list[tuple[int, int]]:
     ]
 
 
-def _blocks(run: Run) -> NDArray[np.int64]:
+def _blocks(run: Run) -> IntArray:
     return ((run.time_s - run.time_s[0]) / BLOCK_S).astype(np.int64)

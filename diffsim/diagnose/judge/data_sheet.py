@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import LARGEST
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.averaging import Widening
@@ -19,7 +19,6 @@ from diffsim.diagnose.search.search import LEFT_SHEET_SD
 from diffsim.identify import Fit
 from diffsim.identify.model import Parameter
 
-Array = NDArray[np.float64]
 WRONG_SHEET_SD = 10.0  # of a data sheet that is wrong, in its own standard deviations
 
 

@@ -9,8 +9,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.threads import one_thread
 from diffsim.data.study import Channel, Run, Study
@@ -30,8 +30,6 @@ from diffsim.identify.model_file import (
     without_effects,
     without_values_of,
 )
-
-Array = NDArray[np.float64]
 
 
 def facts_of(study: Study, noise: ArWhitener, band: Band | None) -> dict[str, Any]:

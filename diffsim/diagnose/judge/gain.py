@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
@@ -27,7 +27,6 @@ from diffsim.diagnose.judge.left_out import (
 from diffsim.diagnose.judge.own_values import FAR_OFF, Frozen, held_out_point
 from diffsim.identify import Fit, Problem
 
-Array = NDArray[np.float64]
 MIN_BLOCKS = 4  # fewer say nothing: three agree by chance
 MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
 DRAWS = 1000  # resamples of the bootstrap

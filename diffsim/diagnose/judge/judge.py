@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.crosscheck import repeated_gate
@@ -21,7 +20,6 @@ from diffsim.diagnose.search.search import fitted_exactly, refit, weigh_unknowns
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify.effect import is_of_run
 
-Array = NDArray[np.float64]
 EXPLAINED = 0.8  # share of the misfit that a named set explains
 NAMES = ("named", "ambiguous")
 MOST_TRIED = 6  # sets whose gain is asked beside an unknown cause, or in the place of members

@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.errors import DiffsimError
 from diffsim.core.figures import figure
 from diffsim.data.study import TIMELESS, Run
@@ -28,8 +28,6 @@ from diffsim.identify import Fit, Problem
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import linearization_at
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 MAX_FOLDS = 8
 MEMORY = 10.0  # a block over the time in which the noise forgets
 MIN_FOLDS = 3  # blocks of one recording; fewer leave too little to fit
@@ -84,7 +82,7 @@ def folds_of(fit: Fit) -> Folds | None:
     return blocks_of(fit.problem) or groups
 
 
-def known_alone(fit: Fit, folds: Folds) -> NDArray[np.bool_]:
+def known_alone(fit: Fit, folds: Folds) -> Mask:
     """Whether a parameter that the data determine is not determined any more without one part."""
     own = determined(fit)
     lost = np.zeros(len(own), dtype=bool)
@@ -258,7 +256,7 @@ def kept_runs(problem: Problem, fold: Fold) -> tuple[Run, ...]:
     return tuple(out)
 
 
-def newest_samples(problem: Problem, run: Run) -> NDArray[np.int64]:
+def newest_samples(problem: Problem, run: Run) -> IntArray:
     """Sample that a whitened row belongs to: the newest that it uses, (num_valid,)."""
     matrix = problem.whitener.matrix(run)
     if not matrix.shape[0]:
@@ -266,7 +264,7 @@ def newest_samples(problem: Problem, run: Run) -> NDArray[np.int64]:
     return np.asarray(np.maximum.reduceat(matrix.indices, matrix.indptr[:-1]))
 
 
-def _run_of_rows(problem: Problem) -> NDArray[np.int64]:
+def _run_of_rows(problem: Problem) -> IntArray:
     """Index of the run of every whitened row."""
     counts = [problem.whitener.matrix(run).shape[0] for run in problem.runs]
     return np.repeat(np.arange(len(counts)), counts)

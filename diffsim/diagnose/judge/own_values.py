@@ -9,9 +9,9 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import optimize
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.data.study import Run
@@ -19,7 +19,6 @@ from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.effort import FIT_RTOL
 
-Array = NDArray[np.float64]
 _FAR = 1.5  # misfit per sample of a run's own values, from which their slopes are taken anew
 _STRAIGHT = 0.02  # share of it that this must promise
 _ENOUGH = 0.1 * FIT_RTOL  # promise of a step that is not simulated: slopes may be a little wrong

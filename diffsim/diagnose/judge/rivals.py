@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number
 from diffsim.data.shown import shown_change
@@ -21,7 +21,6 @@ from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.model_file import SavedModel
 
-Array = NDArray[np.float64]
 LATEST = 0.25  # of a run, by which its command may come late
 NUM_DELAYS = 65  # that are tried
 

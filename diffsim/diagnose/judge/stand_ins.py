@@ -18,9 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from diffsim.core.arrays import Array
 from diffsim.diagnose.checks.numerics import (
     NUMERICS_LAMBDA,
     could_be,
@@ -42,7 +40,6 @@ from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit
 from diffsim.identify.linearization import whitened
 
-Array = NDArray[np.float64]
 FORM = 0.05  # share of what a cause does to the record that its form may be wrong by
 
 

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run
@@ -30,7 +30,6 @@ from diffsim.diagnose.judge.gain import Gain, compared
 from diffsim.diagnose.judge.own_values import Frozen, OwnRow, held_out_point, own_names, own_rows
 from diffsim.diagnose.judge.records import RATIOS, ErrorRow, OutsideRow, band_words
 
-Array = NDArray[np.float64]
 TAIL = 0.01  # share of samples on either side that a range leaves out: spikes are none
 MARGIN = 1.02  # of the distance from the middle of the range: rounding is not outside
 LEAST_WIDTH = 0.1  # half-width of a range over its middle, where all fitted runs are alike

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import scipy
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.data.shown import resolution_words
 from diffsim.data.study import Run, Study
@@ -65,8 +65,6 @@ from diffsim.diagnose.search.simulations import NONE, Center, Members
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

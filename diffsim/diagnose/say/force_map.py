@@ -15,12 +15,10 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.identify import Problem
 from diffsim.identify.unknown import UnknownForce
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

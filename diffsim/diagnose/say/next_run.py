@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
@@ -22,7 +21,6 @@ from diffsim.identify import Fit
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.problem import PredictionError
 
-Array = NDArray[np.float64]
 TELLING = 2.0 * ALONE_NATS  # expected chi2 from which on a set would be named alone
 NARROWER = 0.95  # of an interval's width: what narrows less is not worth a run
 

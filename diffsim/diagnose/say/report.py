@@ -7,9 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from diffsim.core.arrays import Array
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import ArWhitener
@@ -31,8 +29,6 @@ from diffsim.identify.extended import extended_model
 from diffsim.identify.model import SimModel
 from diffsim.identify.model_file import MODEL_FILE, save_extended
 from diffsim.identify.ranges import Range
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

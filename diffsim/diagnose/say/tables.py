@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.averaging import MODEL_FORM
@@ -20,7 +20,6 @@ from diffsim.identify import Fit
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates
 from diffsim.identify.unknown import Unknown
 
-Array = NDArray[np.float64]
 BLIND = 3.0  # smallest visible size over the typical one
 TWINS = 0.995  # confounding from which two effects are the same to these data
 FIRST_LOOK = "first look"  # stage of a diagnosis that says what stands out before any set is fitted

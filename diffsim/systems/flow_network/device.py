@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
-from diffsim.data.study import Array
 from diffsim.stokes.shapes import Box, SmoothUnion
 
 DRIVES = ("flow", "pressure")

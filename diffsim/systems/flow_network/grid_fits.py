@@ -7,7 +7,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from diffsim.data.study import Array
+from diffsim.core.arrays import Array
 from diffsim.stokes import FlowField, Grid
 from diffsim.stokes.devices.losses import integral, on_face
 

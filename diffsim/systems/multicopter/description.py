@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.causes.channel_groups import clock_problems
 from diffsim.causes.listing import list_causes
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import SCALES
 from diffsim.copter.vehicle.multicopter import GRAVITY
+from diffsim.core.arrays import Array
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
@@ -85,7 +85,7 @@ class MulticopterDescription(MulticopterKeys):
         flights = assembled(self, study)
         return plant_of(self, flights, study, usual_magnitudes(flights, study))
 
-    def _find_command_beyond(self, values: NDArray[np.float64]) -> str:
+    def _find_command_beyond(self, values: Array) -> str:
         """How a throttle lies outside of its range for half of the samples; empty: it does not."""
         keys, found = self.commands, values[np.isfinite(values)]
         if keys.meaning != "throttle" or not len(found):

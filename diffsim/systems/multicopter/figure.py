@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.multicopter.frames import SENSORS
 from diffsim.systems.multicopter.readings import RecordedScene
 from diffsim.systems.multicopter.scene import CopterScene
-
-Array = NDArray[np.float64]
 
 _SIDES = 10  # of a propeller's disc
 _ARM = 0.08  # half the width of an arm over its propeller's radius
@@ -64,12 +62,12 @@ def _pick_rotation(scene: RecordedScene, channels: Tensor) -> Tensor | None:
     return None if angles is None else matrix_from_rpy(angles)
 
 
-def _build_stand_in(fleet: Fleet) -> tuple[Array, NDArray[np.int64]]:
+def _build_stand_in(fleet: Fleet) -> tuple[Array, IntArray]:
     """Nodes (num_nodes, 3) in the body frame [m] and triangles of arms and discs."""
     hubs, axes = fleet.positions[0].numpy(), fleet.directions[0].numpy()
     radii = fleet.radii[0].numpy()
     nodes: list[Array] = []
-    triangles: list[NDArray[np.int64]] = []
+    triangles: list[IntArray] = []
     for hub, axis, radius in zip(hubs, axes, radii, strict=True):
         size = float(radius) if radius > 0.0 else _BARE * float(np.linalg.norm(hub))
         across = np.cross(axis, hub) if np.linalg.norm(np.cross(axis, hub)) > 0.0 else np.eye(3)[0]

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array, Mask
 from diffsim.data.study import Run, Study
-
-Array = NDArray[np.float64]
 
 _UNEVEN = 1e-3  # of the mean step: below it a clock is even
 _GAP = 1.5  # of a step: a longer one is a gap
@@ -33,7 +31,7 @@ def evenly_sampled(study: Study, rate_hz: float | None, means: Sequence[bool]) -
     return replace(study, runs=runs)
 
 
-def _make_even(run: Run, rate_hz: float | None, means: NDArray[np.bool_]) -> Run:
+def _make_even(run: Run, rate_hz: float | None, means: Mask) -> Run:
     steps = np.diff(run.time_s)
     usual = float(np.median(steps))
     mean = float(steps.mean())

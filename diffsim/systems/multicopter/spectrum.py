@@ -6,18 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY
+from diffsim.core.arrays import Array
 from diffsim.core.rotation import matrix_from_rpy
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights
 
 _HIGHEST_HZ = 3.0
 _PER_PERIOD = 8  # frequencies tried per inverse length of the longest record
-
-Array = NDArray[np.float64]
 
 
 def strongest_frequency(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[float, float]:

@@ -11,12 +11,11 @@ from itertools import product
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.identify.locate import Course
 
-Array = NDArray[np.float64]
 Timing = Mapping[str, Tensor]
 
 ONSET, WIDTH, PERIOD = "onset", "width", "period"

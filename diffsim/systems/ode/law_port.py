@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.columns_beside import outputs_of
 from diffsim.data.study import Run
@@ -40,7 +40,6 @@ from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import TIME, Change, filled, named, product
 from diffsim.systems.ode.scene import OdeScene, at_start
 
-Array = NDArray[np.float64]
 #: shares of the way that a slipping spring is tried to give way after
 GIVING_WAY = (0.03, 0.1, 0.3)
 #: periods that hidden masses are tried to swing with, as shares of the longest run: so close that

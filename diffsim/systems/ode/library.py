@@ -13,9 +13,9 @@ from functools import cached_property, partial
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from diffsim.causes.scales import CommandScale, Scales
+from diffsim.core.arrays import Array
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.model import SimModel
@@ -24,7 +24,6 @@ from diffsim.systems.ode.keys import Law, Place, Store
 from diffsim.systems.ode.network import product
 from diffsim.systems.ode.scene import OdeScene
 
-Array = NDArray[np.float64]
 RESTS = 1e-3  # of what a channel shows: less is no motion
 SHARE_OF_USUAL = 0.1  # of a usual magnitude: what a cause may be without surprise
 USUAL = "usual"  # of inputs and definitions, among the magnitudes of the plain model

@@ -19,14 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.progress import say_stage
 from diffsim.data.study import Run
 from diffsim.identify.model import SimModel
 from diffsim.systems.ode.scene import OdeScene
-
-Array = NDArray[np.float64]
 
 GROWTH = 5.0  # times that two starts part, beyond which a piece must not go on
 START_STEP_SHARE = 0.01  # of a state's usual motion: how far starts are moved

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.data.study import Run
 from diffsim.identify.model import SimModel
 from diffsim.systems.description import Quantity
@@ -27,8 +27,6 @@ SPREAD = 0.25  # of the inverse length of a run: how far off the best frequency 
 UNSEEN_HZ = 1.0  # of a run in which no frequency was looked for
 _STEP = 0.1  # of a prior standard deviation, in difference quotients
 _TOGETHER = 32  # frequencies that are simulated at once
-
-Array = NDArray[np.float64]
 
 
 def swing_names(swing: Swing) -> tuple[str, str, str]:

@@ -13,11 +13,11 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.ndimage import median_filter
 
 from diffsim.causes.scales import HELD
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.memo import Memo
 from diffsim.data.command_jumps import WIDTH
 from diffsim.data.signal import scatter
@@ -26,8 +26,7 @@ from diffsim.data.study import Channel, Run, Study
 from diffsim.systems.ode.keys import Input
 from diffsim.systems.ode.reading import is_held, list_commands_of
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = IntArray
 INTERVAL = "row_interval"  # place in a study's frame [s]
 SAME = 1e-3  # of a command's range: how far lines between rows may be off
 SLOW = 1e-2  # of a channel's range

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.data.study import Run
 
-Array = NDArray[np.float64]
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
 
 

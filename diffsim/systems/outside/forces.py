@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.causes.ports import OF_FORCES
 from diffsim.causes.scene import LawFormula
+from diffsim.core.arrays import Array
 
 SHARP = 0.01  # of the usual speed: below it Coulomb friction is viscous
 
@@ -89,9 +89,9 @@ class PlaceForces:
     def __call__(
         self,
         time: float,
-        positions: Sequence[float] | NDArray[np.float64],
-        velocities: Sequence[float] | NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        positions: Sequence[float] | Array,
+        velocities: Sequence[float] | Array,
+    ) -> Array:
         """Generalized forces at the places, (num_places,), in the units of the description.
 
         Args:

@@ -27,16 +27,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diffsim.copter.exchange.mjcf_text import whole_scene
+from diffsim.core.arrays import Array
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
 from diffsim.systems.outside.mjcf_numbers import Numbers
 from diffsim.systems.outside.mjcf_steps import Steps
 from diffsim.systems.outside.source import Call
 
-Array = NDArray[np.float64]
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
 MAX_BYTES = 100_000_000  # of the states, and of the models, that are simulated side by side
 MAX_MODELS = 64

@@ -23,11 +23,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean, require_number
 
-Array = NDArray[np.float64]
 KINDS = {
     "body": ("mass", "inertia", "pos"),
     "joint": ("damping", "armature", "frictionloss", "stiffness", "start", "start_rate"),

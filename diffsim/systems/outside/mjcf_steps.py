@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from diffsim.core.arrays import Array, IntArray
+
 EVEN = 1e-6  # of a gap: below it the samples are as far from one another
 MAX_STEPS = 20_000_000  # of one run
 
@@ -28,7 +28,7 @@ class Steps:
     sample_s: Array
     starts: Array
     lengths: Array
-    samples: NDArray[np.int64]
+    samples: IntArray
     is_even: bool
 
     @staticmethod
@@ -111,5 +111,5 @@ class Steps:
         return np.asarray((ends[1] - ends[0]) / self.lengths)
 
 
-def _counts(gaps: Array, longest: float) -> NDArray[np.int64]:
+def _counts(gaps: Array, longest: float) -> IntArray:
     return np.maximum(np.ceil(gaps / longest - 1e-6), 1.0).astype(np.int64)

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.causes.ports import SignalChange
 from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import Grid, SignalMap
+from diffsim.core.arrays import Array
 from diffsim.core.runs import run_each
 from diffsim.core.workers import Processes
 from diffsim.data.study import Run
@@ -26,7 +26,6 @@ from diffsim.identify.problem import PredictionError
 from diffsim.systems.outside.forces import ForceKnots, PlaceForces, Term
 from diffsim.systems.outside.source import Call, Predict, PredictMany, Source, offers_of
 
-Array = NDArray[np.float64]
 Arrays = list[Array]
 MAX_KEPT = 64  # records
 

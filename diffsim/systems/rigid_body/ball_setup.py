@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from diffsim.causes.listing import numbers_added
 from diffsim.causes.scene import grid_at
+from diffsim.core.arrays import Array
 from diffsim.core.inside import inside
 from diffsim.data.calibration import calibrate
 from diffsim.data.study import TIMELESS, Channel, Run, Study
@@ -40,7 +40,6 @@ from diffsim.systems.rigid_body.parts import GROUND, Body, Camera, Contact, Meas
 from diffsim.systems.rigid_body.parts import Points as PointKeys
 from diffsim.systems.rigid_body.tossing import UP
 
-Array = NDArray[np.float64]
 CLICKS = "calibration_points"
 CLICK_CHANNELS = ("clicked_u_px", "clicked_v_px")
 FOCAL_SD, SHIFT_SD = 0.15, 0.1

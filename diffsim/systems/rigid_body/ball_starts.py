@@ -6,16 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter
 from diffsim.systems.description import Quantity
 from diffsim.systems.rigid_body.parts import AXES, Body, Starts
 
-Array = NDArray[np.float64]
 Seen = Callable[[Run, Body], Array]  # places of a ball, (num_samples, 3) [m], NaN where unseen
 
 #: Standard deviations of what the data's first guess leaves open.

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from diffsim.data.study import Channel, Run, Study
@@ -31,7 +30,6 @@ from diffsim.systems.rigid_body.windows import (
     start_facts,
 )
 
-Array = NDArray[np.float64]
 REST_EDGE_SHARE = 0.03  # of the shortest edge
 MIN_RESTS = 5  # tosses whose heights at rest tell their scatter
 #: Turn from the recorded frame to the one whose z points up, as a rotation vector [rad].

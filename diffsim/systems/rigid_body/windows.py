@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from diffsim.core.arrays import Array
 from diffsim.data.study import Run
 
-Array = NDArray[np.float64]
 TURN = ("qw", "qx", "qy", "qz")
 TWIST = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 MIN_FRAMES_AFTER = 3

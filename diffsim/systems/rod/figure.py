@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from diffsim.core.arrays import Array, IntArray
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.rod.layout import RodLayout
-
-Array = NDArray[np.float64]
 
 _SIDES = 12  # of a section
 _BULGE, _STUD = 1.25, 0.35  # radius of a marker in the axis and on the skin, in radii of the rod
@@ -71,7 +69,7 @@ def _average_radius(layout: RodLayout) -> Array:
     return np.maximum(out, 0.0)
 
 
-def _build_tube(count: int) -> NDArray[np.int64]:
+def _build_tube(count: int) -> IntArray:
     """Triangles of rings one behind the other, then the middles of both ends."""
     here = np.arange(_SIDES)
     beside = (here + 1) % _SIDES

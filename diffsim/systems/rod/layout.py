@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
+
+from diffsim.core.arrays import Array
 
 if TYPE_CHECKING:
     from diffsim.systems.rod.keys import RodKeys, RodTendon
 
-Array = NDArray[np.float64]
 TIP = "tip"  # name of the free end, before its mass
 MIN_SPAN_ELEMENTS = 2  # elements between two places where something begins or ends
 

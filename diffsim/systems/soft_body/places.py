@@ -6,16 +6,15 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 from torch import Tensor
 
+from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.schema import Part
 from diffsim.core.units import in_unit
 from diffsim.mesh import HexMesh, TetMesh, surface_vertices
 from diffsim.mesh.reference import hex_shape, hex_shape_derivatives
 
-Array = NDArray[np.float64]
 AnyMesh = HexMesh | TetMesh
 
 PLANE_EXTENT_SHARE = 1e-4  # of the body's largest extent: how far nodes may be off a plane
@@ -85,7 +84,7 @@ class Region(Part):
             )
         return found
 
-    def _mark_inside(self, points: Array, mesh: AnyMesh) -> NDArray[np.bool_]:
+    def _mark_inside(self, points: Array, mesh: AnyMesh) -> Mask:
         tolerance = PLANE_EXTENT_SHARE * float((mesh.x_rest.amax(0) - mesh.x_rest.amin(0)).max())
         inside = np.ones(len(points), dtype=bool)
         for axis, bound in enumerate((self.x, self.y, self.z)):
@@ -99,7 +98,7 @@ class Region(Part):
         return inside
 
 
-def point_weights(mesh: AnyMesh, point: Array) -> tuple[NDArray[np.int64], Array]:
+def point_weights(mesh: AnyMesh, point: Array) -> tuple[IntArray, Array]:
     """Nodes and weights with place(point) = weights @ place(nodes), by the shape functions.
 
     Args:

@@ -17,18 +17,12 @@ from pydantic import (
 )
 from torch import Tensor
 
+from diffsim.core.arrays import Array
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.core.schema import Names, Part, standing_alone
 from diffsim.systems.description import Quantity, quantity
 from diffsim.systems.quantities import Angle, Plain, Time
-from diffsim.systems.soft_body.places import (
-    AnyMesh,
-    Array,
-    Point,
-    Region,
-    carried_weights,
-    point_weights,
-)
+from diffsim.systems.soft_body.places import AnyMesh, Point, Region, carried_weights, point_weights
 
 AXES: dict[str, tuple[float, float, float]] = {
     "x": (1.0, 0.0, 0.0),

@@ -11,13 +11,14 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from diffsim import mesh as meshes
+from diffsim.core.arrays import Array
 from diffsim.core.inside import inside
 from diffsim.core.schema import FewCells3, Part
 from diffsim.core.schema_numbers import Meters, Radians
 from diffsim.core.schema_paths import PathInside
 from diffsim.core.units import factor
 from diffsim.mesh import HexMesh, RegionMesh, TetMesh
-from diffsim.systems.soft_body.places import Array, Point, Region
+from diffsim.systems.soft_body.places import Point, Region
 
 VOLUMES = (".msh", ".vtk", ".vtu", ".inp", ".mesh", ".usd", ".usda", ".usdc")
 _UNIT_SPACING = 0.785  # of a rod's section of radius 1: a core of two by two cells and one ring

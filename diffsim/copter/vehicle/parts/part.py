@@ -9,9 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from diffsim.copter.vehicle.geometry import Array, LinearMesh, LinearPoints
+from diffsim.copter.vehicle.geometry import LinearMesh, LinearPoints
 from diffsim.copter.vehicle.parts.rotors import RotorData
 from diffsim.copter.vehicle.patches import Patch
+from diffsim.core.arrays import Array
 from diffsim.core.errors import MeshError
 from diffsim.mesh.closed_surface import closed_surface
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from diffsim.copter.vehicle.geometry import (
     UP,
-    Array,
     LinearMesh,
     box,
     circle_loop,
@@ -20,6 +19,7 @@ from diffsim.copter.vehicle.geometry import (
 )
 from diffsim.copter.vehicle.parts.part import Parameter, Part, density_of, linear_center
 from diffsim.copter.vehicle.patches import Patch, Slide
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
 
 if TYPE_CHECKING:
