@@ -16,11 +16,12 @@ from diffsim.core.files import to_plain, write_json_atomic, write_text_atomic
 from diffsim.learn.checkpoint import CHECKPOINT
 from diffsim.learn.methods import METHODS
 from diffsim.learn.run import Row, load_controller, read_rows
-from diffsim.learn.setup import untrained_reward
+from diffsim.learn.setup import Setup, evaluate
 from rl.quality import gradient_quality
 from rl.reward_statistics import Scale, bootstrap_interval, first_reach, interquartile_mean
 from rl.trainings import FAILURE, Plan, Training, searched, train_all, tune
 
+UNTRAINED = 16  # networks that tell the zero of rewards
 AXES = {
     "steps": "simulation steps",
     "seconds": "CPU seconds",
@@ -108,6 +109,17 @@ def scale_of(plan: Plan, folder: Path, runs: Runs) -> Scale:
     zero = float(json.loads(path.read_text())["reward"])
     finals = np.array([rows[-1]["reward"] for rows in runs["gradient"].values()])
     return Scale(zero, float(interquartile_mean(finals)))
+
+
+def untrained_reward(setup: Setup) -> float:
+    """Mean rating of untrained networks: the zero of normalized rewards (thesis Fig. 4-17)."""
+    episodes = setup.evaluation_episodes
+    task = setup.make_task()
+    ratings = [
+        evaluate(task, dataclasses.replace(setup, seed=1000 + k).first_controller(task), episodes)
+        for k in range(UNTRAINED)
+    ]
+    return float(np.nanmean(ratings))
 
 
 def summarize(runs: Runs, scale: Scale) -> list[Row]:

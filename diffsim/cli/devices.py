@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 
 from diffsim.cli.arguments import add_executor
 
@@ -92,26 +90,3 @@ def _conflict(args: argparse.Namespace) -> str:
     if args.no_slip and args.name != "twister":
         return "--no-slip is for the twister; the other devices have the thesis's walls"
     return ""
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m diffsim.cli.devices``: the same as ``diffsim devices``."""
-    parser = argparse.ArgumentParser(description=HELP)
-    add_arguments(parser)
-    args = parser.parse_args(argv)
-    if wrong := _conflict(args):
-        parser.error(wrong)
-    try:
-        command(args)
-    except KeyboardInterrupt:
-        again = ", the same command goes on" if args.out else ""
-        print(f"interrupted{again}", file=sys.stderr)
-        return 130
-    except ValueError as error:  # such as a record of another run in --out
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

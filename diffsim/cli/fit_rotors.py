@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.resources
-from collections.abc import Sequence
 from pathlib import Path
 
 HELP = "fit rotor models to the bench tables, and write those that come with the package"
@@ -49,14 +48,3 @@ def command(args: argparse.Namespace) -> None:
 
             with replacing(args.figures / f"{table.name}.png", ".png") as drawn:
                 rotor_fit(fit).savefig(drawn, dpi=110)
-
-
-def main(argv: Sequence[str] | None = None) -> None:
-    """``python -m diffsim.cli.fit_rotors``: the same as ``diffsim fit-rotors``."""
-    parser = argparse.ArgumentParser(description=HELP)
-    add_arguments(parser)
-    command(parser.parse_args(argv))
-
-
-if __name__ == "__main__":
-    main()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -174,14 +173,3 @@ def broke_down(error: BaseException) -> bool:
     ``DiffsimError`` where a solve fails.
     """
     return isinstance(error, DiffsimError | ArithmeticError) or "must be finite" in str(error)
-
-
-def untrained_reward(setup: Setup, networks: int = 16) -> float:
-    """Mean rating of untrained networks: the zero of normalized rewards (thesis Fig. 4-17)."""
-    episodes = setup.evaluation_episodes
-    task = setup.make_task()
-    ratings = [
-        evaluate(task, dataclasses.replace(setup, seed=1000 + k).first_controller(task), episodes)
-        for k in range(networks)
-    ]
-    return float(np.nanmean(ratings))

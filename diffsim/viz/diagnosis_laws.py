@@ -53,12 +53,8 @@ def _pictures(r: Report, answer: LawAnswer) -> list[page.Chart]:
     for law in answer.laws:
         curve = next((c for c in answer.curves if c.law == law.name), None)
         if curve is not None:
-            made.setdefault(_place_of(law), _picture(r, law, curve))
+            made.setdefault(law.place, _picture(r, law, curve))
     return list(made.values())
-
-
-def _place_of(law: DescribedLaw) -> tuple[str, str, tuple[str, ...]]:
-    return law.entry["kind"], law.entry["target"], law.variables
 
 
 def _picture(r: Report, law: DescribedLaw, curve: LawCurve) -> page.Chart:
@@ -237,7 +233,7 @@ def _screen_table(answer: LawAnswer) -> page.Table:
     """What laws of all variables would explain at all places, before they have a form."""
     shown = answer.screen[:MOST_ROWS]
     places = [(s.kind, s.target, (s.of or s.variable,), s.memory) for s in shown]
-    found = {(*_place_of(law), law.memory or "") for law in answer.laws}
+    found = {(*law.place, law.memory or "") for law in answer.laws}
     return page.Table(
         columns=[
             "where it enters",

@@ -228,13 +228,7 @@ def _likeness(a: Signal, b: Signal) -> float:
 
 
 def _of_channel(runs: Sequence[Run], at: int, channel: Channel) -> Signal:
-    raw = [run.raw.get(channel.name) for run in runs]
-    if not _of_one_column(raw):
-        raw = [None] * len(raw)
-    given = [run.measured[:, at] if r is None else r[1] for run, r in zip(runs, raw, strict=True)]
-    column = raw[0][0] if raw and raw[0] is not None else channel.name
-    pairs = [(v, run.measured[:, at]) for v, run in zip(given, runs, strict=True)]
-    scale = _scale(pairs)
+    column, given, scale = _as_recorded(runs, channel.name, [run.measured[:, at] for run in runs])
     sd = (channel.sd or 0.0) / abs(scale) if scale else 0.0
     return Signal(channel.name, "channel", column, channel.unit, _samples(runs, given), scale, sd)
 
@@ -245,14 +239,8 @@ def _of_command(runs: Sequence[Run], command: Command) -> Signal:
         for run in runs
         if run.command.get(command.name, run.time_s[:0]).shape == run.time_s.shape
     ]
-    raw = [run.raw.get(command.name) for run in runs]
-    if not _of_one_column(raw):
-        raw = [None] * len(raw)
-    given = [
-        run.command[command.name] if r is None else r[1] for run, r in zip(runs, raw, strict=True)
-    ]
-    column = raw[0][0] if raw and raw[0] is not None else command.name
-    scale = _scale([(v, run.command[command.name]) for v, run in zip(given, runs, strict=True)])
+    used = [run.command[command.name] for run in runs]
+    column, given, scale = _as_recorded(runs, command.name, used)
     return Signal(
         command.name,
         "command",
@@ -264,9 +252,17 @@ def _of_command(runs: Sequence[Run], command: Command) -> Signal:
     )
 
 
-def _of_one_column(raw: Sequence[tuple[str, Array] | None]) -> bool:
-    """Whether all runs have the quantity in one column of the same name."""
-    return len({None if r is None else r[0] for r in raw}) == 1
+def _as_recorded(
+    runs: Sequence[Run], name: str, used: Sequence[Array]
+) -> tuple[str, list[Array], float | None]:
+    """Column of a quantity, its values there by run, and the scale of what is used of it; what is
+    used itself where runs have it in columns of different names, or in none."""
+    raw = [run.raw.get(name) for run in runs]
+    if len({None if r is None else r[0] for r in raw}) != 1:
+        raw = [None] * len(raw)
+    given = [values if r is None else r[1] for values, r in zip(used, raw, strict=True)]
+    column = raw[0][0] if raw and raw[0] is not None else name
+    return column, given, _scale(list(zip(given, used, strict=True)))
 
 
 def _samples(runs: Sequence[Run], given: Sequence[Array]) -> tuple[Samples, ...]:

@@ -122,7 +122,7 @@ def _is_mix(law: Law) -> bool:
 def _say_laws(report: Report, laws: Sequence[DescribedLaw], more: str) -> str:
     """The best law, what acts beside it and what cannot be told from it, with their numbers."""
     best, *rest = sorted(laws, key=lambda law: law.name not in report.named)
-    same = [law for law in rest if _place_of(law) == _place_of(best)]
+    same = [law for law in rest if law.place == best.place]
     beside = [law for law in rest if law.name in report.named or law.status in (CERTAIN, LIKELY)]
     others = [law for law in rest if law not in same and law not in beside]
     said = f"{'' if best.status == CERTAIN else 'probably '}{best.sentence}"
@@ -133,10 +133,6 @@ def _say_laws(report: Report, laws: Sequence[DescribedLaw], more: str) -> str:
     if others:
         said += f"; or else {others[0].sentence}"
     return f"A law that nobody listed: {said}."
-
-
-def _place_of(law: DescribedLaw) -> tuple[str, str, tuple[str, ...]]:
-    return law.entry["kind"], law.entry["target"], law.variables
 
 
 def _row(c: Candidate) -> ScreenRow:
@@ -150,7 +146,7 @@ def _curve(fitted: FittedLaw, laws: Sequence[DescribedLaw]) -> LawCurve:
     c, curve = fitted.candidate, fitted.curve
     place = (c.entry.kind, c.entry.target, _words_of(c.variable))
     memory = c.variable.memory or None
-    names = [law.name for law in laws if _place_of(law) == place and law.memory == memory]
+    names = [law.name for law in laws if law.place == place and law.memory == memory]
     u = curve.u
     if c.basis.wave:
         middle, half = 0.5 * (u[0] + u[-1]), PERIODS_SHOWN * np.pi / c.basis.wave

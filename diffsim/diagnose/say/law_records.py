@@ -98,6 +98,11 @@ class DescribedLaw:
     looks_like: tuple[str, ...]
     status: str
 
+    @property
+    def place(self) -> tuple[str, str, tuple[str, ...]]:
+        """Where it enters, and on what it depends."""
+        return self.entry["kind"], self.entry["target"], self.variables
+
 
 @dataclass(frozen=True)
 class LawAnswer:

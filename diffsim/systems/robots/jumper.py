@@ -18,6 +18,7 @@ from diffsim.core.check import require_number
 from diffsim.mesh.box import KUHN
 from diffsim.mesh.voxels import hex_from_mask
 from diffsim.systems.robots.robot import SoftRobot, spread_nodes
+from diffsim.systems.robots.walkers import build_table
 
 # Passive stiffness of the fibers that carry the active stress [Pa]: 0.4 % of Young's modulus.
 FIBER_STIFFNESS = 10.0
@@ -108,11 +109,6 @@ def _build_table(edge: float, slab: _Cells, leg: _Cells) -> mesh.TetMesh:
 
     Each cube is six tetrahedra around one of its diagonals; neighbors conform.
     """
-    (nx, ny, nz), (lx, ly, height) = slab, leg
-    inside = np.zeros((nx, ny, height + nz), dtype=bool)
-    inside[:, :, height:] = True
-    for x in (slice(0, lx), slice(nx - lx, nx)):
-        for y in (slice(0, ly), slice(ny - ly, ny)):
-            inside[x, y, :height] = True
-    grid = hex_from_mask(inside, edge * np.array([-0.5 * nx, -0.5 * ny, 0.0]), edge, "largest")
+    origin = edge * np.array([-0.5 * slab[0], -0.5 * slab[1], 0.0])
+    grid = hex_from_mask(build_table(slab, leg)[0], origin, edge, "largest")
     return mesh.TetMesh(grid.x_rest, grid.hexes[:, torch.from_numpy(KUHN)].reshape(-1, 4))

@@ -62,9 +62,9 @@ def quadruped(
             symmetric, at a quarter of the cost. It takes one command for both sides.
     """
     if coarse:
-        inside, legs = _build_table((10, 5, 2), (2, 2, 3))
+        inside, legs = build_table((10, 5, 2), (2, 2, 3))
     else:
-        inside, legs = _build_table((18, 8, 3), (3, 3, 6))
+        inside, legs = build_table((18, 8, 3), (3, 3, 6))
     return _make_legged(
         "quadruped",
         inside,
@@ -103,10 +103,10 @@ def cow(
 ) -> SoftRobot:
     """A ``quadruped`` with a head too large for it: it tends to fall on its face."""
     if coarse:
-        inside, legs = _build_table((8, 5, 2), (2, 2, 3), front=2, above=1)
+        inside, legs = build_table((8, 5, 2), (2, 2, 3), front=2, above=1)
         inside[-4:, :, -3:] = True
     else:
-        inside, legs = _build_table((12, 5, 4), (2, 2, 6), front=4, above=3)
+        inside, legs = build_table((12, 5, 4), (2, 2, 6), front=4, above=3)
         inside[-6:-1, :, -5:] = True
         inside[-1, :, -5:-2] = True  # muzzle
         inside[-4:-2, ::4, -1] = True
@@ -202,7 +202,7 @@ def _build_ring(sections: int, width: int, radius: float, half: float) -> tuple[
     return torch.from_numpy(x.reshape(-1, 3)), torch.from_numpy(np.stack(corners, -1))
 
 
-def _build_table(
+def build_table(
     body: tuple[int, int, int], leg: tuple[int, int, int], front: int = 0, above: int = 0
 ) -> tuple[np.ndarray, tuple[int, int, int]]:
     """Cells of a slab on legs at its corners, with room in front and above; and the legs' cells."""
