@@ -94,7 +94,9 @@ def _starting(step: argparse.ArgumentParser) -> None:
     step.add_argument("folder", metavar="FOLDER", type=Path, help="folder of your recordings")
     step.add_argument("--out", type=Path, help="file to write (default: FOLDER/study.yaml)")
     step.add_argument(
-        "--system", default="ode", metavar="KIND", help="kind of system, as `ode` (the default)"
+        "--system",
+        metavar="KIND",
+        help="kind of system (default: `outside` where an MJCF lies in the folder, else `ode`)",
     )
     step.add_argument(
         "--part",

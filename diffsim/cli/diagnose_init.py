@@ -53,7 +53,7 @@ def init(
     folder: Path,
     out: Path | None = None,
     *,
-    system: str = "ode",
+    system: str | None = None,
     parts: Sequence[str] = (),
     force: bool = False,
 ) -> Path:
@@ -62,7 +62,8 @@ def init(
     Args:
         folder: Folder with the recordings.
         out: File to be written; by default study.yaml in the folder.
-        system: Kind of system, one of ``known_systems()``.
+        system: Kind of system, one of ``known_systems()``; None: ``outside`` where an MJCF lies in
+            the folder, else ``ode``.
         parts: Tables of files that hold several, the record first; empty: as they look.
         force: Replace a file that is there.
 
@@ -73,10 +74,12 @@ def init(
         FileExistsError: the file is there, and ``force`` is not given.
         ValueError: nothing in the folder looks like a recording, or no such kind of system.
     """
-    require_choice("--system", system, known_systems())
+    if system is not None:
+        require_choice("--system", system, known_systems())
     out = require_target(folder, out, force=force)
     guess = guess_study(folder, parts)
-    text = study_text(guess, folder, out, system)
+    model = _model_beside(folder, out, guess) if system in (None, "outside") else None
+    text = study_text(guess, folder, out, system or "ode", model)
     write_text_atomic(out, text)
     for sentence in guess.said:
         print(f"guessed: {sentence}")
@@ -88,12 +91,42 @@ def init(
     print(f"wrote {out}: {len(study.runs)} runs, {len(study.channels)} channels")
     for found in record_findings(study):
         print(f"record: {found.where}: {found}")
-    print(f"still to be stated: the model, and {len(guess.todo)} more; see {TODO} in the file, or")
+    is_missing = "the model, and " if model is None else ""
+    print(f"still to be stated: {is_missing}{len(guess.todo)} more; see {TODO} in the file, or")
     print(f"    diffsim diagnose check {out}")
     return out
 
 
-def study_text(guess: Guess, folder: Path, out: Path, system: str) -> str:
+def _model_beside(folder: Path, out: Path, guess: Guess) -> Mapping[str, Any] | None:
+    """Keys of ``model`` for the MJCF that lies in the folder; what they are is told with the
+    guess."""
+    from diffsim.systems.outside.mjcf_guess import find_mjcf, guess_model
+
+    found = find_mjcf(folder)
+    names = ", ".join(path.name for path in found)
+    if len(found) > 1:
+        guess.todo.append(f"model: which of {names} was recorded; see docs/outside.md, MuJoCo")
+    if len(found) != 1:
+        return None
+    stated = os.path.relpath(found[0].resolve(), out.resolve().parent)
+    try:
+        made = guess_model(found[0], stated, guess)
+    except ImportError:
+        guess.todo.append(
+            f"model: {names} is an MJCF: pip install mujoco, then init again reads it"
+        )
+        return None
+    except ValueError as error:
+        guess.todo.append(f"model: {names} is an MJCF that cannot be read: {error}")
+        return None
+    guess.said += [f"model: {names}, an MJCF that MuJoCo simulates", *made.said]
+    guess.todo += made.todo
+    return made.keys
+
+
+def study_text(
+    guess: Guess, folder: Path, out: Path, system: str, model: Mapping[str, Any] | None = None
+) -> str:
     """The study as commented YAML.
 
     Args:
@@ -101,6 +134,7 @@ def study_text(guess: Guess, folder: Path, out: Path, system: str) -> str:
         folder: Folder of the recordings.
         out: File that the text is for; paths are relative to its folder.
         system: Kind of system.
+        model: Keys of ``model`` that were guessed; None: none, they are listed.
     """
     lines = [
         f"# A first study of {folder.resolve().name}, guessed from its files.",
@@ -112,7 +146,12 @@ def study_text(guess: Guess, folder: Path, out: Path, system: str) -> str:
     relative = os.path.relpath(folder.resolve(), out.resolve().parent)
     if relative != ".":
         lines.append(f"data: {_write_inline(relative)}    # folder of the files")
-    lines += ["", "# The system that was recorded.", *_model(system), ""]
+    lines += [
+        "",
+        "# The system that was recorded.",
+        *(_model(system) if model is None else _guessed_model(model)),
+        "",
+    ]
     time = guess.time[0] if len(guess.time) == 1 else guess.time
     lines += ["# The clock of the files.", f"time: {_write_inline(time)}", *_formats(guess.kinds)]
     lines += ["", "# What was measured; sd is the noise, guessed from the scatter between samples."]
@@ -273,6 +312,17 @@ def _model(system: str) -> Iterator[str]:
     for line in EXAMPLES.get(system, "").splitlines():
         yield f"  # {line}"
     yield from _keys(description, "  ")
+
+
+def _guessed_model(model: Mapping[str, Any]) -> Iterator[str]:
+    """Keys that were guessed; long ones an entry a line."""
+    yield "model:"
+    for key, value in model.items():
+        if isinstance(value, Mapping) and len(_write_inline(value)) > WIDTH - 20:
+            yield f"  {key}:"
+            yield from (f"    {name}: {_write_inline(own)}" for name, own in value.items())
+        else:
+            yield f"  {key}: {_write_inline(value)}"
 
 
 def _keys(part: type[Part], indent: str, skipped: tuple[str, ...] = SKIPPED) -> Iterator[str]:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import copy
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +37,9 @@ from diffsim.systems.outside.mjcf_steps import Steps
 from diffsim.systems.outside.source import Call
 
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
+#: What a channel may show of a joint without a sensor, by the MJCF's own kind of sensor
+JOINT_SENSORS = {"position": "jointpos", "velocity": "jointvel"}
+_JOINT = re.compile(rf"joint\.(.+)\.({'|'.join(JOINT_SENSORS)})")
 MAX_BYTES = 100_000_000  # of the states, and of the models, that are simulated side by side
 MAX_MODELS = 64
 
@@ -75,8 +78,9 @@ class Mjcf:
 
     Args:
         model: File of the model, or its text, which names no files.
-        channels: Sensor of the MJCF for each channel, "tip[0]" for one entry of a vector; None:
-            sensors are named as channels are.
+        channels: Sensor of the MJCF for each channel, "tip[0]" for one entry of a vector, or
+            "joint.elbow.position" or ".velocity" of a joint without a sensor; None: all sensors,
+            in their order.
         commands: Actuator of the MJCF for each command; None: actuators are named as commands are,
             and a single actuator takes a single command.
         held: Commands are held from sample to sample; else straight lines join the samples.
@@ -95,9 +99,12 @@ class Mjcf:
 
         self.mujoco = mujoco
         text, files = whole_scene(model, None if folder is None else Path(folder))
-        self._text, self._files = text, files
         with self._without_log():
             self.plain: Any = mujoco.MjModel.from_xml_string(text, files)
+            if joints := _joints_without_sensor(mujoco, self.plain, (channels or {}).values()):
+                text = _with_sensors(text, joints)
+                self.plain = mujoco.MjModel.from_xml_string(text, files)
+        self._text, self._files = text, files
         self.plain.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         ratios = _list_ratios(mujoco, text, files) if "dampratio" in text else ()
         self.numbers = Numbers(mujoco, self.plain, ratios)
@@ -360,7 +367,8 @@ class Mjcf:
             if self.plain.nsensordata != width:
                 raise ValueError(
                     f"the MJCF has {self.plain.nsensordata} sensor values for {width} channels; "
-                    "state options.channels: {CHANNEL: SENSOR}"
+                    "state options.channels: {CHANNEL: SENSOR}, of a joint without a sensor "
+                    "{CHANNEL: joint.NAME.position}"
                 )
             return list(range(width))
         out = []
@@ -393,6 +401,42 @@ class Mjcf:
             data.qfrc_passive[rates] += force(data.time, data.qpos[places], data.qvel[rates])
 
         return push
+
+
+def _joints_without_sensor(
+    mujoco: Any, model: Any, channels: Iterable[str]
+) -> list[tuple[str, str, str]]:
+    """Channels that name a joint, for which there is no sensor: their name, kind of sensor, joint.
+
+    Raises:
+        ValueError: there is no such joint, or it has more than one axis.
+    """
+    numbers, out = Numbers(mujoco, model, ()), []
+    for channel in dict.fromkeys(channels):
+        found = _JOINT.fullmatch(channel)
+        is_sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, channel) >= 0
+        if found is None or is_sensor:
+            continue
+        joint = numbers.find("joint", found[1], "options.channels")
+        if int(model.jnt_type[joint]) not in (
+            mujoco.mjtJoint.mjJNT_SLIDE,
+            mujoco.mjtJoint.mjJNT_HINGE,
+        ):
+            raise ValueError(
+                f"options.channels: joint {found[1]!r} has several axes; add a sensor of what "
+                "was measured to the MJCF, and name it"
+            )
+        out.append((channel, JOINT_SENSORS[found[2]], found[1]))
+    return out
+
+
+def _with_sensors(text: str, joints: Iterable[tuple[str, str, str]]) -> str:
+    """The text of a model with sensors of joints, by their names, kinds and joints."""
+    root = ElementTree.fromstring(text)
+    section = ElementTree.SubElement(root, "sensor")
+    for name, kind, joint in joints:
+        ElementTree.SubElement(section, kind, {"name": name, "joint": joint})
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _ignore(_: str) -> None:

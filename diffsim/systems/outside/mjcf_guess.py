@@ -1,0 +1,285 @@
+"""A first ``model`` of a study for an MJCF that lies beside recordings: what belongs to what."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffsim.core.arrays import Array
+from diffsim.core.units import to_si
+from diffsim.data.guess import Guess, GuessedColumn
+from diffsim.systems.outside.mjcf import JOINT_SENSORS, Mjcf
+
+MAX_XML_BYTES = 5_000_000  # of a file that is looked into
+MASS_PERCENT, DAMPING_PERCENT, GAIN_PERCENT = 10, 50, 20  # of a file that nobody measured
+SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no surprise
+SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same without a drive
+SMALLEST_SD = 1e-4  # of a start [rad or m]
+GRAVITY = 9.81  # [m/s^2]
+SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
+_VELOCITIES = ("rad/s", "m/s")
+_POSITION = re.compile(r"joint\.(.+)\.position")
+
+
+@dataclass
+class GuessedModel:
+    """Keys of ``model`` and what is said of them.
+
+    Attributes:
+        keys: Keys of the outside description.
+        said: What was guessed, a sentence each.
+        todo: What the user must say, a sentence each.
+    """
+
+    keys: dict[str, Any] = field(default_factory=dict)
+    said: list[str] = field(default_factory=list)
+    todo: list[str] = field(default_factory=list)
+
+
+def find_mjcf(folder: Path) -> tuple[Path, ...]:
+    """MJCF files of a folder that no other one of them includes or attaches."""
+    roots = {path: root for path in sorted(folder.glob("*.xml")) if (root := _root_of(path))}
+    parts = {
+        Path(node.attrib["file"]).name
+        for root in roots.values()
+        for tag in ("include", "model")
+        for node in root.iter(tag)
+        if "file" in node.attrib
+    }
+    return tuple(path for path in roots if path.name not in parts)
+
+
+def _root_of(path: Path) -> ElementTree.Element | None:
+    """The root of a file that is an MJCF; what is broken or something else is none."""
+    if path.stat().st_size > MAX_XML_BYTES or b"<!ENTITY" in (text := path.read_bytes()):
+        return None
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError:
+        return None
+    return root if root.tag == "mujoco" else None
+
+
+def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
+    """Channels, commands and numbers of an MJCF by their names, else by their order.
+
+    Args:
+        path: The MJCF.
+        stated: The same as the study calls it.
+        guess: What the recordings seem to hold.
+
+    Raises:
+        ImportError: MuJoCo is not installed.
+        ValueError: the file is no model that MuJoCo reads.
+    """
+    simulator = Mjcf(str(path))
+    made = GuessedModel()
+    channels = _name_channels(simulator, guess, made)
+    commands = _name_commands(simulator, guess, made)
+    options = {"model": stated, "held": True, "channels": channels, "commands": commands}
+    made.keys = {
+        "system": "outside",
+        "simulator": SIMULATOR,
+        "commands_are": "held",
+        "options": options,
+        "parameters": _parameters(simulator),
+        "start": _starts(channels, guess),
+        "hooks": {
+            "command": {actuator: [name] for name, actuator in commands.items()},
+            "force": _places(simulator, channels, commands, guess),
+        },
+    }
+    made.keys = {key: value for key, value in made.keys.items() if value}
+    made.todo.append(
+        f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass), "
+        f"{DAMPING_PERCENT} % (damping), {GAIN_PERCENT} % (gain): state what you know of them"
+    )
+    return made
+
+
+def _words(name: str) -> set[str]:
+    """Words and numbers of a name: shoulder, pan and 2 of "shoulderPan_2"."""
+    apart = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", name)
+    return {word.lower() for word in re.findall(r"[A-Za-z]+|\d+", apart)}
+
+
+def _match(
+    columns: Sequence[GuessedColumn], targets: dict[str, set[str]], what: str, made: GuessedModel
+) -> dict[str, str]:
+    """Targets of columns by shared words, or all by their order; those without one are told."""
+    found: dict[str, str] = {}
+    for column in columns:
+        own = _words(column.name)
+        fits = [t for t, words in targets.items() if words and words <= own]
+        best = max((len(targets[t]) for t in fits), default=0)
+        fits = [t for t in fits if len(targets[t]) == best]
+        if len(fits) == 1 and fits[0] not in found.values():
+            found[column.name] = fits[0]
+    if len(found) == len(columns):
+        made.said.append(f"{what}s of the MJCF by their names: {_pairs(found)}")
+        return found
+    if len(columns) == len(targets):
+        found = dict(zip((c.name for c in columns), targets, strict=True))
+        made.said.append(f"{what}s of the MJCF by their order: {_pairs(found)}")
+        made.todo.append(
+            f"model.options: {what}s were taken in the order of the MJCF: {_pairs(found)}"
+        )
+        return found
+    missing = [c.name for c in columns if c.name not in found]
+    made.todo.append(
+        f"model.options: {what} of the MJCF for {', '.join(missing)}; it has {', '.join(targets)}"
+    )
+    return found
+
+
+def _pairs(found: dict[str, str]) -> str:
+    return ", ".join(f"{name} is {target}" for name, target in found.items())
+
+
+def _name_channels(simulator: Any, guess: Guess, made: GuessedModel) -> dict[str, str]:
+    """Sensor of each channel, or joint where the sensors' names fit none."""
+    m, plain = simulator.mujoco, simulator.plain
+    columns = guess.those("channel")
+    sensors = {
+        plain.sensor(i).name: _words(plain.sensor(i).name)
+        for i in range(plain.nsensor)
+        if int(plain.sensor_dim[i]) == 1 and plain.sensor(i).name
+    }
+    if all(any(words <= _words(c.name) for words in sensors.values()) for c in columns):
+        return _match(columns, sensors, "sensor", made)
+    scalar = (int(m.mjtJoint.mjJNT_SLIDE), int(m.mjtJoint.mjJNT_HINGE))
+    joints = [plain.joint(i).name for i in range(plain.njnt) if int(plain.jnt_type[i]) in scalar]
+    found: dict[str, str] = {}
+    for kind in JOINT_SENSORS:
+        own = [c for c in columns if (_unit(c) in _VELOCITIES) == (kind == "velocity")]
+        targets = {f"joint.{name}.{kind}": _words(name) for name in joints if name}
+        found |= _match(own, targets, "joint", made) if own else {}
+    return {c.name: found[c.name] for c in columns if c.name in found}
+
+
+def _unit(column: GuessedColumn) -> str:
+    return to_si(column.unit).unit
+
+
+def _name_commands(simulator: Any, guess: Guess, made: GuessedModel) -> dict[str, str]:
+    """Actuator of each command, by its own name or that of its joint."""
+    plain = simulator.plain
+    actuators = [plain.actuator(i).name for i in range(plain.nu)]
+    columns = guess.those("command")
+    if not (all(actuators) and columns):
+        return {}
+    by_name = {a: _words(a) for a in actuators}
+    by_joint = {a: _words(_joint_of(plain, i)) for i, a in enumerate(actuators)}
+    tried = GuessedModel()
+    found = _match(columns, by_joint, "actuator", tried)
+    if len(found) < len(columns) or tried.todo:
+        tried = GuessedModel()
+        found = _match(columns, by_name, "actuator", tried)
+    made.said += tried.said
+    made.todo += tried.todo
+    return found
+
+
+def _joint_of(plain: Any, actuator: int) -> str:
+    joint = int(plain.actuator_trnid[actuator, 0])
+    return str(plain.joint(joint).name) if 0 <= joint < plain.njnt else ""
+
+
+def _parameters(simulator: Any) -> dict[str, Any]:
+    """Masses of what moves, damping that is stated, gains of servos."""
+    plain = simulator.plain
+    out: dict[str, Any] = {}
+    for i in range(1, plain.nbody):
+        body = plain.body(i)
+        if body.name and plain.body_mass[i] > 0.0 and int(plain.body_weldid[i]) != 0:
+            out[f"body.{body.name}.mass"] = _quantity(float(plain.body_mass[i]), MASS_PERCENT)
+    for i in range(plain.njnt):
+        name = plain.joint(i).name
+        first = float(plain.dof_damping[int(plain.jnt_dofadr[i])])
+        if name and first > 0.0:
+            out[f"joint.{name}.damping"] = _quantity(first, DAMPING_PERCENT)
+    for i in range(plain.nu):
+        gain, bias = plain.actuator_gainprm[i], plain.actuator_biasprm[i]
+        if plain.actuator(i).name and gain[0] > 0.0 and bias[1] == -gain[0]:
+            out[f"actuator.{plain.actuator(i).name}.kp"] = _quantity(float(gain[0]), GAIN_PERCENT)
+    return out
+
+
+def _quantity(value: float, percent: int) -> dict[str, float]:
+    return {"value": float(f"{value:.6g}"), "percent": percent}
+
+
+def _positions(
+    channels: Mapping[str, str], guess: Guess
+) -> Iterator[tuple[str, list[Array], float]]:
+    """Joints whose position is recorded, its course in each run and the noise, in SI units."""
+    for column in guess.those("channel"):
+        found = _POSITION.fullmatch(channels.get(column.name, ""))
+        if found:
+            times = to_si(column.unit).factor
+            yield found[1], [times * c for c in guess.samples(column)], times * (column.sd or 0.0)
+
+
+def _starts(channels: Mapping[str, str], guess: Guess) -> dict[str, Any]:
+    """Where joints begin, by the first samples of their channels, a value of each run."""
+    out: dict[str, Any] = {}
+    for joint, courses, noise in _positions(channels, guess):
+        first = np.array([course[np.isfinite(course)][0] for course in courses])
+        sd = max(3.0 * noise, 2.0 * float(np.abs(first - first.mean()).max()), SMALLEST_SD)
+        value = float(f"{first.mean():.4g}")
+        out[f"joint.{joint}.start"] = {"value": value, "sd": float(f"{sd:.2g}"), "per": "run"}
+    return out
+
+
+def _places(
+    simulator: Any, channels: Mapping[str, str], commands: Mapping[str, str], guess: Guess
+) -> dict[str, Any]:
+    """Joints whose position is recorded, as places of forces, with usual sizes."""
+    out: dict[str, Any] = {}
+    plain, m = simulator.plain, simulator.mujoco
+    for name, courses, _ in _positions(channels, guess):
+        joint = simulator.numbers.find("joint", name, "")
+        is_slide = int(plain.jnt_type[joint]) == int(m.mjtJoint.mjJNT_SLIDE)
+        reach = max(0.5 * float(np.nanmax(c) - np.nanmin(c)) for c in courses)
+        weight = GRAVITY * float(plain.body_subtreemass[int(plain.jnt_bodyid[joint])])
+        pushes = [SHARE_OF_WEIGHT * weight]
+        for command, actuator in commands.items():
+            if _joint_of(plain, simulator.numbers.find("actuator", actuator, "")) == name:
+                pushes.append(_push_of(simulator, command, actuator, guess, reach))
+        sizes = {
+            "typical": SHARE_OF_DRIVE * max(pushes),
+            "distance": reach,
+            "speed": max(_usual_speed(c, k, guess) for k, c in enumerate(courses)),
+        }
+        out[name] = {"unit": "N" if is_slide else "N m"} | {
+            key: float(f"{value:.2g}") for key, value in sizes.items() if value > 0.0
+        }
+    return out
+
+
+def _usual_speed(course: Array, k: int, guess: Guess) -> float:
+    """Speed that nine of ten samples of a run stay below; 0 without a clock."""
+    clocks = guess.those("clock")
+    if not clocks:
+        return 0.0
+    steps = to_si(guess.time[0].get("unit", "s")).factor * np.diff(guess.runs[k].numbers(clocks[0]))
+    rates = np.diff(course)[steps > 0.0] / steps[steps > 0.0]
+    return float(np.nanquantile(np.abs(rates), 0.9)) if rates.size else 0.0
+
+
+def _push_of(simulator: Any, command: str, actuator: str, guess: Guess, reach: float) -> float:
+    """What an actuator pushes with: its gain times the largest command, of a servo the way."""
+    plain = simulator.plain
+    i = simulator.numbers.find("actuator", actuator, "")
+    gain = abs(float(plain.actuator_gainprm[i, 0] * plain.actuator_gear[i, 0]))
+    if plain.actuator_biasprm[i, 1] != 0.0:
+        return gain * reach
+    column = next(c for c in guess.those("command") if c.name == command)
+    largest = max(float(np.nanmax(np.abs(values))) for values in guess.samples(column))
+    return gain * largest * to_si(column.unit).factor
