@@ -37,6 +37,19 @@ class SparseFactor:
         self._core.solve(b.data_ptr(), x.data_ptr(), b.shape[1], num_threads)
         return x
 
+    def solve_among(self, among: Tensor, b: Tensor, num_threads: int) -> Tensor:
+        """A^-1 b at unknowns (count,) int64 alone, where b is zero at all others.
+
+        Returns:
+            (count, num_rhs).
+        """
+        x = torch.empty_like(b)
+        address = among.data_ptr()
+        self._core.solve_among(
+            address, len(among), b.data_ptr(), x.data_ptr(), b.shape[1], num_threads
+        )
+        return x[among]
+
     @property
     def usable(self) -> bool:
         return self._core.usable

@@ -159,6 +159,23 @@ def test_right_hand_sides_do_not_mix():
 
 
 @pytest.mark.property
+@pytest.mark.parametrize("num_rhs", [1, 2, 24])
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_a_solve_among_a_few_unknowns_has_the_bits_of_the_whole(num_rhs, num_threads):
+    pattern, coords = grid_graph(11, 9, 8)
+    A = laplacian(pattern, shift=0.1, block=3)
+    factor = SparseCholesky(A, coords=coords, block=3)
+    nodes = np.flatnonzero((coords[:, 2] == 0.0) & (coords[:, 0] < 4.0))  # of one corner of a face
+    among = torch.from_numpy((3 * nodes[:, None] + np.arange(3)).reshape(-1)[::-1].copy())
+    b = torch.zeros(A.shape[0], num_rhs, dtype=torch.float64)
+    b[among] = torch.from_numpy(np.random.default_rng(3).random((len(among), num_rhs)))
+    whole = factor.solve(b)[among]
+    found = factor._factor.solve_among(among, b, num_threads)
+    np.testing.assert_array_equal(found, whole)
+    exact = spla.spsolve(A.tocsc(), b.numpy()).reshape(-1, num_rhs)[among]
+    np.testing.assert_allclose(found, exact, rtol=1e-9)  # condition about 1e4
+
+
 def test_refactor_equals_a_new_factor():
     pattern, coords = grid_graph(8, 7, 6)
     first, second = (laplacian(pattern, shift=0.3, seed=s) for s in (0, 1))

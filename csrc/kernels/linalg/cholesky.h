@@ -81,6 +81,13 @@ class CholeskyFactor {
   void solve(const double* b, double* x, int num_rhs, CholeskyWorkspace& ws,
              ThreadPool& pool) const;
 
+  /// The same at some unknowns alone, where b is zero at all others: of L only those parts are read
+  /// that lie between them and the root of the elimination tree. Other entries of x are not written
+  /// or undefined.
+  /// @param among  (count,) the unknowns, in any order
+  void solve_among(const std::int64_t* among, std::int64_t count, const double* b, double* x,
+                   int num_rhs, CholeskyWorkspace& ws, ThreadPool& pool) const;
+
   /// Frees the memory kept for the next refactor.
   void release_refactor_memory();
   /// Its float64 memory for another factor; unusable until the next refactor.
@@ -97,6 +104,9 @@ class CholeskyFactor {
   template <typename T>
   struct Solver;
   struct Refactor;
+  /// @param used  nonzero where a supernode takes part, or nullptr: all do
+  void solve_with(const std::uint8_t* used, const double* b, double* x, int num_rhs,
+                  CholeskyWorkspace& ws, ThreadPool& pool) const;
 
   std::shared_ptr<const CholeskySymbolic> symbolic_;
   FactorPrecision precision_;

@@ -25,11 +25,15 @@ struct CholeskyFactor::Solver {
   double* x;
   std::int64_t num_rhs;  // row length of b and x
   double* workspace;
+  const std::uint8_t* used;  // nonzero where a supernode takes part, or nullptr
   int groups;
+
+  bool takes_part(int s) const { return !used || used[s]; }
 
   /// Forward: eliminates the supernode's unknowns from b and sends the rest to the parent.
   template <int NR>
   void forward(int s) const {
+    if (!takes_part(s)) return;
     const CholeskySupernode& node = sym.supernodes[s];
     const int columns = NR * groups;
     const std::int64_t ld = std::int64_t{node.num_tiles()} * kTile;
@@ -46,6 +50,7 @@ struct CholeskyFactor::Solver {
       }
     }
     for (std::int64_t c = node.children; c < node.children_end; ++c) {
+      if (!takes_part(sym.children[c])) continue;
       const CholeskySupernode& child = sym.supernodes[sym.children[c]];
       const int* map = sym.row_in_parent.data() + child.rows;
       const std::int64_t length = std::int64_t{child.update_tiles()} * kTile;
@@ -73,6 +78,7 @@ struct CholeskyFactor::Solver {
   /// Backward: the supernode's part of x, once all its ancestors' parts are known.
   template <int NR>
   void backward(int s) const {
+    if (!takes_part(s)) return;
     const CholeskySupernode& node = sym.supernodes[s];
     const int columns = NR * groups;
     const std::int64_t ld = std::int64_t{node.num_tiles()} * kTile;
@@ -148,17 +154,40 @@ struct CholeskyFactor::Solver {
   }
 };
 
-void CholeskyFactor::solve(const double* b, double* x, int num_rhs, CholeskyWorkspace& ws,
-                           ThreadPool& pool) const {
+void CholeskyFactor::solve_with(const std::uint8_t* used, const double* b, double* x, int num_rhs,
+                                CholeskyWorkspace& ws, ThreadPool& pool) const {
   if (!usable_) throw std::logic_error("CholeskyFactor::solve before a successful refactor");
   const std::int64_t together = std::min(num_rhs, 3 * kMaxGroups);
   double* workspace = ws.reserve(symbolic_->workspace_size * together);
+  const CholeskySymbolic& sym = *symbolic_;
   if (precision_ == FactorPrecision::kFloat32) {
-    Solver<float>{*symbolic_, factor32_.data(), b, x, num_rhs, workspace, 1}.run_all(pool);
+    Solver<float>{sym, factor32_.data(), b, x, num_rhs, workspace, used, 1}.run_all(pool);
   } else {
-    Solver<double>{*symbolic_, memory_.factor.data(), b, x, num_rhs, workspace, 1}.run_all(pool);
+    Solver<double>{sym, memory_.factor.data(), b, x, num_rhs, workspace, used, 1}.run_all(pool);
   }
-  for (int i : symbolic_->absent) std::fill_n(x + std::int64_t{i} * num_rhs, num_rhs, 0.0);
+  for (int i : sym.absent) std::fill_n(x + std::int64_t{i} * num_rhs, num_rhs, 0.0);
+}
+
+void CholeskyFactor::solve(const double* b, double* x, int num_rhs, CholeskyWorkspace& ws,
+                           ThreadPool& pool) const {
+  solve_with(nullptr, b, x, num_rhs, ws, pool);
+}
+
+void CholeskyFactor::solve_among(const std::int64_t* among, std::int64_t count, const double* b,
+                                 double* x, int num_rhs, CholeskyWorkspace& ws,
+                                 ThreadPool& pool) const {
+  const CholeskySymbolic& sym = *symbolic_;
+  std::vector<std::uint8_t> is_among(static_cast<std::size_t>(sym.num_unknowns), 0);
+  for (std::int64_t i = 0; i < count; ++i) is_among[static_cast<std::size_t>(among[i])] = 1;
+  std::vector<std::uint8_t> used(sym.supernodes.size(), 0);
+  // Children come before their parents.
+  for (std::size_t s = 0; s < used.size(); ++s) {
+    const CholeskySupernode& node = sym.supernodes[s];
+    for (int i = node.first; i < node.first + node.num_cols && !used[s]; ++i)
+      used[s] = is_among[static_cast<std::size_t>(sym.unknown[static_cast<std::size_t>(i)])];
+    if (used[s] && node.parent >= 0) used[static_cast<std::size_t>(node.parent)] = 1;
+  }
+  solve_with(used.data(), b, x, num_rhs, ws, pool);
 }
 
 }  // namespace diffsim

@@ -314,4 +314,13 @@ void StepProblem::solve_factorized_many(double* columns, int count) {
   factor_[0].solve(columns, columns, count, cholesky_, pool_);
 }
 
+void StepProblem::solve_factorized_among(const std::vector<std::int64_t>& nodes, double* columns,
+                                         int count) {
+  std::vector<std::int64_t> unknowns;
+  for (const std::int64_t node : nodes)
+    for (std::int64_t axis = 0; axis < 3; ++axis) unknowns.push_back(3 * node + axis);
+  factor_[0].solve_among(unknowns.data(), static_cast<std::int64_t>(unknowns.size()), columns,
+                         columns, count, cholesky_, pool_);
+}
+
 }  // namespace diffsim

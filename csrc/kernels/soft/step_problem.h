@@ -90,6 +90,8 @@ class StepProblem {
   void solve_factorized(const Vector& r, Vector& z);
   /// In place, (size(), count) row-major.
   void solve_factorized_many(double* columns, int count);
+  /// The same at some nodes alone, where the columns are zero at all others.
+  void solve_factorized_among(const std::vector<std::int64_t>& nodes, double* columns, int count);
 
   int num_solves = 0;
   int num_factorizations = 0;

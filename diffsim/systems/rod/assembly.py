@@ -148,12 +148,16 @@ def _place_paths(layout: RodLayout, numbers: Numbers) -> tuple[Tensor, Tensor]:
         return paths.offset, paths.slope
     helix = numbers["tendon_helix"][..., None, None]
     angle = numbers.each(names, "tendon_turn")[..., None] + helix * layout.shape.middles
-    frame = matrix_from_rotation_vector(
-        angle[..., None] * torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
-    )
+    cosine, sine = torch.cos(angle), torch.sin(angle)
     outward = paths.offset / paths.offset.norm(dim=-1, keepdim=True).clamp(min=1e-12)
     moved = paths.offset + numbers.each(names, "tendon_distance")[..., None, None] * outward
-    offset = (frame @ moved[..., None])[..., 0]
+    offset = _turn_around_axis(cosine, sine, moved)
     around = torch.stack([0.0 * offset[..., 1], -offset[..., 2], offset[..., 1]], -1)
-    slope = (frame @ paths.slope[..., None])[..., 0] + helix[..., None] * around
+    slope = _turn_around_axis(cosine, sine, paths.slope) + helix[..., None] * around
     return offset, slope
+
+
+def _turn_around_axis(cosine: Tensor, sine: Tensor, r: Tensor) -> Tensor:
+    """(..., 3) turned around x by an angle whose cosine and sine are given, (...)."""
+    x, y, z = torch.broadcast_tensors(r, cosine[..., None])[0].unbind(-1)
+    return torch.stack([x, cosine * y - sine * z, sine * y + cosine * z], -1)

@@ -39,6 +39,8 @@ void move_relaxed(StepProblem& objective, const ContactSpace& space, const Vecto
 Eigen::MatrixXd inverse_between(StepProblem& problem, const ContactSpace& space,
                                 const std::vector<std::size_t>& contacts) {
   const std::size_t m = contacts.size();
+  std::vector<std::int64_t> nodes;
+  for (const std::size_t k : contacts) nodes.push_back(static_cast<std::int64_t>(space.node(k)));
   Eigen::MatrixXd W(3 * m, 3 * m);
   Vector columns;  // (size, 3 count) row-major
   for (std::size_t first = 0; first < m; first += kTogether) {
@@ -46,7 +48,7 @@ Eigen::MatrixXd inverse_between(StepProblem& problem, const ContactSpace& space,
     columns.assign(problem.size() * width, 0.0);
     for (std::size_t c = 0; c < width; ++c)
       columns[(3 * space.node(contacts[first + c / 3]) + c % 3) * width + c] = 1.0;
-    problem.solve_factorized_many(columns.data(), static_cast<int>(width));
+    problem.solve_factorized_among(nodes, columns.data(), static_cast<int>(width));
     for (std::size_t i = 0; i < m; ++i)
       for (std::size_t b = 0; b < 3; ++b)
         for (std::size_t c = 0; c < width; ++c)
