@@ -170,6 +170,8 @@ def test_inconsistent_batches_are_refused():
         MUSCULAR.static_equilibrium(
             external_force=zeros(2, NODES, 3), dirichlet_target=zeros(3, NODES, 3)
         )
+    with pytest.raises(ValueError, match=r"batch axis \(3,\) .*, got \(2,\); begin .*batch=3"):
+        BODY(state, physics=BODY.physics(batch=3))
     with pytest.raises(
         ValueError, match="contraction muscles must be the same for the whole batch"
     ):

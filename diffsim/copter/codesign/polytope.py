@@ -38,13 +38,13 @@ def closest_feasible(A: Array, b: Array, s: Array) -> Array:
 
 
 def least_violation(A: Array, b: Array) -> tuple[int, float]:
-    """The smallest violation that some s can keep to, and a constraint that then has it."""
+    """A constraint that is in conflict, and the smallest violation that some s can keep to."""
     p = A.shape[1]
     rows = np.hstack([A, -np.ones((len(b), 1))])
     cost = np.append(np.zeros(p), 1.0)
     solution = linprog(cost, A_ub=rows, b_ub=b, bounds=[(None, None)] * p + [(0.0, None)])
-    violations = A @ solution.x[:p] - b
-    return int(violations.argmax()), float(solution.x[-1])
+    # others may be violated as much at the solution found, but without a price nobody needs it
+    return int(solution.ineqlin.marginals.argmin()), float(solution.x[-1])
 
 
 def random_feasible(

@@ -20,6 +20,7 @@ from diffsim.copter import (
 )
 from diffsim.copter.design.adapters import RULES, adapters_for
 from diffsim.copter.design.constraints import Constraint, irreducible_conflict
+from diffsim.copter.design.contact import _complement
 from diffsim.copter.design.expressions import parse_constraint
 from diffsim.copter.vehicle.parts import PART_KINDS, make_part
 
@@ -324,6 +325,16 @@ def test_closest_pair_of_patches():
     # the motor's place is asked for, the rod's length is the database's: the rod's end gives way
     assert design.value("motor.x") == pytest.approx(0.24)
     assert design.value("arm.length") == pytest.approx(0.52)
+
+
+@pytest.mark.property
+@pytest.mark.parametrize("slides", [0, 1, 2])
+def test_what_does_not_slide_is_held(slides):
+    """Directions that slides leave are perpendicular to them, and to one another."""
+    free, _ = np.linalg.qr(np.random.default_rng(slides).normal(size=(3, 3)))
+    held = _complement(list(free[:slides]), np.array([0.3, -0.5, 0.8]))
+    every = np.vstack([free[:slides], held])
+    np.testing.assert_allclose(every @ every.T, np.eye(3), atol=1e-12)
 
 
 def test_no_patch_fits():
