@@ -23,7 +23,7 @@ SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same wi
 SMALLEST_SD = 1e-4  # of a start [rad or m]
 GRAVITY = 9.81  # [m/s^2]
 SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
-_VELOCITIES = ("rad/s", "m/s")
+_VELOCITIES, _PUSHES = ("rad/s", "m/s"), ("N", "N m")
 _POSITION = re.compile(r"joint\.(.+)\.position")
 
 
@@ -80,6 +80,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     """
     simulator = Mjcf(str(path))
     made = GuessedModel()
+    _command_drives(simulator, guess, made)
     channels = _name_channels(simulator, guess, made)
     commands = _name_commands(simulator, guess, made)
     options = {"model": stated, "held": True, "channels": channels, "commands": commands}
@@ -127,9 +128,7 @@ def _match(
     if len(columns) == len(targets):
         found = dict(zip((c.name for c in columns), targets, strict=True))
         made.said.append(f"{what}s of the MJCF by their order: {_pairs(found)}")
-        made.todo.append(
-            f"model.options: {what}s were taken in the order of the MJCF: {_pairs(found)}"
-        )
+        made.todo.append(f"model.options: {what}s were taken by their order: {_pairs(found)}")
         return found
     missing = [c.name for c in columns if c.name not in found]
     made.todo.append(
@@ -140,6 +139,16 @@ def _match(
 
 def _pairs(found: dict[str, str]) -> str:
     return ", ".join(f"{name} is {target}" for name, target in found.items())
+
+
+def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
+    """Columns of force and torque are commands where actuators lack theirs: no joint shows them."""
+    lacking = simulator.plain.nu - len(guess.those("command"))
+    pushes = [c for c in guess.those("channel") if _unit(c) in _PUSHES]
+    if 0 < len(pushes) <= lacking:
+        for column in pushes:
+            column.role = "command"
+        made.said.append(f"commands: {', '.join(c.name for c in pushes)}, what actuators push with")
 
 
 def _name_channels(simulator: Any, guess: Guess, made: GuessedModel) -> dict[str, str]:

@@ -1,0 +1,125 @@
+"""``diffsim diagnose init`` in a folder that holds an MJCF beside its recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from diffsim.cli.diagnose_init import init
+from diffsim.data.study_file import load_study
+from diffsim.identify import Problem, WhiteNoise
+from diffsim.systems.registry import setup_of
+
+mujoco = pytest.importorskip("mujoco", reason="MJCF needs the extra 'robots'")
+
+ARM = """<mujoco model="arm"><option timestep="0.002"/><worldbody>
+  <body name="upper" pos="0 0 1"><joint name="{one}" axis="0 1 0" damping="0.6"/>
+    <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.8"/>
+    <body name="fore" pos="0.3 0 0"><joint name="{two}" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0.25 0 0" size="0.015" mass="0.4"/>
+  </body></body></worldbody>
+  <actuator><position name="m1" joint="{one}" kp="60"/><motor name="m2" joint="{two}"/></actuator>
+  {more}</mujoco>"""
+TIME = 0.02 * np.arange(100)
+HEADER = "time_s,goal_shoulder_rad,torque_elbow_Nm,shoulder_rad,elbow_deg,elbow_speed_rad_s"
+
+
+def arm_folder(tmp_path: Path, one="shoulder", two="elbow", more="") -> Path:
+    """An arm of two joints and two recordings of it, without noise."""
+    text = ARM.format(one=one, two=two, more=more)
+    (tmp_path / "arm.xml").write_text(text)
+    model = mujoco.MjModel.from_xml_string(text)
+    for k, name in enumerate(("slow", "fast")):
+        data = mujoco.MjData(model)
+        data.qpos[:] = [-0.3, 0.1 * k]
+        push = np.c_[-0.3 + 0.2 * np.sin((2.0 + k) * TIME), 0.4 * np.sin((3.0 + k) * TIME)]
+        rows = []
+        for control in push:
+            mujoco.mj_forward(model, data)
+            rows.append([data.qpos[0], np.degrees(data.qpos[1]), data.qvel[1]])
+            data.ctrl[:] = control
+            for _ in range(10):
+                mujoco.mj_step(model, data)
+        table = np.c_[TIME, push, np.array(rows)]
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header=HEADER, comments="")
+    return tmp_path
+
+
+def test_a_folder_with_an_mjcf_is_simulated_without_a_word(tmp_path, capsys):
+    folder = arm_folder(tmp_path)
+    init(folder)
+    assert "arm.xml, an MJCF that MuJoCo simulates" in capsys.readouterr().out
+    stated = yaml.safe_load((folder / "study.yaml").read_text())["model"]
+    assert stated["options"]["channels"] == {
+        "shoulder_rad": "joint.shoulder.position",
+        "elbow": "joint.elbow.position",
+        "elbow_speed_rad_s": "joint.elbow.velocity",
+    }
+    assert stated["options"]["commands"] == {"goal_shoulder_rad": "m1", "torque_elbow_Nm": "m2"}
+    assert set(stated["parameters"]) == {
+        "body.upper.mass",
+        "body.fore.mass",
+        "joint.shoulder.damping",
+        "actuator.m1.kp",
+    }
+    start = stated["start"]["joint.elbow.start"]
+    assert start["value"] == pytest.approx(0.05) and start["sd"] > 0.05  # of 0 and 0.1 rad
+    study = load_study(folder / "study.yaml")
+    setup = setup_of(study)
+    assert {"dry_friction_at_elbow", "delay_of_m1"} <= {effect.name for effect in setup.effects}
+    problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), ())
+    starts = {"joint.elbow.start@fast": 0.1, "joint.elbow.start@slow": 0.0}
+    values = [
+        (starts.get(p.name, -0.3 if "start" in p.name else p.value) - p.value) / p.sd
+        for p in problem.model.base
+    ]
+    shown = problem.records(np.array([values]))[0]
+    measured = np.concatenate([run.measured.ravel() for run in study.runs])
+    assert shown == pytest.approx(measured, abs=1e-4)
+
+
+def test_names_that_say_nothing_are_taken_in_order_and_to_be_checked(tmp_path, capsys):
+    init(
+        arm_folder(
+            tmp_path, one="j_a", two="j_b", more="<sensor><jointpos name='s' joint='j_a'/></sensor>"
+        )
+    )
+    text = (tmp_path / "study.yaml").read_text()
+    assert "actuators were taken by their order" in text
+    assert "joint of the MJCF for elbow_speed_rad_s; it has joint.j_a.velocity" in text
+
+
+def test_files_that_are_parts_or_no_mjcf_are_passed_over(tmp_path):
+    folder = arm_folder(tmp_path)
+    (folder / "scene.xml").write_text('<mujoco><include file="arm.xml"/></mujoco>')
+    (folder / "table.xml").write_text("<table/>")
+    (folder / "broken.xml").write_text("<mujoco>")
+    init(folder)
+    assert "model: scene.xml" in (folder / "study.yaml").read_text()
+
+
+def test_two_models_are_a_question_and_a_broken_one_is_said(tmp_path):
+    folder = arm_folder(tmp_path)
+    (folder / "other.xml").write_text("<mujoco><worldbody/></mujoco>")
+    init(folder)
+    assert "which of arm.xml, other.xml was recorded" in (folder / "study.yaml").read_text()
+    (folder / "other.xml").unlink()
+    (folder / "arm.xml").write_text("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>")
+    init(folder, force=True)
+    text = (folder / "study.yaml").read_text()
+    assert "arm.xml is an MJCF that cannot be read" in text and "system: ode" in text
+
+
+def test_a_joint_without_a_sensor_is_told_by_its_path(tmp_path):
+    from diffsim.systems.outside.mjcf import Mjcf
+
+    path = str(arm_folder(tmp_path) / "arm.xml")
+    with pytest.raises(ValueError, match="no joint 'elbw'; did you mean 'elbow'"):
+        Mjcf(path, channels={"q": "joint.elbw.position"})
+    body = "<body><joint name='b' type='ball'/><geom size='1'/></body>"
+    ball = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    with pytest.raises(ValueError, match="'b' has several axes; add a sensor"):
+        Mjcf(ball, channels={"q": "joint.b.position"})
