@@ -85,7 +85,10 @@ def decide(
     named_only = {h: e for h, e in nats.items() if h.unknown is None}
     best = prune(named_only, max(named_only, key=lambda h: named_only[h]))
     # a plain model that fits because it left its data sheets is explained where the set does not
-    explained = max(_share_explained(c, best, num_free) for c in (chi2, pulled))
+    costs = [(cost[Hypothesis()], cost[best]) for cost in (chi2, pulled)]
+    explained = max(
+        (plain - left) / (plain - num_free) if plain > num_free else 1.0 for plain, left in costs
+    )
     blind = [h for h in nats if h.unknown is not None]
     strongest = max(blind, key=lambda h: nats[h], default=None)
     lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
@@ -110,12 +113,6 @@ def decide(
     beside = (strongest, lead) if lead >= KEEP_NATS else (None, 0.0)
     as_well = tuple(h for h in rivals if h in equal)
     return Decision(verdict, best.effects, tuple(rivals), None, explained, *beside, equal=as_well)
-
-
-def _share_explained(cost: Mapping[Hypothesis, float], best: Hypothesis, num_free: float) -> float:
-    """Share of what the plain model leaves that a set explains; 1 where it leaves nothing."""
-    missing = cost[Hypothesis()] - num_free
-    return (cost[Hypothesis()] - cost[best]) / missing if missing > 0.0 else 1.0
 
 
 def fits_as_well(

@@ -20,10 +20,10 @@ from diffsim.diagnose.checks.gates import REPEATED, GateResult
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.apart import apart_in_fit
-from diffsim.diagnose.judge.averaging import ModelAverage, averaged, widening
+from diffsim.diagnose.judge.averaging import averaged, widening
 from diffsim.diagnose.judge.band import band_of
 from diffsim.diagnose.judge.crosscheck import repeated_gate
-from diffsim.diagnose.judge.data_sheet import base_rows, misfit_unheld
+from diffsim.diagnose.judge.data_sheet import base_rows, misfit_unheld, ranges_of_answer
 from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
@@ -37,7 +37,6 @@ from diffsim.diagnose.judge.preconditions import (
     singled_out,
     wrong_gradients,
 )
-from diffsim.diagnose.judge.ranges import ranges_of_answer
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     EFFECT,
@@ -148,6 +147,12 @@ def report_of(
     # of a verdict that names what all sets share, the sets are all given
     sets = (Hypothesis(decision.best), *rivals) if verdict == "named" and rivals else rivals
     rows = effect_rows(effects, judgment, screened, checks.changes, best)
+    own_factors = [  # of the causes that have a status of their own
+        row.factor
+        for row in causes
+        if row.status in (CERTAIN, LIKELY) or (row.probability is not None and row.rivals)
+    ]
+    beside = None if decision.beside is None else decision.beside.unknown
     case.progress("done", 1.0, verdict)
     return Report(
         verdict=verdict,
@@ -158,7 +163,7 @@ def report_of(
         floor=null.noise,
         named=set_names(Hypothesis(named), effects, ()),
         best_names=set_names(Hypothesis(decision.best), effects, ()),
-        beside=_beside(judgment),
+        beside="" if beside is None or search is None else search.unknowns[beside].name,
         plain_twin=_plain_twin(null.fit, best) if members else (),
         left=float(np.sqrt(best.chi2 / best.num_samples)),
         with_unknown=_with_unknown(search, members, best.num_samples),
@@ -180,7 +185,7 @@ def report_of(
         force_map=None if search is None else _force_map(search),
         base=base,
         unknown_share=_unknown_share(null, best, judgment),
-        interval_factor=_interval_factor(causes, about),
+        interval_factor=max(own_factors, default=1.0 if about is None else about.usual),
         band=band_of(
             best,
             case.study.channels,
@@ -439,21 +444,6 @@ def _unknown_share(null: Null, best: Fit, judgment: Judgment) -> float | None:
     if missing <= 0.0 or judgment.decision.verdict == "none":
         return 0.0
     return float(np.clip((best.chi2 - best.num_samples) / missing, 0.0, 1.0))
-
-
-def _interval_factor(causes: Sequence[CauseRow], about: ModelAverage | None) -> float:
-    """The largest widening among causes that have a status of their own."""
-    shown = [row.factor for row in causes if row.probability is not None and row.rivals]
-    shown += [row.factor for row in causes if row.status in ("certain", "likely")]
-    return max(shown, default=1.0 if about is None else about.usual)
-
-
-def _beside(judgment: Judgment) -> str:
-    """Name of the unknown cause that leads beside the named set."""
-    h, search = judgment.decision.beside, judgment.search
-    if h is None or h.unknown is None or search is None:
-        return ""
-    return search.unknowns[h.unknown].name
 
 
 def _settings(null: Null, search: Search | None, seed: int) -> dict[str, Any]:

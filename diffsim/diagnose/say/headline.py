@@ -308,7 +308,8 @@ def _missing(
     effects = _by_share([row for row in named if row.origin == EFFECT], laws)
     if not effects:
         return _off_sheet(sheet)
-    if _explains_more(effects, laws):
+    of_laws = sum(row.removes or 0.0 for row in effects if row.name in laws)
+    if of_laws > sum(row.removes or 0.0 for row in effects if row.name not in laws):
         return _laws(effects, laws, verb)
     total = sum(row.removes or 0.0 for row in effects)
     is_set = len(effects) > 1 and 0.0 < total < TOGETHER
@@ -348,14 +349,6 @@ def _num_small(effects: Sequence[CauseRow], total: float) -> int:
         return 0
     rest = np.cumsum([row.removes or 0.0 for row in reversed(effects)])
     return int(np.searchsorted(rest, SMALL * total))
-
-
-def _explains_more(effects: Sequence[CauseRow], laws: Collection[str]) -> bool:
-    """Whether laws remove more than causes of the library do."""
-    shares = [0.0, 0.0]
-    for row in effects:
-        shares[row.name in laws] += row.removes or 0.0
-    return shares[True] > shares[False]
 
 
 def _with_sizes(effects: Sequence[CauseRow], laws: Collection[str], verb: str) -> list[str]:

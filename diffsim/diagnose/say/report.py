@@ -13,10 +13,10 @@ from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.band import Band
+from diffsim.diagnose.judge.data_sheet import ranges_of_answer
 from diffsim.diagnose.judge.frozen import facts_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import OwnRow
-from diffsim.diagnose.judge.ranges import ranges_of_answer
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, OutsideRow
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.law_records import LawAnswer

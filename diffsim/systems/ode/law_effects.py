@@ -90,8 +90,10 @@ def _bend(library: Library, law: Law, row: Row, other: Law | None = None) -> Eff
     system = library.system
     if other is None:
         name, said = f"{row.name}_of_{law.name}", row.form
+        unit = row.unit.replace("Y", law.unit).replace("X", law.of_unit)  # "Y/X": y over x
     else:
         name, said = f"part_of_{other.name}_in_{law.name}", fill_in(row.form, {"other": other.name})
+        unit = f"{law.unit}/{other.unit}" if law.unit != other.unit else "-"
     parts = _list_letters(library, law, name, other)
     formula = parse_expression(row.said("law"), (*parts, *system.known))
     further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]
@@ -105,7 +107,7 @@ def _bend(library: Library, law: Law, row: Row, other: Law | None = None) -> Eff
         name=name,
         form=f"{law.name}: {said}",
         family=f"{row.family}_of_{law.name}",
-        unit=_compute_unit(row.unit, law, other),
+        unit=unit,
         components=groups.components,
     )
 
@@ -133,13 +135,6 @@ def _list_letters(
         "loop": named(_LOOP + " of " + law.name),
         "share": named(_SHARE),
     }
-
-
-def _compute_unit(pattern: str, law: Law, other: Law | None) -> str:
-    """Unit of a size: "Y/X" is that of y over that of x."""
-    if other is not None:
-        return f"{law.unit}/{other.unit}" if law.unit != other.unit else "-"
-    return pattern.replace("Y", law.unit).replace("X", law.of_unit)
 
 
 @dataclass(frozen=True, eq=False)
