@@ -18,9 +18,8 @@ order:
    room for one).
 7. ``judge``: ``judge`` (one verdict; unknown causes face the repeats, ``crosscheck``, names face
    runs that were not fitted, ``gain`` and ``left_out``), ``averaging``, ``stand_ins``,
-   ``data_sheet``, ``preconditions`` (of "certain"), ``ranges`` (what is saved), ``apart`` (of
-   devices). The answer is frozen here. Test runs are looked at once: ``unseen``; new runs later:
-   ``frozen``.
+   ``data_sheet`` (its ranges are saved), ``preconditions`` (of "certain"), ``apart`` (of devices).
+   The answer is frozen here. Test runs are looked at once: ``unseen``; new runs later: ``frozen``.
 8. ``say``: ``causes`` (a verdict per cause), ``headline``, ``wording``, ``tables``, ``assemble``,
    ``report``, ``force_map``: the answer as it is read and saved.
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_unit
 from diffsim.diagnose.discover.look_alikes import look_alikes
@@ -153,14 +152,13 @@ def _curve(fitted: FittedLaw, laws: Sequence[DescribedLaw]) -> LawCurve:
         u = np.linspace(max(middle - half, u[0]), min(middle + half, u[-1]), len(u))
     basis = c.basis.values(u)
     sd = np.sqrt(np.einsum("ij,jk,ik->i", basis, curve.covariance, basis))
-    runs = tuple(_run_curve(*own, float(u[0]), float(u[-1])) for own in fitted.by_run)
+    by_run = ((run, (v >= u[0]) & (v <= u[-1]), v, value) for run, v, value in fitted.by_run)
+    runs = tuple(
+        RunCurve(run, tuple(v[kept].tolist()), tuple(value[kept].tolist()))
+        for run, kept, v, value in by_run
+    )
     told = [tuple(a.tolist()) for a in (u, basis @ curve.factors, sd)]
     return LawCurve(names[0] if names else "", told[0], told[1], told[2], c.entry.unit, runs)
-
-
-def _run_curve(run: str, u: Array, value: Array, low: float, high: float) -> RunCurve:
-    kept = (u >= low) & (u <= high)
-    return RunCurve(run, tuple(u[kept].tolist()), tuple(value[kept].tolist()))
 
 
 def _words_of(variable: Variable) -> tuple[str, ...]:

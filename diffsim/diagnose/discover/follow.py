@@ -229,7 +229,9 @@ def follow(fit: Fit, port: LawPort, max_steps: int = MAX_STEPS) -> FollowedRecor
         problems.append(problem)
         points.append(x)
         missing.append(r + columns[:, count:] @ moved)
-        responses.append(columns[:, count:] / _units_of(problem))
+        # what a scaled coordinate of each knot is in units of its course
+        units = [np.full(len(e.components), PRIOR_WIDTH * e.typical) for e in _courses_of(problem)]
+        responses.append(columns[:, count:] / np.concatenate([*units, np.zeros(0)]))
         # by standardized coordinates, as a fit's own slopes
         slopes.append(columns[:, :count] * problem.stretch(x)[:count])
         chi2 += float(r @ r)
@@ -247,12 +249,6 @@ def follow(fit: Fit, port: LawPort, max_steps: int = MAX_STEPS) -> FollowedRecor
 
 def _courses_of(problem: Problem) -> list[Effect]:
     return [e for e in problem.effects if e.family == COURSE]
-
-
-def _units_of(problem: Problem) -> Array:
-    """What a scaled coordinate of each knot is in units of its course, (num_knots in all,)."""
-    parts = [np.full(len(e.components), PRIOR_WIDTH * e.typical) for e in _courses_of(problem)]
-    return np.concatenate(parts) if parts else np.zeros(0)
 
 
 def _drive(fit: Fit, run: Run, port: LawPort, max_steps: int) -> tuple[Problem, Array]:

@@ -344,7 +344,10 @@ def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
     for c in best:
         at = sum(c.entry == other.entry for other in chosen)
         on = sum(c.variable.name == other.variable.name for other in chosen)
-        if at < ALIKE and on < ALIKE and not any(_is_twin(c, other) for other in chosen):
+        # twins are one law to these recordings: of one variable, by entries in proportion
+        twins = (o for o in chosen if c.variable == o.variable and c.basis == o.basis)
+        is_twin = any(abs(c.nats - o.nats) < TWIN_NATS for o in twins)
+        if at < ALIKE and on < ALIKE and not is_twin:
             told = [c, *(p for p in best if _is_plain_of(p, c))]
             same = {(one.entry, one.variable.name) for one in told}
             turns = [
@@ -359,12 +362,6 @@ def _is_plain_of(plain: Candidate, c: Candidate) -> bool:
     bumps are too wide to tell."""
     is_memory = c.variable.memory == "relaxation" and not plain.variable.memory
     return is_memory and plain.entry == c.entry and plain.variable.name == c.variable.of
-
-
-def _is_twin(c: Candidate, other: Candidate) -> bool:
-    """Whether two laws are one to these recordings: of one variable, by entries in proportion."""
-    is_close = abs(c.nats - other.nats) < TWIN_NATS
-    return c.variable == other.variable and c.basis == other.basis and is_close
 
 
 def _fit_law(

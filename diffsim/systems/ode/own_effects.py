@@ -36,7 +36,8 @@ def own_effect(
         reader: Receives the mistakes.
     """
     reader.require_per(where, block.per)
-    stated = _stated_block(study, block.name)
+    blocks = ((study.model or {}).get("effects") or {}).get("own") or ()
+    stated: Mapping[str, Any] = next((b for b in blocks if b.get("name") == block.name), {})
     for old, (new, is_opposite) in OLD_KEYS.items():
         if old in stated:
             said = f"{new}: {str(not stated[old]).lower()}" if is_opposite else new
@@ -61,12 +62,6 @@ def own_effect(
             _make_change(where, block, study, known, states, reader), symbol(block.name), groups
         ),
     )
-
-
-def _stated_block(study: Study, name: str) -> Mapping[str, Any]:
-    """The block as the study has it."""
-    effects = (study.model or {}).get("effects") or {}
-    return next((b for b in effects.get("own") or () if b.get("name") == name), {})
 
 
 def _say_form(block: OwnEffect) -> str:
