@@ -12,6 +12,7 @@ import numpy as np
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.say.report import Report
+from diffsim.diagnose.say.tables import FIRST_LOOK
 from diffsim.identify import DiagnosisSettings, SearchSettings, UnknownDrift
 from diffsim.systems.registry import setup_of
 from diffsim.viz.diagnosis_report import write_diagnosis
@@ -119,7 +120,7 @@ def toy_answers(folder: Path) -> dict[str, Any]:
 def answered(study: Study, folder: Path) -> dict[str, Any]:
     """What a short search says of a study, laws looked for, and its page."""
     made = setup_of(study)
-    settings = replace(made.settings or DiagnosisSettings(), search=SHORT)
+    settings, told = replace(made.settings or DiagnosisSettings(), search=SHORT), {}
     report = diagnose(
         made.study or study,
         made.model,
@@ -127,10 +128,12 @@ def answered(study: Study, folder: Path) -> dict[str, Any]:
         seed=0,
         unknowns=made.unknowns,
         settings=settings,
+        progress=lambda stage, _, message: told.update({stage: numbers_in(message)}),
         laws=made.laws,
     )
     page = write_diagnosis(report, folder / "report.html").read_text("utf-8")
-    return {**facts_of(report), **{f"page {k}": v for k, v in parts_of_page(page)}}
+    looked = {"first look": told.get(FIRST_LOOK, [])}
+    return {**facts_of(report), **looked, **{f"page {k}": v for k, v in parts_of_page(page)}}
 
 
 def whole(*names: str) -> Callable[[Path], Mapping[str, Any]]:

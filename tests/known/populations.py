@@ -26,7 +26,7 @@ import yaml
 from diffsim import cli, copter, envs
 from diffsim.data import save_study
 from diffsim.data.study import Study
-from diffsim.identify import Problem, WhiteNoise
+from diffsim.identify import Numerics, Problem, WhiteNoise
 from diffsim.stokes import devices
 from tests.cli.test_diagnose_faults import STUDY as FAULTS
 from tests.cli.test_diagnose_faults import write as write_day
@@ -126,6 +126,11 @@ def slopes_of(study: Callable[[Path], Study]) -> Callable[[Path], Mapping[str, A
         plain, x = replace(asked, effects=()), np.full(len(asked.names), SHARE)
         at, q = x[: asked.num_base], setup.model.at_prior()
         out: dict[str, Any] = {"slopes": asked.linearize(x)}
+        out["costs"] = [
+            setup.model.cost(r, Numerics(time_step=t, mesh=m))
+            for r in ready.cut.runs[:2]
+            for t, m in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.5))
+        ]
         if ready.study.model["system"] != "outside":  # which has none but differences
             out["gradient"] = asked.gradient(x)
         for unknown in setup.unknowns:

@@ -29,7 +29,7 @@ from diffsim.causes.row import Row
 from diffsim.core.units import factor
 from diffsim.data import load_study, save_study
 from diffsim.data.study import Run, Study
-from diffsim.identify import Effect, Problem, WhiteNoise, fit
+from diffsim.identify import Effect, Numerics, Problem, WhiteNoise, coarse, fit
 from diffsim.identify.model_file import read_extended, rebuilt, save_extended
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.ode.description import OdeDescription
@@ -631,6 +631,19 @@ def many_points_are_as_one_by_one(ready: Ready) -> None:
         )  # fmt: skip
 
 
+def numerical_causes_are_shares_of_finer_settings(ready: Ready) -> None:
+    """A coarse setting, as a cause, moves channels by its share of what the finer one does."""
+    model, q, finer = ready.setup.model, ready.setup.model.at_prior(), Numerics(time_step=0.5)
+    cause = coarse("time_step", finer)
+    with torch.no_grad():
+        plain = model.predict(ready.run, q)
+        change_of_all = model.predict(ready.run, q, numerics=finer) - plain
+        for share in (0.25, 1.0):
+            found = model.predict(ready.run, q, {cause: uniform(cause, share)})
+            wanted = plain + share * cause.typical * change_of_all
+            torch.testing.assert_close(found, wanted, rtol=1e-9, atol=1e-12, equal_nan=True)
+
+
 def answers_do_not_depend_on_what_was_asked_before(ready: Ready) -> None:
     """Predictions, slopes and batches have the same bits in whatever order they are asked for."""
 
@@ -704,4 +717,5 @@ STATEMENTS = (
     many_points_are_as_one_by_one,
     answers_do_not_depend_on_what_was_asked_before,
     names_are_spelled_one_way,
+    numerical_causes_are_shares_of_finer_settings,
 )

@@ -9,7 +9,7 @@ import pytest
 
 from diffsim.data.study import Run
 from diffsim.diagnose.judge import own_values
-from diffsim.diagnose.judge.own_values import held_out_point, own_point
+from diffsim.diagnose.judge.own_values import _promise, held_out_point, own_point
 from diffsim.identify import Problem
 from tests.diagnose import linear
 
@@ -53,6 +53,17 @@ def test_what_is_no_straight_function_is_fitted_to_the_end():
     assert left @ left < 1.5 * len(left)
     assert point[1:] == pytest.approx(TRUE[1:], abs=0.1)
     assert point[0] == 0.0
+
+
+@pytest.mark.property
+def test_what_another_step_promises_is_what_the_slopes_span():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        left, columns, part = rng.normal(size=9), rng.normal(size=(9, 3)), rng.normal(size=3)
+        rest = np.concatenate([left, part])
+        spanned = np.linalg.qr(np.vstack([columns, np.eye(3)]))[0].T @ rest
+        share = float(spanned @ spanned) / float(rest @ rest)
+        assert _promise(left, columns, part) == pytest.approx(share, rel=1e-9)
 
 
 def test_slopes_of_the_start_serve_where_they_lead_to_the_noise():
