@@ -249,7 +249,7 @@ def _hours(folder: Path) -> None:
     """Times of day beside a command that steps."""
     from tests.cli.test_diagnose_init import noisy, write
 
-    clock = [f"{11 + k // 40}:{58 + k // 30:02d}:{k % 30 + 0.25:05.2f}" for k in range(60)]
+    clock = [f"{11 + k // 40}:{59 * (k < 40):02d}:{(20 + 1.01 * k) % 60:05.2f}" for k in range(60)]
     drive = np.repeat([0.0, 2.0, 1.0, 3.0, 0.0, 1.0], 10)
     write(folder / "day.csv", "clock,volts (V),x [mm]", [clock, drive, 5.0 * drive + noisy(2)])
 

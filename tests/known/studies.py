@@ -180,7 +180,9 @@ def meeting(folder: Path) -> Study:
         after = np.maximum(time - 0.3 / np.linalg.norm(speed), 0.0)[:, None]
         struck = np.array([0.36, 0.03]) + 0.8 * after * speed
         coming = (time[:, None] - 0.8 * after) * speed
-        runs.append(Run(f"r{k}", time, np.hstack([struck, coming]), {}, f"r{k}", k))
+        high = np.full((len(time), 1), 0.03)
+        seen = np.hstack([struck, high, coming, high])
+        runs.append(Run(f"r{k}", time, seen, {}, f"r{k}", k))
     ball = {"sphere": "60 mm", "mass": "50 g", "inertia_ratio": 0.5}
     model = {
         "system": "rigid_body",
@@ -189,19 +191,19 @@ def meeting(folder: Path) -> Study:
             {"name": "coming", **ball, "begins": "on_ground"},
         ],
         "contacts": [{"between": bodies, "restitution": {"value": 0.7, "sd": 0.1}}],
-        "measures": [{"body": b, "position": {a: f"{b}_{a}" for a in "xy"}} for b in bodies],
+        "measures": [{"body": b, "position": {a: f"{b}_{a}" for a in "xyz"}} for b in bodies],
     }
-    channels = tuple(Channel(f"{b}_{a}", "m", "position", 1e-3) for b in bodies for a in "xy")
+    channels = tuple(Channel(f"{b}_{a}", "m", "position", 1e-3) for b in bodies for a in "xyz")
     return Study("meeting", "rigid_body", channels, tuple(runs), model=model)
 
 
 def basin(folder: Path) -> Study:
     """A basin that a pump fills and that may spill, recorded often."""
-    time = 0.01 * np.arange(200)
+    time = 0.02 * np.arange(400)
     runs = []
     for k in range(2):
-        pump = np.where(time < 1.0 + 0.3 * k, 2.0, 0.5)
-        level = np.cumsum(0.01 * (pump - 0.4)) / 3.0
+        pump = np.where(time < 5.0 - k, 2.0, 0.5)
+        level = np.cumsum(0.02 * (pump - 0.4)) / 3.0
         runs.append(Run(f"r{k}", time, level[:, None], {"pump": pump}, f"r{k}", k))
     model = {
         "system": "ode",
