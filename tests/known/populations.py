@@ -138,6 +138,8 @@ def slopes_of(study: Callable[[Path], Study]) -> Callable[[Path], Mapping[str, A
         measured = torch.from_numpy(run.measured)
         shapes = (setup.model.shape_at(run, q), setup.model.shape_of(run, measured))
         out["shapes"] = [vars(shape) for shape in shapes if shape is not None]
+        if setup.bank:
+            out["bank"] = [[r.name, r.time_s, r.measured, r.command, r.setup] for r in setup.bank]
         if (laws := setup.laws) is not None:
             known, entries = laws.variables(), list(laws.entries)
             out["entries"] = entries
