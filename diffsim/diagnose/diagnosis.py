@@ -128,7 +128,8 @@ def diagnose(
             found = find_laws(fits, laws, progress or silent, budget.steps)
             first = answer
             answer, again = _with_laws(asked, first, laws, found, budget)
-            if beside := _newly_named(first, again, found):
+            is_late = budget.until is not None and model.simulations.steps > budget.until
+            if not is_late and (beside := _newly_named(first, again, found)):
                 beside_causes = find_laws(beside, laws, progress or silent, budget.steps)
                 last, _ = _with_laws(asked, first, laws, beside_causes, budget)
                 if _is_better(last, answer, beside_causes):
