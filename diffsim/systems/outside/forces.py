@@ -6,7 +6,7 @@ displacement are exact, whatever the integrator.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,7 +81,28 @@ class PlaceForces:
         self._terms = tuple(t for t in terms if t.size != 0.0)
         self._knots = tuple(k for k in knots if any(k.values))
         self.acts = bool(self._terms or self._knots)
-        self._laws = [t.law.on_floats(*OF_FORCES) for t in self._terms]
+        acting = dict.fromkeys([*(t.place for t in self._terms), *(k.place for k in self._knots)])
+        #: Places where a force acts, by their index, with the force by time, position and velocity
+        self.acting = tuple((self.places.index(p), self._force_at(p)) for p in acting)
+
+    def _force_at(self, place: str) -> Callable[[float, float, float], float]:
+        """The force at a place as a function of time, position and velocity."""
+        laws = [
+            (t.law.on_floats(*OF_FORCES), t.size, SHARP * t.scale)
+            for t in self._terms
+            if t.place == place
+        ]
+        knots = [k for k in self._knots if k.place == place]
+
+        def force(time: float, position: float, velocity: float) -> float:
+            out = 0.0
+            for law, size, width in laws:
+                out += law(size, position, velocity, width)
+            for k in knots:
+                out += k.at(time)
+            return out
+
+        return force
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.places, self._terms, self._knots)  # functions stay here
@@ -100,9 +121,6 @@ class PlaceForces:
             velocities: Their rates.
         """
         out = np.zeros(len(self.places))
-        for t, law in zip(self._terms, self._laws, strict=True):
-            i = self.places.index(t.place)
-            out[i] += law(t.size, float(positions[i]), float(velocities[i]), SHARP * t.scale)
-        for k in self._knots:
-            out[self.places.index(k.place)] += k.at(time)
+        for i, force in self.acting:
+            out[i] = force(time, float(positions[i]), float(velocities[i]))
         return out

@@ -394,11 +394,15 @@ class Mjcf:
     def _push_joints(self, force: PlaceForces) -> Callable[[Any, Any], None]:
         """What MuJoCo calls for passive forces: the forces at the joints that are the places."""
         joints = [self.numbers.find("joint", name, "hooks.force") for name in force.places]
-        rates = [int(self.plain.jnt_dofadr[j]) for j in joints]
-        places = [int(self.plain.jnt_qposadr[j]) for j in joints]
+        acting = [
+            (int(self.plain.jnt_qposadr[joints[i]]), int(self.plain.jnt_dofadr[joints[i]]), at)
+            for i, at in force.acting
+        ]
 
-        def push(model: Any, data: Any) -> None:
-            data.qfrc_passive[rates] += force(data.time, data.qpos[places], data.qvel[rates])
+        def push(model: Any, data: Any) -> None:  # thousands of times a run: plain numbers alone
+            time, positions, rates, passive = data.time, data.qpos, data.qvel, data.qfrc_passive
+            for place, rate, at in acting:
+                passive[rate] += at(time, positions.item(place), rates.item(rate))
 
         return push
 
