@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.copter.exchange.mjcf_text import whole_scene
-from diffsim.core.arrays import Array
+from diffsim.core.arrays import Array, Mask
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
 from diffsim.systems.outside.mjcf_numbers import Numbers
@@ -289,19 +289,19 @@ class Mjcf:
         rows, following = [], 0
         is_read = np.zeros(len(job.controls), dtype=bool)
         is_read[job.steps.samples] = True
-        for k, control in enumerate(job.controls):
-            model.opt.timestep = job.steps.lengths[k]
-            if is_read[k] and job.at_samples is not None:
+        for first, end in _alike(job, is_read, alone=watch):
+            model.opt.timestep = job.steps.lengths[first]
+            if is_read[first] and job.at_samples is not None:
                 data.ctrl[:] = job.at_samples[following]
                 self.mujoco.mj_forward(model, data)
                 rows.append(np.array(data.sensordata[job.readers]))
-            data.ctrl[:] = control
-            mj_step(model, data)
-            if is_read[k]:
+            data.ctrl[:] = job.controls[first]
+            mj_step(model, data, nstep=end - first)
+            if is_read[end - 1]:
                 following += 1
                 if job.at_samples is None:  # sensors of the state that the step began with
                     rows.append(np.array(data.sensordata[job.readers]))
-            if (watch or is_read[k]) and (said := self._say_divergence(model, data)):
+            if (watch or is_read[end - 1]) and (said := self._say_divergence(model, data)):
                 if not watch:
                     self._loop(job, watch=True)  # raises at the step itself
                 raise DivergedError(said)
@@ -405,6 +405,26 @@ class Mjcf:
                 passive[rate] += at(time, positions.item(place), rates.item(rate))
 
         return push
+
+
+def _alike(job: _Job, is_read: Mask, *, alone: bool) -> Iterator[tuple[int, int]]:
+    """First and end of steps of one length under one command, after which a sample may be read.
+
+    Args:
+        job: What is stepped.
+        is_read: Whether sensors are read at each step, (num_steps,).
+        alone: Each step by itself.
+    """
+    ends = np.full(len(is_read), alone)
+    ends |= is_read
+    ends[:-1] |= is_read[1:]
+    ends[:-1] |= (job.controls[1:] != job.controls[:-1]).any(axis=1)
+    ends[:-1] |= np.diff(job.steps.lengths) != 0.0
+    ends[-1:] = True
+    first = 0
+    for end in (np.flatnonzero(ends) + 1).tolist():
+        yield first, end
+        first = end
 
 
 def _joints_without_sensor(
