@@ -321,7 +321,8 @@ def _newly_named(first: _Answer, again: _Answer | None, found: FoundLaws) -> lis
     members = frozenset(i for i, e in enumerate(effects) if e.name in named - laws)
     if not laws & named or members in (NONE, first.best):
         return []
-    return [refit(first.search, members).fit_of(members)]
+    search = refit(first.search, members)
+    return [search.fit_of(members)] if members in search.fits else []
 
 
 def _is_better(answer: _Answer, before: _Answer, found: FoundLaws) -> bool:

@@ -97,6 +97,8 @@ def test_files_that_are_parts_or_no_mjcf_are_passed_over(tmp_path):
     (folder / "scene.xml").write_text('<mujoco><include file="arm.xml"/></mujoco>')
     (folder / "table.xml").write_text("<table/>")
     (folder / "broken.xml").write_text("<mujoco>")
+    (folder / "typed.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><mujoco/>')
+    (folder / "gone.xml").symlink_to(folder / "nowhere.xml")
     init(folder)
     assert "model: scene.xml" in (folder / "study.yaml").read_text()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.core.arrays import Array
 from diffsim.core.units import to_si
 from diffsim.data.guess import Guess, GuessedColumn
@@ -46,24 +46,29 @@ def find_mjcf(folder: Path) -> tuple[Path, ...]:
     """MJCF files of a folder that no other one of them includes or attaches."""
     roots = {path: root for path in sorted(folder.glob("*.xml")) if (root := _root_of(path))}
     parts = {
-        Path(node.attrib["file"]).name
+        Path(node.attributes["file"]).name
         for root in roots.values()
-        for tag in ("include", "model")
-        for node in root.iter(tag)
-        if "file" in node.attrib
+        for node in _below(root)
+        if node.tag in ("include", "model") and "file" in node.attributes
     }
     return tuple(path for path in roots if path.name not in parts)
 
 
-def _root_of(path: Path) -> ElementTree.Element | None:
-    """The root of a file that is an MJCF; what is broken or something else is none."""
-    if path.stat().st_size > MAX_XML_BYTES or b"<!ENTITY" in (text := path.read_bytes()):
+def _root_of(path: Path) -> Node | None:
+    """The root of a file that is an MJCF; what is broken, too large or something else is none."""
+    if not path.is_file() or path.stat().st_size > MAX_XML_BYTES:
         return None
     try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError:
+        root = read_nodes(path)
+    except ValueError:
         return None
     return root if root.tag == "mujoco" else None
+
+
+def _below(node: Node) -> Iterator[Node]:
+    for child in node.children:
+        yield child
+        yield from _below(child)
 
 
 def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
