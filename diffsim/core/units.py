@@ -356,3 +356,9 @@ def small_unit(unit: str, values: Iterable[float]) -> str:
         values: Values that are read together.
     """
     return SMALL_UNITS.get(unit, unit) if max(map(abs, values), default=1.0) < SMALL else unit
+
+
+def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
+    """``small_unit``, and what values are multiplied by to be in it."""
+    shown = small_unit(unit, values)
+    return shown, 1.0 if shown == unit else factor(unit, shown)

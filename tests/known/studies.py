@@ -122,9 +122,8 @@ def fish(folder: Path) -> Study:
 def swaying(folder: Path) -> Study:
     """A beam on a support that moves, released from a hand."""
     from tests.systems.soft_body.bars import released_bar
-    from tests.systems.swaying_lab import GRAVITY, recorded
+    from tests.systems.swaying_lab import GRAVITY, HELD_START, recorded
 
-    own = {"per": "run"}
     body = released_bar(
         cells=(4, 1, 1), dt_s=5e-3, integrator="implicit_midpoint", gravity=GRAVITY
     ) | {
@@ -132,17 +131,11 @@ def swaying(folder: Path) -> Study:
             "tip_z_m": {
                 "markers": ["tip1", "tip2", "tip3"],
                 "axis": "z",
-                "zero": {"value": 0.0, "sd": 1e-3, **own},
+                "zero": {"value": 0.0, "sd": 1e-3, "per": "run"},
             }
         },
         "support": {"x": "support_x_m", "z": "support_z_m"},
-        "start": {
-            "shape": "held",
-            "where": {"x": 0},
-            "axes": "z",
-            "offset": {"value": 3e-3, "sd": 2e-3, **own},
-            "speed": {"value": 0.0, "sd": 0.05, **own},
-        },
+        "start": HELD_START,
     }
     return replace(recorded(until_s=0.2), model=body)
 

@@ -16,6 +16,14 @@ YOUNG, NU, DENSITY, BETA = 2.3e5, 0.45, 1070.0, 2e-3
 LENGTH, SIDE, GRAVITY = 0.1, 0.03, 1.0
 SHIFT, TURN = 1.0, 0.25  # of the clamp's record; turn per forward displacement and length
 NUM_ELEMENTS, NUM_MODES = 20, 3
+#: A bar that a hand holds at its tip until the first sample, at a height that nobody knows
+HELD_START = {
+    "shape": "held",
+    "where": {"x": 0},
+    "axes": "z",
+    "offset": {"value": 3e-3, "sd": 2e-3, "per": "run"},
+    "speed": {"value": 0.0, "sd": 0.05, "per": "run"},
+}
 
 
 def beam_matrices():

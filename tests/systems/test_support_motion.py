@@ -13,22 +13,15 @@ from diffsim.identify.linearization import linearization_at
 from diffsim.systems.registry import description_of
 from tests.systems.soft_body.bars import released_bar
 from tests.systems.soft_body.causes import CAUSES
-from tests.systems.swaying_lab import GRAVITY, SHIFT, TURN, beam_matrices, recorded
+from tests.systems.swaying_lab import GRAVITY, HELD_START, SHIFT, TURN, beam_matrices, recorded
 
 
 def model_of(study, cells=(4, 2, 2)):
     """Held at its tip until the first sample, at a height that nobody knows."""
-    own = {"per": "run"}
-    zero = {"value": 0.0, "sd": 1e-3, **own}
+    zero = {"value": 0.0, "sd": 1e-3, "per": "run"}
     body = released_bar(cells=cells, dt_s=5e-3, integrator="implicit_midpoint", gravity=GRAVITY) | {
         "channels": {"tip_z_m": {"markers": ["tip1", "tip2", "tip3"], "axis": "z", "zero": zero}},
-        "start": {
-            "shape": "held",
-            "where": {"x": 0},
-            "axes": "z",
-            "offset": {"value": 3e-3, "sd": 2e-3, **own},
-            "speed": {"value": 0.0, "sd": 0.05, **own},
-        },
+        "start": HELD_START,
     }
     body["numerics"] |= {"correct_mesh": True}
     return description_of(replace(study, model=body)).setup(study).model

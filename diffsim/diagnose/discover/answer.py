@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from diffsim.core.figures import figure
-from diffsim.core.units import after_number, factor, small_unit
+from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
@@ -231,8 +231,7 @@ def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: F
 def _amount(size: Number, unit: str) -> str:
     """A size with its interval, small lengths in mm and the like."""
     values = (size.value, size.low, size.high)
-    shown = small_unit(unit, values)
-    times = 1.0 if shown == unit else factor(unit, shown)
+    shown, times = small_scale(unit, values)
     value, low, high = (figure(times * v) for v in values)
     return f"{value}{after_number(shown)} ({low} to {high})"
 

@@ -18,7 +18,7 @@ from scipy.special import chdtri, ndtri
 from torch import Tensor
 
 from diffsim.core.figures import figure
-from diffsim.core.units import after_number, factor, small_unit
+from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.records import HALF_LEVEL, SURE, Interval
 from diffsim.identify import Fit
@@ -55,8 +55,7 @@ class ApartRow:
     def as_read(self) -> tuple[Interval, Interval, str]:
         """Number, difference and the unit in which a user reads them."""
         ends = [end for i in (self.size, self.over) for end in (i.low, i.high)]
-        unit = small_unit(self.unit, ends)
-        times = 1.0 if unit == self.unit else factor(self.unit, unit)
+        unit, times = small_scale(self.unit, ends)
         size, over = (
             Interval(times * i.value, times * i.low, times * i.high) for i in (self.size, self.over)
         )

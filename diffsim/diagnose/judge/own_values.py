@@ -13,7 +13,7 @@ from scipy import optimize
 
 from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
-from diffsim.core.units import after_number, factor, small_unit
+from diffsim.core.units import after_number, small_scale
 from diffsim.data.study import Run
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
@@ -55,9 +55,9 @@ class OwnRow:
     @property
     def words(self) -> str:
         """The row in a clause."""
-        shown = small_unit(self.unit, (self.value, self.prior_value, self.prior_sd))
-        times = 1.0 if shown == self.unit else factor(self.unit, shown)
-        value, prior, sd = (times * v for v in (self.value, self.prior_value, self.prior_sd))
+        values = (self.value, self.prior_value, self.prior_sd)
+        shown, times = small_scale(self.unit, values)
+        value, prior, sd = (times * v for v in values)
         unit = after_number(shown)
         name = self.name.partition("@")[0].rstrip(".").replace("_", " ")
         stated = f"{figure(prior, 4)} +- {figure(sd, 2)}{unit}"
@@ -307,8 +307,8 @@ def own_words(rows: Sequence[OwnRow]) -> list[str]:
 def _many_words(own: Sequence[OwnRow]) -> str:
     """One parameter of several runs."""
     ends = [row.value for row in own]
-    shown = small_unit(own[0].unit, (*ends, own[0].prior_value, own[0].prior_sd))
-    times = 1.0 if shown == own[0].unit else factor(own[0].unit, shown)
+    stated_ends = (*ends, own[0].prior_value, own[0].prior_sd)
+    shown, times = small_scale(own[0].unit, stated_ends)
     low, high = (figure(times * v, 2) for v in (min(ends), max(ends)))
     name, unit = own[0].name.partition("@")[0].rstrip(".").replace("_", " "), after_number(shown)
     stated = f"{figure(times * own[0].prior_value)} +- {figure(times * own[0].prior_sd, 2)}{unit}"

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 
 from diffsim.core.figures import figure
-from diffsim.core.units import after_number, factor, small_unit
+from diffsim.core.units import after_number, factor, small_scale, small_unit
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import UNTOLD_PULL
 from diffsim.identify import ranges
@@ -169,8 +169,7 @@ class BaseRow:
 
     def as_read(self) -> BaseRow:
         """The same in the unit in which it is read."""
-        unit = self.shown_unit
-        times = 1.0 if unit == self.unit else factor(self.unit, unit)
+        unit, times = small_scale(self.unit, (self.value, self.prior_value, self.prior_sd))
         names = ("value", "sd", "low", "high", "prior_value", "prior_sd")
         return replace(self, unit=unit, **{name: times * getattr(self, name) for name in names})
 

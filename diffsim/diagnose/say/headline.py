@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from diffsim.core.figures import figure
-from diffsim.core.units import after_number, factor, small_unit
+from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.checks.gates import LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
@@ -473,8 +473,7 @@ def _numbers(row: ErrorRow) -> tuple[str, str, str, str]:
     if row.unit == "-" and row.noise > 0.0:
         before, after = (figure(v / row.noise) for v in (row.before, row.after))
         return before, after, " times the noise", ""
-    shown = small_unit(row.unit, (row.after, row.noise))
-    times = 1.0 if shown == row.unit else factor(row.unit, shown)
+    shown, times = small_scale(row.unit, (row.after, row.noise))
     before, after, noise = (figure(times * v) for v in (row.before, row.after, row.noise))
     unit = after_number(shown)
     return before, after, unit, f"{noise}{unit}"

@@ -39,7 +39,7 @@ from diffsim.systems.outside.source import Call
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
 #: What a channel may show of a joint without a sensor, by the MJCF's own kind of sensor
 JOINT_SENSORS = {"position": "jointpos", "velocity": "jointvel"}
-_JOINT = re.compile(rf"joint\.(.+)\.({'|'.join(JOINT_SENSORS)})")
+JOINT = re.compile(rf"joint\.(.+)\.({'|'.join(JOINT_SENSORS)})")
 MAX_BYTES = 100_000_000  # of the states, and of the models, that are simulated side by side
 MAX_MODELS = 64
 
@@ -437,15 +437,12 @@ def _joints_without_sensor(
     """
     numbers, out = Numbers(mujoco, model, ()), []
     for channel in dict.fromkeys(channels):
-        found = _JOINT.fullmatch(channel)
+        found = JOINT.fullmatch(channel)
         is_sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, channel) >= 0
         if found is None or is_sensor:
             continue
         joint = numbers.find("joint", found[1], "options.channels")
-        if int(model.jnt_type[joint]) not in (
-            mujoco.mjtJoint.mjJNT_SLIDE,
-            mujoco.mjtJoint.mjJNT_HINGE,
-        ):
+        if numbers.num_axes(joint) > 1:
             raise ValueError(
                 f"options.channels: joint {found[1]!r} has several axes; add a sensor of what "
                 "was measured to the MJCF, and name it"

@@ -14,17 +14,17 @@ from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.core.arrays import Array
 from diffsim.core.units import to_si
 from diffsim.data.guess import Guess, GuessedColumn
-from diffsim.systems.outside.mjcf import JOINT_SENSORS, Mjcf
+from diffsim.data.names import spelled
+from diffsim.systems.outside.joint_drive import GRAVITY
+from diffsim.systems.outside.mjcf import JOINT, JOINT_SENSORS, Mjcf
 
 MAX_XML_BYTES = 5_000_000  # of a file that is looked into
 MASS_PERCENT, DAMPING_PERCENT, GAIN_PERCENT = 10, 50, 20  # of a file that nobody measured
 SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no surprise
 SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same without a drive
 SMALLEST_SD = 1e-4  # of a start [rad or m]
-GRAVITY = 9.81  # [m/s^2]
 SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
 _VELOCITIES, _PUSHES = ("rad/s", "m/s"), ("N", "N m")
-_POSITION = re.compile(r"joint\.(.+)\.position")
 
 
 @dataclass
@@ -111,8 +111,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
 
 def _words(name: str) -> set[str]:
     """Words and numbers of a name: shoulder, pan and 2 of "shoulderPan_2"."""
-    apart = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", name)
-    return {word.lower() for word in re.findall(r"[A-Za-z]+|\d+", apart)}
+    return {word.lower() for word in re.findall(r"[A-Za-z]+|\d+", spelled(name))}
 
 
 def _match(
@@ -158,7 +157,7 @@ def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
 
 def _name_channels(simulator: Any, guess: Guess, made: GuessedModel) -> dict[str, str]:
     """Sensor of each channel, or joint where the sensors' names fit none."""
-    m, plain = simulator.mujoco, simulator.plain
+    plain = simulator.plain
     columns = guess.those("channel")
     sensors = {
         plain.sensor(i).name: _words(plain.sensor(i).name)
@@ -167,8 +166,7 @@ def _name_channels(simulator: Any, guess: Guess, made: GuessedModel) -> dict[str
     }
     if all(any(words <= _words(c.name) for words in sensors.values()) for c in columns):
         return _match(columns, sensors, "sensor", made)
-    scalar = (int(m.mjtJoint.mjJNT_SLIDE), int(m.mjtJoint.mjJNT_HINGE))
-    joints = [plain.joint(i).name for i in range(plain.njnt) if int(plain.jnt_type[i]) in scalar]
+    joints = [plain.joint(i).name for i in range(plain.njnt) if simulator.numbers.num_axes(i) == 1]
     found: dict[str, str] = {}
     for kind in JOINT_SENSORS:
         own = [c for c in columns if (_unit(c) in _VELOCITIES) == (kind == "velocity")]
@@ -234,8 +232,8 @@ def _positions(
 ) -> Iterator[tuple[str, list[Array], float]]:
     """Joints whose position is recorded, its course in each run and the noise, in SI units."""
     for column in guess.those("channel"):
-        found = _POSITION.fullmatch(channels.get(column.name, ""))
-        if found:
+        found = JOINT.fullmatch(channels.get(column.name, ""))
+        if found and found[2] == "position":
             times = to_si(column.unit).factor
             yield found[1], [times * c for c in guess.samples(column)], times * (column.sd or 0.0)
 

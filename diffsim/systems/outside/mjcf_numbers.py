@@ -142,6 +142,10 @@ class Numbers:
             )
         return known.index(name)
 
+    def num_axes(self, joint: int) -> int:
+        """Axes of a joint, by its index: one of slides and hinges, 3 of balls, 6 of free ones."""
+        return _DOFS[int(self.plain.jnt_type[joint])][1]
+
     def value_of(self, text: str) -> float:
         """What the file states for damping, armature, friction or stiffness of a joint.
 
