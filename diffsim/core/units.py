@@ -348,17 +348,15 @@ def after_number(unit: str) -> str:
     return "" if unit in _RELATIVE else f" {unit}"
 
 
-def small_unit(unit: str, values: Iterable[float]) -> str:
+def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
     """Unit in which values are read: small lengths in mm, short times in ms, small masses in g.
 
     Args:
         unit: SI unit of the values.
         values: Values that are read together.
+
+    Returns:
+        The unit, and what values are multiplied by to be in it.
     """
-    return SMALL_UNITS.get(unit, unit) if max(map(abs, values), default=1.0) < SMALL else unit
-
-
-def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
-    """``small_unit``, and what values are multiplied by to be in it."""
-    shown = small_unit(unit, values)
+    shown = SMALL_UNITS.get(unit, unit) if max(map(abs, values), default=1.0) < SMALL else unit
     return shown, 1.0 if shown == unit else factor(unit, shown)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 
 from diffsim.core.figures import figure
-from diffsim.core.units import after_number, factor, small_scale, small_unit
+from diffsim.core.units import after_number, factor, small_scale
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import UNTOLD_PULL
 from diffsim.identify import ranges
@@ -102,7 +102,7 @@ class CauseRow:
         if self.shown_unit is not None:
             return self.shown_unit
         ends = [end for size in self.size.values() for end in (size.low, size.high)]
-        return small_unit(self.unit, ends or self.smallest_visible.values())
+        return small_scale(self.unit, ends or self.smallest_visible.values())[0]
 
     @property
     def sheet(self) -> str:
@@ -161,11 +161,6 @@ class BaseRow:
     def is_told(self) -> bool:
         """Whether the recordings say anything of it: a shape of a cause that is absent is not."""
         return abs(self.pull) > UNTOLD_PULL or self.sd < UNTOLD_SHARE * self.prior_sd
-
-    @property
-    def shown_unit(self) -> str:
-        """Unit in which it is read: small lengths in mm, short times in ms, small masses in g."""
-        return small_unit(self.unit, (self.value, self.prior_value, self.prior_sd))
 
     def as_read(self) -> BaseRow:
         """The same in the unit in which it is read."""
