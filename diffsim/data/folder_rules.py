@@ -136,7 +136,7 @@ def headers(guess: Guess) -> Iterable[str]:
     """What the files hold and their tables do not, and columns that have no names."""
     tables = [one.table for kind in guess.kinds for one in kind.files]
     yield from dict.fromkeys(sentence for table in tables for sentence in table.left_out)
-    bare = [kind for kind in guess.kinds if not kind.files[0].layout.header_line]
+    bare = [kind for kind in guess.kinds if not kind.files[0].layout.has_names]
     if bare:
         names = ", ".join(c.name for kind in bare for c in kind.columns)
         yield f"header: {bare[0].files[0].reference} and the like have none; columns are {names}"

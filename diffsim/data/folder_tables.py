@@ -71,7 +71,7 @@ class FoundTable:
     @property
     def has_clock(self) -> bool:
         """Whether a column, or a file of one column without a header, is called a clock."""
-        if not self.layout.header_line and len(self.layout.columns) == 1:
+        if not self.layout.has_names and len(self.layout.columns) == 1:
             return bool(TIME.match(self.path.stem))
         return any(TIME.match(c.base) and may_be_time(c) for c in self.layout.columns)
 

@@ -165,7 +165,7 @@ def _shorten_names(tags: list[str]) -> list[str]:
 def _kind(tag: str, files: Sequence[FoundTable]) -> Kind:
     """A kind of file; columns without a header are called by its tag."""
     layout = files[0].layout
-    if not layout.header_line:
+    if not layout.has_names:
         word = column_of(tag or "column").base
         count = len(layout.columns)
         names = [word] if count == 1 else [f"{word}_{k}" for k in range(1, 1 + count)]
@@ -194,7 +194,7 @@ def _share_columns(a: Kind, b: Kind) -> bool:
     """Whether two kinds have columns in common, beside one that may be the clock."""
     if a is b:
         return True
-    if not (a.files[0].layout.header_line and b.files[0].layout.header_line):
+    if not (a.files[0].layout.has_names and b.files[0].layout.has_names):
         return len(a.columns) == len(b.columns)
     return len({c.name for c in a.columns if c.name} & {c.name for c in b.columns}) > 1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -13,6 +14,7 @@ from diffsim.data.table import cells_of, delimiter_of, is_list, names_of, open_t
 FIRST_LINES = 60  # in which the header must be
 FEWEST_ROWS = 5  # of numbers, that a file without a header must have
 TABLES = (".csv", ".tsv", ".txt", ".dat")
+_PLACE = "column_{}"  # name of a column without any
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
 _ENTRY = re.compile(r"^(.*[^\]])((?:\[\d+\])+)$")
 _BRACKETS = re.compile(r"^(.*?)\s*[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]\s*$")
@@ -68,14 +70,16 @@ class TableLayout:
     """Where the header of a file is.
 
     Attributes:
-        header_line: Line of the names, from 1; 0: there is none.
+        header_line: Line of the names, from 1; 0: there is none, or names take several lines.
         first_line: Line of the first sample.
         columns: Columns in order.
+        has_names: Whether the file names them.
     """
 
     header_line: int
     first_line: int
     columns: tuple[Column, ...]
+    has_names: bool = True
 
 
 def layout_of(path: Path) -> TableLayout | None:
@@ -90,11 +94,16 @@ def layout_of(path: Path) -> TableLayout | None:
     if marks and marks[-1] == " ":  # names between blanks, too
         marks = [" "] * len(lines)
     rows = [cells_of(line, mark) for line, mark in zip(lines, marks, strict=True)]
-    first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_numeric(row)), None)
+    last = next((row for row in reversed(rows) if _is_numeric(row)), [])
+    first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_like(row, last)), None)
     above = [] if first is None else _lines_above(rows, first)
     if first is None or not above:
         return _without_header(rows)
     names = _drop_empty_end(rows[above[0]])
+    is_pair = len(above) == 2 and _are_units(rows[above[1]])
+    is_part = bool(_repeated(names)) or ("" in names and not is_pair)
+    if len(above) > 1 and is_part:  # as of motion capture: bodies above their axes
+        return _lines_as_names([rows[i] for i in above], above[-1] + 1, first + 1)
     units = _drop_empty_end(rows[above[1]]) if len(above) > 1 else [""] * len(names)
     cells = [*rows[first], *[""] * len(names)]  # lists, "[0.1, 0.2]", are a column for each entry
     columns = (
@@ -112,11 +121,58 @@ def _lines_above(rows: list[list[str]], first: int) -> list[int]:
     above: list[int] = []
     for i in range(first - 1, -1, -1):
         head = _drop_empty_end(rows[i])
-        if len(head) not in num_cells or any(_NUMBER.fullmatch(c) for c in head):
+        if not num_cells & {len(head), len(rows[i])} or any(_NUMBER.fullmatch(c) for c in head):
             break
-        num_cells = {len(head)}
+        num_cells = {len(head), len(rows[i])}
         above.insert(0, i)
     return above
+
+
+def _lines_as_names(above: list[list[str]], last: int, first: int) -> TableLayout:
+    """A header of several lines: its lowest names, with those above where they occur twice.
+
+    Args:
+        above: Cells of its lines.
+        last: Line of the lowest, from 1.
+        first: Line of the first sample.
+    """
+    width = max(map(len, above))
+    above = [[*row, *[""] * (width - len(row))] for row in above]
+    units = [""] * width
+    if len(above) > 1 and _are_units(above[-1]):
+        *above, units = above
+        last -= 1
+    *parts, names = above
+    for row in reversed(parts):  # what has no axis is named further up
+        names = [name or cell for name, cell in zip(names, row, strict=True)]
+    twice = _repeated(names)
+    if not twice and names == above[-1]:
+        columns = (column_of(name, unit) for name, unit in zip(names, units, strict=True))
+        return TableLayout(last, first, tuple(columns))
+    at = [k for k, name in enumerate(names) if name in twice]
+    parts = [list(row) for row in parts]
+    for row in parts:  # a cell that spans columns is written in the first of them
+        for k in at:
+            row[k] = row[k] or (row[k - 1] if k - 1 in at else "")
+    telling = [row for row in parts if len({row[k] for k in at}) > 1]
+    for k in at:
+        names[k] = " ".join([*(row[k] for row in telling if row[k]), names[k]])
+    named = (name or _PLACE.format(k) for k, name in enumerate(names, 1))
+    columns = (column_of(name, unit) for name, unit in zip(named, units, strict=True))
+    return TableLayout(0, first, tuple(columns))
+
+
+def _are_units(row: list[str]) -> bool:
+    filled = [cell for cell in row if cell]
+    return bool(filled) and all(_is_unit(_bare_unit(cell)) for cell in filled)
+
+
+def _bare_unit(cell: str) -> str:
+    return cell.strip().strip("()[]{}<>").strip()
+
+
+def _repeated(names: list[str]) -> set[str]:
+    return {name for name, count in Counter(names).items() if name and count > 1}
 
 
 def _without_header(rows: list[list[str]]) -> TableLayout | None:
@@ -127,8 +183,9 @@ def _without_header(rows: list[list[str]]) -> TableLayout | None:
     first = above[-1] + 1 if above else 0
     if len(rows) - first < FEWEST_ROWS:
         return None
-    names = (f"column_{k}" for k in range(1, 1 + width))
-    return TableLayout(0, first + 1, tuple(Column(name, name, None, False) for name in names))
+    names = (_PLACE.format(k) for k in range(1, 1 + width))
+    columns = tuple(Column(name, name, None, False) for name in names)
+    return TableLayout(0, first + 1, columns, has_names=False)
 
 
 def column_of(name: str, unit_cell: str = "") -> Column:
@@ -138,13 +195,15 @@ def column_of(name: str, unit_cell: str = "") -> Column:
         whole = column_of(entry.group(1), unit_cell)
         places = "_".join(re.findall(r"\d+", entry.group(2)))
         return Column(name, f"{whole.base}_{places}", whole.unit, whole.is_said)
-    in_cell = unit_cell.strip().strip("()[]{}<>").strip()
+    in_cell = _bare_unit(unit_cell)
     if in_cell and _is_unit(in_cell):
         return Column(name, _word(name), in_cell, True)
     for pattern in (_BRACKETS, _AFTER, _SLASH, _LAST):
-        match = pattern.match(name)
-        if match and _is_unit(match.group(2) or "-"):
-            return Column(name, _word(match.group(1)), match.group(2) or "-", True)
+        if not (match := pattern.match(name)):
+            continue
+        for unit in (match.group(2) or "-", match.group(2).lower()):  # Time (Seconds), too
+            if _is_unit(unit):
+                return Column(name, _word(match.group(1)), unit, True)
     for ending in _LISTED:
         if name.endswith(f"_{ending}"):
             base = name[: -len(ending) - 1]
@@ -171,6 +230,13 @@ def _drop_empty_end(row: list[str]) -> list[str]:
 def _is_numeric(row: list[str]) -> bool:
     filled = [cell for cell in row if cell]
     return bool(filled) and 2 * sum(_holds_numbers(c) for c in filled) >= len(filled)
+
+
+def _is_like(row: list[str], sample: list[str]) -> bool:
+    """Whether a row is of numbers as a sample is; "rate, 100" above the header is not."""
+    is_near = abs(len(row) - len(sample)) <= 1  # an empty last cell may be left out
+    begins = not sample or not _holds_numbers(sample[0]) or not row[0] or _holds_numbers(row[0])
+    return is_near and begins and _is_numeric(row)
 
 
 def _holds_numbers(cell: str) -> bool:

@@ -184,6 +184,59 @@ def test_a_row_of_units_and_lines_before_the_header(tmp_path):
     assert sum(len(r.time_s) for r in study.runs) == 40
 
 
+@pytest.mark.parametrize(
+    ("header", "names"),
+    [
+        (  # as Motive writes rigid bodies
+            [
+                "Format Version,1.23,Length Units,Meters",
+                "",
+                ",Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body",
+                ",,Rotation,Rotation,Position,Position,Marker Size",
+                "Frame,Time (Seconds),X,Y,X,Y,",
+            ],
+            ["Rotation_X", "Rotation_Y", "Position_X", "Position_Y", "Marker_Size"],
+        ),
+        (  # as Motive writes one marker: its axes alone are enough
+            [
+                "Take,7",
+                "",
+                ",Type,Marker,Marker,Marker,Marker,Marker",
+                ",,Position,Position,Position,Position,Position",
+                "Frame,Time (Seconds),X,Y,Z,V,W",
+            ],
+            ["X", "Y", "Z", "V", "W"],
+        ),
+        (  # as Vicon Nexus writes trajectories: a name stands in the first of its columns
+            [
+                "Trajectories",
+                "100",
+                ",,box:M1,,box:M2,,",
+                "Frame,Time,X,Y,X,Y,Z",
+                ",s,mm,mm,mm,mm,mm",
+            ],
+            ["box_M1_X", "box_M1_Y", "box_M2_X", "box_M2_Y", "Z"],
+        ),
+    ],
+)
+def test_headers_of_several_lines_as_motion_capture_has_them(tmp_path, header, names):
+    values = [noisy(k) for k in range(5)]
+    rows = [
+        ",".join([str(k), f"{k / 100:.2f}", *(f"{v[k]:.4f}" for v in values)])
+        for k in range(len(T))
+    ]
+    (tmp_path / "Take 1.csv").write_text("\n".join([*header, *rows]) + "\n")
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.channels] == names
+    assert study.runs[-1].time_s[-1] == pytest.approx((len(T) - 1) / 100)
+    assert study.channels[0].shown_unit == ("mm" if "mm" in header[-1] else None)
+    where = {c.name: k for k, c in enumerate(study.channels)}
+    read = np.concatenate([run.measured for run in study.runs])
+    scale = 1e-3 if "mm" in header[-1] else 1.0
+    np.testing.assert_allclose(read[:, where[names[3]]], scale * values[3], atol=1e-4)
+
+
 def test_numbers_in_file_names_are_facts(tmp_path):
     for level in (100, 150):
         write(tmp_path / f"step_{level}mbar.csv", "time_s,x_m", [T * 1e-3, noisy(level)])
