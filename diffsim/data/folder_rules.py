@@ -32,6 +32,12 @@ MAX_SIZE = 100_000  # samples of all channels and runs, from which on only each 
 _IN_NAME = re.compile(
     r"(?<![\d.])(\d+(?:p\d+)?)(mm|cm|g|kg|mbar|kPa|Pa|bar|mN|N|V|Hz|deg|rpm)(?![A-Za-z])"
 )
+#: Words that number runs: counted ones, and a letter.
+_COUNTED = re.compile(
+    r"\d+|[A-Za-z]|(run|rep|repeat|take|trial|test|try|log|rec|record|file|data|exp|part|sweep|cycle"
+    r"|messung|versuch|lauf|nr|no)\d*",
+    re.IGNORECASE,
+)
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
 _SAME = 0.02  # rms over range: commands of repeats agree to this
 
@@ -226,11 +232,32 @@ def lists_of_runs(guess: Guess) -> Iterable[str]:
 
 
 def numbers_in_names(guess: Guess) -> None:
-    """Numbers with a unit in a file's name: step_100mbar.csv."""
+    """Numbers with a unit in the names of files and folders: step_100mbar.csv."""
     for run in guess.runs:
-        for number, unit in _IN_NAME.findall(Path(run.files[0]).stem):
+        for number, unit in _IN_NAME.findall(_path_words(run)):
             value = float(number.replace("p", "."))
             run.setup[f"{unit}_in_name"] = {"value": value, "unit": unit}
+
+
+def labels_in_names(guess: Guess) -> Iterable[str]:
+    """Words of folders and files that several runs share, and others have another one: a specimen.
+
+    Counted words, run3, and single letters number repeats; they are no facts.
+    """
+    split = [_words_of(run) for run in guess.runs]
+    if guess.split or len({tuple(words) for words in split}) != 1:
+        return
+    said = []
+    for place, name in enumerate(split[0]):
+        values = [list(words.values())[place] for words in split]
+        count = Counter(values)
+        is_counted = all(_COUNTED.fullmatch(word) for word in count)
+        if is_counted or len(count) < 2 or min(count.values()) < 2:
+            continue
+        for run, word in zip(guess.runs, values, strict=True):
+            run.setup[name] = word
+        said.append(f"{name} ({', '.join(count)})")
+    yield from listed("facts, by words in the names of several runs", said)
 
 
 def repeats(guess: Guess) -> Iterable[str]:
@@ -295,6 +322,7 @@ RULES: tuple[Rule, ...] = (
     *COLUMN_RULES,
     lists_of_runs,
     numbers_in_names,
+    labels_in_names,
     repeats,
     uses,
     size,
@@ -316,6 +344,24 @@ def guess_study(folder: Path, parts: Sequence[str] = ()) -> Guess:
         for rule in RULES:
             guess.said += rule(guess) or ()
     return guess
+
+
+def _path_words(run: GuessedRun) -> str:
+    """Names of its folders and its file, without the ending."""
+    path = Path(run.files[0])
+    return "/".join([*path.parts[:-1], path.stem])
+
+
+def _words_of(run: GuessedRun) -> dict[str, str]:
+    """Its folders, and the words of its file's name, by what a fact of each may be called."""
+    *folders, file = _path_words(run).split("/")
+    words = re.split(r"[_\-\s]+", file)
+    named = [("folder", one) for one in folders] + [("label", one) for one in words]
+    kinds = [kind for kind, _ in named]
+    return {
+        f"{kind}_{kinds[:i].count(kind) + 1}" if kinds.count(kind) > 1 else kind: word
+        for i, (kind, word) in enumerate(named)
+    }
 
 
 def _why_none(folder: Path) -> str:

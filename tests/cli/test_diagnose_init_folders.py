@@ -390,3 +390,47 @@ def test_a_folder_in_which_nothing_moves_says_so(tmp_path):
     study = load_study(tmp_path)
     assert study.channels == () and study.runs[0].setup["y"] == 2.0
     assert any("no column changes in any run" in sentence for sentence in study.todo)
+
+
+def test_words_that_some_runs_share_are_facts_and_other_specimens_no_repeats(tmp_path, capsys):
+    ramp = np.round(np.linspace(0.0, 4.0, len(T)), 2)
+    for day, names in (
+        ("Tag1", ("01_A1", "02_A2", "03_A3")),
+        ("Tag2", ("04_A3", "05_A2", "06_A1")),
+    ):
+        (tmp_path / day).mkdir()
+        for name in names:
+            write(
+                tmp_path / day / f"{name}.csv", "time_s,way_mm,F_N", [T, ramp, noisy(int(name[1]))]
+            )
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "facts, by words in the names of several runs: folder (Tag1, Tag2), label_2 (A1" in said
+    study = load_study(tmp_path)
+    assert [run.setup["label_2"] for run in study.runs] == ["A1", "A2", "A3", "A3", "A2", "A1"]
+    assert study.runs[3].setup["folder"] == "Tag2"
+    assert len({run.group for run in study.runs}) == 6  # none repeats another
+
+
+def test_loads_in_the_names_of_folders_are_facts_and_counted_runs_none(tmp_path):
+    for load in ("20g", "50g"):
+        (tmp_path / f"load {load}").mkdir()
+        for k in (1, 2):
+            path = tmp_path / f"load {load}" / f"run{k}.csv"
+            write(path, "time_s,x_m", [T * 1e-3, noisy(k)])
+    assert init(tmp_path) == 0
+    facts = [run.setup for run in load_study(tmp_path).runs]
+    assert [one["g_in_name"] for one in facts] == pytest.approx([0.02, 0.02, 0.05, 0.05])
+    assert [sorted(one) for one in facts] == [["folder", "g_in_name"]] * 4
+
+
+def test_letters_of_repeats_are_no_facts(tmp_path):
+    ramp = np.round(np.linspace(0.0, 4.0, len(T)), 2)
+    for name, command in (("slow", ramp), ("fast", ramp**2)):
+        for k, letter in enumerate("ab"):
+            write(tmp_path / f"{name}_{letter}.csv", "time_s,u,y_m", [T * 1e-3, command, noisy(k)])
+    assert init(tmp_path) == 0
+    runs = {run.name: run for run in load_study(tmp_path).runs}
+    assert runs["slow_b"].setup == {"label_1": "slow"}
+    assert runs["slow_b"].group == runs["slow_a"].group is not None
+    assert runs["fast_b"].group == runs["fast_a"].group != runs["slow_a"].group
