@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -107,6 +108,19 @@ def _check_plan(study: Study) -> Iterator[Problem]:
             "study",
             "every test run repeats a fitted command; an unseen command tests more",
         )
+    said = f"{study.model} {study.faults}"
+    for name in dict.fromkeys(key for run in study.fit_runs for key in run.setup):
+        labels = dict.fromkeys(run.setup.get(name) for run in study.fit_runs)
+        is_label = all(isinstance(one, str) and one for one in labels) and name != BLOCK_OF
+        is_used = re.search(rf"\b{re.escape(name)}\b", said)
+        if is_label and not is_used and 1 < len(labels) < len(study.fit_runs):
+            shown = ", ".join(map(str, list(labels)[:3])) + (", ..." if len(labels) > 3 else "")
+            yield Problem(
+                "warning",
+                "study",
+                f"the model has no number that may differ by {name} ({shown}): what does is taken "
+                f"for another cause; give numbers that may `per: {name}`",
+            )
     for sentence in study.todo:
         yield Problem("warning", "study", f"still to be stated: {sentence}")
     yield from _find_unfilled("model", study.model)

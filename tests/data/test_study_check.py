@@ -30,6 +30,24 @@ def test_two_commands_are_needed():
     assert "all fit runs have one command" in problems(with_run(study, 2, use="test"), "warning")
 
 
+@pytest.mark.parametrize(
+    ("labels", "model", "is_said"),
+    [
+        ("AABA", None, True),
+        ("AABA", {"parameters": {"stiffness": {"value": 1.0, "per": "specimen"}}}, False),
+        ("AAAA", None, False),  # all are one
+        ("ABCD", None, False),  # a name of each run
+        ((1.0, 1.0, 2.0, 2.0), None, False),  # a number, on which a law may depend
+    ],
+)
+def test_labels_that_no_number_of_the_model_may_differ_by_are_told(labels, model, is_said):
+    study = replace(make_study(), model=model)
+    for idx, label in enumerate(labels):
+        study = with_run(study, idx, setup={"specimen": label})
+    said = "no number that may differ by specimen (A, B): what does is taken for another cause"
+    assert (said in problems(study, "warning")) == is_said
+
+
 def test_without_a_test_run_nothing_shows_what_the_answer_is_worth():
     assert "no run with use: test" in problems(with_run(make_study(), 3, use="fit"), "warning")
 
