@@ -19,6 +19,7 @@ class LookAlike:
         units: Units of the variable.
         words: What such a law may be.
         turns: Least and greatest wave number.
+        of: Formulas of the variable.
     """
 
     words: tuple[str, ...]
@@ -27,6 +28,7 @@ class LookAlike:
     forms: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     turns: tuple[float, float] = (0.0, math.inf)
+    of: tuple[str, ...] = ()
 
     def fits(self, law: Law) -> bool:
         """Whether a law is of this kind."""
@@ -35,15 +37,19 @@ class LookAlike:
             (not self.kinds or law.entry.kind in self.kinds)
             and (not self.memory or memory == self.memory)
             and (not self.forms or law.form in self.forms)
+            and (not self.of or law.variable.formula in self.of)
             and (not self.units or law.variable.unit in self.units)
             and self.turns[0] <= (wave.value if wave else 0.0) <= self.turns[1]
         )
 
 
+_RUNS = ("run_order",)
 _PUSH, _NUMBER, _READ = ("force", "rate"), ("number",), ("reading",)
 ONCE = (0.9, 1.1)  # a turn
 _ANGLE, _HEAT, _VOLT = ("rad",), ("K", "degC"), ("V",)
 TABLE: tuple[LookAlike, ...] = (
+    LookAlike(("zero of the sensor that drifts from run to run",), _READ, of=_RUNS),
+    LookAlike(("wear", "warming up from run to run"), of=_RUNS),
     LookAlike(("unbalance", "bent axis"), _PUSH, "-", ("periodic",), _ANGLE, ONCE),
     LookAlike(("cogging", "eccentric gear"), _PUSH, "-", ("periodic",), _ANGLE),
     LookAlike(("ripple of the commutation", "gear"), _NUMBER, "-", ("periodic",), _ANGLE),

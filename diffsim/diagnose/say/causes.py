@@ -184,6 +184,8 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
     words = effect.words(value) if effect.words is not None and value else row.words
     if effect.says is not None and value:
         words = effect.says(value, values)
+    if status in (CERTAIN, LIKELY) and effect.also_looks_like:
+        row = replace(row, note=f"{row.note} May as well be: {'; '.join(effect.also_looks_like)}.")
     return replace(
         row,
         words=words,

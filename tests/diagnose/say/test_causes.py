@@ -195,6 +195,14 @@ def test_a_cause_may_say_its_size_in_words():
     assert report.headline.startswith("A speed limit near 1 m/s is missing:")
 
 
+def test_a_cause_that_acts_says_what_else_has_its_form():
+    twin = replace(PUSH, also_looks_like=("a lever of another length", "a scale"))
+    (row,) = diagnosed({PUSH: 1.0}, (twin,)).causes
+    assert row.note.endswith("May as well be: a lever of another length; a scale.")
+    (row,) = diagnosed({}, (twin,)).causes
+    assert row.status not in ("certain", "likely") and "May as well" not in row.note
+
+
 def test_a_rival_without_a_cause_has_a_name():
     """A stranger read "cannot tell it from  or meter_gain_2", and "cannot tell it from ."."""
     report = diagnosed({PUSH: 1.0}, (PUSH,))
