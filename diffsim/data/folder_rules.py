@@ -251,7 +251,7 @@ def labels_in_names(guess: Guess) -> Iterable[str]:
     for place, name in enumerate(split[0]):
         values = [list(words.values())[place] for words in split]
         count = Counter(values)
-        is_counted = all(_COUNTED.fullmatch(word) for word in count)
+        is_counted = all(_COUNTED.fullmatch(word) or _IN_NAME.fullmatch(word) for word in count)
         if is_counted or len(count) < 2 or min(count.values()) < 2:
             continue
         for run, word in zip(guess.runs, values, strict=True):

@@ -118,8 +118,9 @@ def _check_plan(study: Study) -> Iterator[Problem]:
             yield Problem(
                 "warning",
                 "study",
-                f"the model has no number that may differ by {name} ({shown}): what does is taken "
-                f"for another cause; give numbers that may `per: {name}`",
+                f"no number of the model may differ by {name} ({shown}): if these are other "
+                "objects or states, what differs is taken for another cause; "
+                f"`per: {name}` gives a number to each",
             )
     for sentence in study.todo:
         yield Problem("warning", "study", f"still to be stated: {sentence}")

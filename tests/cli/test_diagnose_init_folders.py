@@ -424,6 +424,13 @@ def test_loads_in_the_names_of_folders_are_facts_and_counted_runs_none(tmp_path)
     assert [sorted(one) for one in facts] == [["folder", "g_in_name"]] * 4
 
 
+def test_numbers_with_a_unit_are_facts_once(tmp_path):
+    for k, load in enumerate(("0g", "5g", "0g", "5g")):
+        write(tmp_path / f"clip{k}_{load}.csv", "time_s,x_m", [T * 1e-3, noisy(k)])
+    assert init(tmp_path) == 0
+    assert [sorted(r.setup) for r in load_study(tmp_path).runs] == [["g_in_name"]] * 4
+
+
 def test_letters_of_repeats_are_no_facts(tmp_path):
     ramp = np.round(np.linspace(0.0, 4.0, len(T)), 2)
     for name, command in (("slow", ramp), ("fast", ramp**2)):

@@ -44,7 +44,7 @@ def test_labels_that_no_number_of_the_model_may_differ_by_are_told(labels, model
     study = replace(make_study(), model=model)
     for idx, label in enumerate(labels):
         study = with_run(study, idx, setup={"specimen": label})
-    said = "no number that may differ by specimen (A, B): what does is taken for another cause"
+    said = "no number of the model may differ by specimen (A, B): if these are other objects or"
     assert (said in problems(study, "warning")) == is_said
 
 
