@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.errors import DiffsimError
 from diffsim.core.threads import one_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
@@ -460,7 +462,11 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
         if fit.problem.correction is None:
             return search, ()
         null.case.progress("search", 0.84, "finer simulations of the answer")
-        new, change, size = renewed_at(fit)
+        try:
+            new, change, size = renewed_at(fit)
+        except DiffsimError:  # finer simulations fail at the answer, which stays as it is
+            size = math.inf
+            break
         if size < NUMERICS_LAMBDA or round_ == MAX_RENEWALS - 1:
             break
         case = replace(null.case, correction=new)

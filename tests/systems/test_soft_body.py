@@ -267,6 +267,8 @@ def test_weight_tilt_and_drift_are_what_other_settings_give():
     [
         (CAUSES["temperature_drift"], size(-0.6)),  # RUN is third of its series
         (CAUSES["stiffness_loss"], size(0.0, 0.0, 1.2)),
+        # the centers of these cells keep some stiffness, those of finer ones would not
+        (CAUSES["stiffness_loss"], size(1.01, 0.0, 0.0)),
     ],
 )
 def test_size_that_leaves_no_stiffness_is_a_step_too_far_for_a_search(effect, at):

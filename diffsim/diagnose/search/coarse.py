@@ -9,6 +9,7 @@ again: where the correction would be another one there, the search goes on from 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -199,9 +200,11 @@ def coarse_gate(size: float, problem: Problem) -> GateResult:
         for name, what in (("time_step", "time steps"), ("mesh", "cells"))
         if getattr(coarse, name) != getattr(finest, name)
     ]
+    at = f"the plain fit and at the answer, where {figure(size, 2)} noise sd were left"
+    if math.isinf(size):
+        at = "the plain fit; at the answer they failed"
     note = (
         f"simulated with {' and '.join(words) or 'a looser tolerance'} and corrected by finer "
-        f"simulations at the plain fit and at the answer, where "
-        f"{figure(size, 2)} noise sd were left"
+        f"simulations at {at}"
     )
     return GateResult(COARSE, size < NUMERICS_LAMBDA, size, NUMERICS_LAMBDA, note)

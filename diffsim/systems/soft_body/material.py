@@ -129,6 +129,8 @@ def lose_stiffness(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     share = (center - mesh.x_rest[:, axis].min()) / spread[axis]
     places = torch.tensor([0.0, 0.5, 1.0], dtype=share.dtype)
     hats = (1.0 - 2.0 * (share[:, None] - places).abs()).clamp(min=0.0)
+    # at the tips of the hats, which cells of any mesh may reach
+    _require_stiffness(1.0 - size)
     return _scale_stiffness(scene, 1.0 - hats @ size)
 
 
@@ -138,11 +140,16 @@ def drift_with_order(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
 
 
 def _scale_stiffness(scene: SoftScene, factor: Tensor) -> SoftScene:
-    """The scene with E times a factor, one or per element.
+    """The scene with E times a factor, one or per element."""
+    _require_stiffness(factor)
+    return scene.with_parameter("youngs_modulus", scene.number("youngs_modulus") * factor)
+
+
+def _require_stiffness(factor: Tensor) -> None:
+    """Refuse a factor on E that is not positive; a search then takes a smaller step.
 
     Raises:
-        DiffsimError: somewhere it is not positive; a search then takes a smaller step.
+        DiffsimError: it is not.
     """
     if not bool((factor > 0.0).all()):
         raise DiffsimError(f"no stiffness: E times {float(factor.min()):.3g}; the size is too far")
-    return scene.with_parameter("youngs_modulus", scene.number("youngs_modulus") * factor)

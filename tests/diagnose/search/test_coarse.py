@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffsim.diagnose import diagnose
+from diffsim.core.errors import DiffsimError
+from diffsim.diagnose import diagnose, diagnosis
 from diffsim.diagnose.checks.gates import budget_gates
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA
 from diffsim.diagnose.search import search as searching
@@ -91,6 +92,22 @@ def test_a_dear_first_answer_simulates_finely_only_to_be_corrected():
     gate = next(g for g in report.gates if g.name == "coarse")
     assert gate.passed and "corrected by finer simulations" in gate.note
     assert any("coarse" in s and s.startswith("A first answer") for s in report.sentences)
+
+
+def test_an_answer_that_finer_simulations_cannot_follow_stays_and_says_so(monkeypatch):
+    """A clamp that gave took all stiffness beside it: explain ended in an error."""
+
+    def fail(fit):
+        raise DiffsimError("no stiffness")
+
+    monkeypatch.setattr(diagnosis, "renewed_at", fail)
+    study = noisy({"bias": 0.3})
+    settings = replace(DEAR, refine_budget=1e3)
+    report = diagnose(study, toy.model(study.runs, STEP), (toy.BIAS,), seed=0, settings=settings)
+    gate = next(g for g in report.gates if g.name == "coarse")
+    assert not gate.passed and gate.note.endswith("at the plain fit; at the answer they failed")
+    assert report.named == ("bias",) and report.causes[0].status == "likely"
+    assert "inf" not in " ".join(report.sentences)
 
 
 def test_simulations_that_are_not_dear_begin_as_they_are():
