@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+import yaml
 
 from diffsim.data.clock_guess import guess_clock, is_late, seconds_of
 from diffsim.data.folder_tables import FoundTable
@@ -81,11 +82,11 @@ def join_files(
         is_lone = len(groups) == 1 and groups[0][1] == groups[0][0].name
         if not _are_of_one_run(kinds, is_lone=is_lone):
             if len(groups) > 1 and groups[0][1] == groups[0][0].name:
-                unclear = ", ".join(map(_list_shown, kinds))
+                unclear = list(map(_list_shown, kinds))
                 said.append(
-                    f"runs: {unclear} have the same columns and no name that says what was "
-                    f"commanded; if they are of one run, write file: [{unclear}], and file: 2 of "
-                    "the columns of the second"
+                    f"runs: {', '.join(unclear)} have the same columns and no name that says what "
+                    f"was commanded; if they are of one run, write file: {_in_yaml(unclear)}, and "
+                    "file: 2 of the columns of the second"
                 )
             continue
         fitting = _fit_clocks(kinds)
@@ -242,14 +243,21 @@ def _meet(kinds: Sequence[Kind]) -> bool:
 def _why_apart(kinds: Sequence[Kind]) -> str:
     """That clocks do not meet, and what joins the files all the same."""
     spans = "; ".join("{:.7g} to {:.7g} s".format(*kind.span()) for kind in kinds)
-    names = ", ".join(map(_list_shown, kinds))
-    clocks = dict.fromkeys(
-        f"{{column: {k.time['column']}, unit: {k.time['unit']}, zero: start}}" for k in kinds
-    )
+    names = list(map(_list_shown, kinds))
+    clocks = {(k.time["column"], k.time["unit"]): {**k.time, "zero": "start"} for k in kinds}
     return (
-        f"{names} look like one run, but their clocks do not meet ({spans}): not joined; if all "
-        f"were started at the same moment, state time: [{', '.join(clocks)}] and file: [{names}]"
+        f"{', '.join(names)} look like one run, but their clocks do not meet ({spans}): not "
+        "joined; if all were started at the same moment, state time: "
+        f"{_in_yaml(list(clocks.values()))} and file: {_in_yaml(names)}"
     )
+
+
+def _in_yaml(value: list[Any]) -> str:
+    """On one line, as it can be pasted: Zeit [s] needs quotes."""
+    text = yaml.safe_dump(
+        value, default_flow_style=True, width=10_000, sort_keys=False, allow_unicode=True
+    )
+    return str(text).strip()
 
 
 def _list_shown(kind: Kind) -> str:

@@ -231,11 +231,12 @@ def test_one_file_may_hold_the_files_of_all_runs(tmp_path):
     np.testing.assert_allclose(study.runs[1].command["x_cmd"], noisy(0))
 
 
-def test_clocks_of_their_own_are_told_with_what_joins_them(tmp_path, capsys):
+@pytest.mark.parametrize("clock", ["time_s", "Zeit [s]"])
+def test_clocks_of_their_own_are_told_with_what_joins_them(tmp_path, capsys, clock):
     for k, name in enumerate(("a", "b", "c")):
         push = np.sin(0.02 * T + k)
         write(tmp_path / f"{name}_actuators.csv", "stamp_us,torque_Nm", [1e9 + 1e3 * T, push])
-        write(tmp_path / f"{name}_rates.csv", "time_s,rate_rad_s", [52.37 + 1e-3 * T, noisy(k)])
+        write(tmp_path / f"{name}_rates.csv", f"{clock},rate_rad_s", [52.37 + 1e-3 * T, noisy(k)])
     assert init(tmp_path) == 0
     said = capsys.readouterr().out
     why = next(line for line in said.splitlines() if "clocks do not meet" in line)
