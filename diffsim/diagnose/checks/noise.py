@@ -17,7 +17,6 @@ from diffsim.data.signal import noise_std, scatter
 from diffsim.data.steps import rounding_sd
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Fit
-from diffsim.identify.whitening import MOST_RUNS
 
 MAX_ORDER = 4
 LONGEST_MEMORY = 1000  # samples over which a color is followed
@@ -45,7 +44,7 @@ class ArWhitener:
 
     def __init__(self, sd: Array, coefficients: Sequence[Array]):
         self.sd, self.coefficients = np.asarray(sd, dtype=np.float64), tuple(coefficients)
-        self._made: Memo[sparse.csr_array] = Memo(MOST_RUNS)
+        self._made: Memo[sparse.csr_array] = Memo()
 
     def matrix(self, run: Run) -> sparse.csr_array:
         """(num_valid, num_samples * num_channels), sparse; made once per run."""

@@ -22,7 +22,6 @@ from diffsim.systems.multicopter.starts import acceleration_of, states_of
 LONGEST = "longest_window_s"  # its place among the facts of a model
 LONGEST_S = 1.0  # of a window whose length is left to the model
 MIN_WINDOW_SAMPLES = 5  # samples of a window
-MOST_RUNS = 1024  # whose windows are kept
 _EASY_STEPS = 6  # in which initial states settle where windows are not too long
 _SEEN = 1e-3  # of the strongest way to move the vehicle: weaker ones are none
 _UNEVEN = 1e-3  # of the mean step

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
     from diffsim.systems.soft_body.keys import DescribedMuscle
 
-MOST_KEPT = 256  # sequences of poses
-MOST_HELD = 512  # shapes before the start
 SMALL = 1e-3  # of the body's length: displacements that are still linear
 FIRST_PUSH = 1e-5  # force per volume, of Young's modulus per length
 FADE_ANGLE = 0.1  # of attack, below which the force of the water fades [rad]
@@ -89,8 +87,8 @@ class BodyRig:
         self._seen = {main_axis(r) for _, r in readings if r.axis is not None} or {0, 1, 2}
         self._prepare_holder()
         self._water = lru_cache(maxsize=64)(self._new_water)
-        self.poses: Memo[Tensor] = Memo(MOST_KEPT)
-        self._held_shapes: Memo[Tensor] = Memo(MOST_HELD)
+        self.poses: Memo[Tensor] = Memo(256)  # sequences of poses are large
+        self._held_shapes: Memo[Tensor] = Memo(256)
 
     def _find_nodes(self, key: str, region: Any) -> Tensor:
         with within(key):
