@@ -30,7 +30,6 @@ SOUND = "nothing"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
-MAX_ROWS = 8
 MAX_SAID = 3  # groups with a fault that the first sentence names
 TAILS = (0.05, 0.95)
 
@@ -253,7 +252,7 @@ def verdict_of(
                 float(alone[i]),
                 evidences[i].candidate.is_unlisted,
             )
-            for i in order[:MAX_ROWS]
+            for i in order[:8]
         ),
         smallest_visible=dict(smallest_visible),
         words=_words(status, sizes, rivals),

@@ -28,7 +28,6 @@ DEEP = 0.75
 
 SLIP_RTOL = 1e-9
 MAX_SLIP_SWEEPS = 60
-NUM_SECTIONS = 12
 
 
 class NetworkFlow:
@@ -188,7 +187,7 @@ class NetworkFlow:
             for k in device.branches
         )
         first = int(start / self.grid.spacing[0]) + 1
-        planes = np.linspace(first, self.grid.shape[0] - 1, NUM_SECTIONS).round().astype(int)
+        planes = np.linspace(first, self.grid.shape[0] - 1, 12).round().astype(int)
         ends = [[device.nodes[n] for n in device.segments[k][1:3]] for k in device.branches]
         heights = self.grid.nodes[0, :, 1]
         sections = []

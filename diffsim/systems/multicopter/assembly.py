@@ -31,8 +31,6 @@ from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
 VEHICLE, GUST = "vehicle", "gust"  # places of their magnitudes in the record
 _THRUST_COEFFICIENT = 1e-5  # of a small propeller, where no command tells it [N s^2]
-_PAST = 0.5  # spread of the thrusts before the record, over what hovers
-_PUSH = 0.2  # per mass: a force that is no surprise, as of wind [m/s^2]
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
 
 
@@ -70,7 +68,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
             sd=sensing.sd,
             window_s=of.windows.length,
             rigid_spread=SPREAD,
-            past_spread=_PAST * hover,
+            past_spread=0.5 * hover,  # of what hovers
             longest_s=LONGEST_S if kept is None else kept.facts[LONGEST],
         ),
         substeps=of.windows.substeps,
@@ -119,7 +117,8 @@ def _find_axis_magnitudes(flights: DescribedFlights, study: Study) -> dict[str, 
     cutter = flights.cutter
     states = torch.cat([cutter.record(run).states for run in study.fit_runs or study.runs])
     way, velocity = (cutter.frames.in_world(part) for part in (states[:, :3], states[:, 6:9]))
-    push = _PUSH * float(flights.nominal_fleet().mass)
+    # [m/s^2]: a force per mass that is no surprise, as of wind
+    push = 0.2 * float(flights.nominal_fleet().mass)
     return {
         axis: {
             "push": push,

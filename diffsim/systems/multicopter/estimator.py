@@ -22,9 +22,6 @@ from torch import Tensor
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.rotation import cross, matrix_from_rpy, skew
 
-_FEW_STEPS = 64  # beyond these steps are chained
-_SLOWEST = 0.1  # frequency of a motion [rad/s]: below it there is no error to speak of
-
 
 @dataclass(frozen=True, eq=False)
 class BlindEstimator:
@@ -67,7 +64,8 @@ class BlindEstimator:
         square = (_project_to_ground(acceleration) ** 2).sum() / (
             _project_to_ground(velocity) ** 2
         ).sum().clamp(min=1e-12)
-        frequency = square.sqrt().clamp(min=_SLOWEST)[None]
+        # [rad/s]: of a slower motion there is no error to speak of
+        frequency = square.sqrt().clamp(min=0.1)[None]
         start = blind._compute_steady_swing(velocity[0, :1], acceleration[:1], frequency)[:, 0]
         # the record shows the sum of velocity and error: what drives is less by the error
         shown = (drag, gains[:, 0] + drag, gains)
@@ -167,7 +165,8 @@ def _follow_errors(
     drag, decay, gains = rates
     turning = torch.stack([gains[..., 1], gains[..., 1], gains[..., 2]], -1)
     pull = dt * drag[..., None, None] * _project_to_ground(velocity)[..., : force.shape[-2], :]
-    follow = _step_errors if force.shape[-2] <= _FEW_STEPS else _chain_errors
+    # beyond these steps are chained
+    follow = _step_errors if force.shape[-2] <= 64 else _chain_errors
     return follow(pull, force, start, dt * decay, dt * turning, dt)
 
 

@@ -18,7 +18,6 @@ from diffsim.identify.model import Parameter
 
 LONG = 1.5  # usual steps: a longer one lacks a row
 JUMP = 3.0  # usual changes from row to row, which are none of a command that rests
-EVEN_SD = 1.0 / np.sqrt(12.0)  # of a share that may be anything from 0 to 1
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,8 @@ class Gap:
     @property
     def parameter(self) -> Parameter:
         """The nuisance: anything from the start to the end of the gap."""
-        return Parameter(self.name, 0.5, EVEN_SD, lower=0.0, upper=1.0)
+        # anything from 0 to 1 alike
+        return Parameter(self.name, 0.5, 1.0 / np.sqrt(12.0), lower=0.0, upper=1.0)
 
     def change(self, column: Tensor, grid: Grid, share: Tensor) -> Tensor:
         """A held command that changes inside the gap; steps that it cuts have the mean.

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from diffsim.systems.description import BaseParameters
     from diffsim.systems.rod.keys import RodKeys
 
-EQUILIBRIUM = 1000.0  # weighted steps of a pose
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RodScene(Scene):
@@ -109,7 +107,7 @@ class RodModel(SimModel):
         zeros: tuple[str, ...],
     ):
         self.given, self.parameters, self.zeros = given, parameters, zeros
-        self.step_cost = EQUILIBRIUM
+        self.step_cost = 1000.0  # weighted steps of a pose
         self._layout = lru_cache(maxsize=8)(lambda finer: layout_of(given, channels, finer))
         self._guesses: Memo[Tensor] = Memo()
         super().__init__(self._build, parameters.base, "described rod", batched=True)
