@@ -26,6 +26,7 @@ from diffsim.diagnose.faults.local import problem_of
 from diffsim.diagnose.faults.marginal import Information, Priors
 from diffsim.diagnose.faults.states import State, possible_states
 from diffsim.diagnose.faults.verdict import (
+    ENDS,
     CandidateEvidence,
     FaultReport,
     FaultVerdict,
@@ -40,7 +41,6 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.whitening import WhiteNoise
 
 REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes
-ENDS = (0.05, 0.95)  # shares of draws below the two ends of an interval
 
 Progress = Callable[[int, int], None]
 

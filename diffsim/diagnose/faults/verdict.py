@@ -31,7 +31,7 @@ VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
 MAX_SAID = 3  # groups with a fault that the first sentence names
-TAILS = (0.05, 0.95)
+ENDS = (0.05, 0.95)  # shares below the two ends of an interval
 
 
 @dataclass(frozen=True)
@@ -326,7 +326,7 @@ def _sizes(
     for k, cause in enumerate(causes):
         effect = effects[cause]
         values = PRIOR_WIDTH * effect.typical * evidence.samples[:, k]
-        low, high = weighted_quantiles(values, evidence.weights, TAILS)
+        low, high = weighted_quantiles(values, evidence.weights, ENDS)
         interval = Interval(float(values @ evidence.weights), low, high)
         out.append(Size(cause, effect.unit, interval, cause_words(effect, interval.value)))
     return tuple(out)

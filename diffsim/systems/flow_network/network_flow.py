@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim.core.errors import ConvergenceError, DiffsimError
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.systems.flow_network.corrections import FlowDerivatives
-from diffsim.systems.flow_network.grid_fits import MovingFit, average_corners, integrate_face
+from diffsim.systems.flow_network.grid_fits import DEEP, MovingFit, average_corners, integrate_face
 from diffsim.systems.flow_network.network import NetworkDevice
 
 BULK_RATIO = 1e7
@@ -22,9 +22,6 @@ BULK_RATIO = 1e7
 PENALTY = 200.0
 """Of the walls, ten times the usual one: they let less of the flow through, and so a wall that
 moves changes resistances more smoothly."""
-
-DEEP = 0.75
-"""Pressures are fitted to cells so many spacings from the wall."""
 
 SLIP_RTOL = 1e-9
 MAX_SLIP_SWEEPS = 60

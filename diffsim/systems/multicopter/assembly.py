@@ -23,14 +23,13 @@ from diffsim.systems.multicopter.effects import ESTIMATOR_GAINS
 from diffsim.systems.multicopter.frames import AXES, RecordingFrames
 from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
-from diffsim.systems.multicopter.scene import rotor_names
+from diffsim.systems.multicopter.scene import CopterScene, rotor_names
 from diffsim.systems.multicopter.sensing import sensing_of
 from diffsim.systems.multicopter.shooting import SPREAD
 from diffsim.systems.multicopter.spectrum import strongest_frequency
 from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
 VEHICLE, GUST = "vehicle", "gust"  # places of their magnitudes in the record
-_THRUST_COEFFICIENT = 1e-5  # of a small propeller, where no command tells it [N s^2]
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
 
 
@@ -77,7 +76,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
         full_thrust=full_thrust,
         thrust_coefficient=float(known["thrust_coefficient"])
         if law.is_squared
-        else _THRUST_COEFFICIENT,
+        else CopterScene.thrust_coefficient,
         lags_speed=lag_of == "speed",
         clocks={
             clock_of(name): tuple(names.index(c) for c in channels_of(study.channels, name))

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.signals import Grid
+from diffsim.data.steps import GAP
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter
 
-LONG = 1.5  # usual steps: a longer one lacks a row
 JUMP = 3.0  # usual changes from row to row, which are none of a command that rests
 
 
@@ -79,5 +79,5 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
             float(run.time_s[k]),
             float(run.time_s[k + 1]),
         )
-        for k in np.flatnonzero(jumps & (steps > LONG * np.median(steps)))
+        for k in np.flatnonzero(jumps & (steps > GAP * np.median(steps)))
     )
