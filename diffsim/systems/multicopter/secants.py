@@ -33,10 +33,6 @@ class Secants:
         """Nothing is known yet: steps stay as they are."""
         return cls(spread, spread.new_zeros(windows, len(spread), len(spread)))
 
-    def of(self, change: Tensor) -> Tensor:
-        """J d for changes of the initial states, (num_windows, m)."""
-        return (self.slope @ (change / self.spread)[..., None])[..., 0] * self.spread
-
     def ahead(self, step: Tensor) -> Tensor:
         """(I - J)^-1 step, (num_windows, m); the step itself where that is far longer."""
         scaled = step / self.spread

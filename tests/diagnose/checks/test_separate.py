@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Channel, Run, Study
-from diffsim.diagnose.checks.gates import cut_in_two, data_gate, shared_samples
+from diffsim.diagnose.checks.gates import _shared_runs, cut_in_two, data_gate
 
 CHANNELS = (Channel("x_m", "m", "position", sd=0.01),)
 TIME = 0.01 * np.arange(400)
@@ -28,6 +28,11 @@ def study(*runs):
 
 def gates(*runs):
     return {g.name: g for g in data_gate(study(*runs))}
+
+
+def shared_samples(*runs):
+    """Samples of the longest stretch that two runs share; 0 where chance may explain it."""
+    return max((count for *_, count in _shared_runs(runs, lambda *_: False)), default=0)
 
 
 def test_one_recording_under_two_names_is_refused():
