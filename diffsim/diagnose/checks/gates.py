@@ -202,13 +202,6 @@ class GateResult:
     note: str = ""
     applies: bool = True
 
-    @property
-    def status(self) -> str:
-        """ "passed", "failed" or "does not apply"."""
-        if not self.applies:
-            return "does not apply"
-        return "passed" if self.passed else "failed"
-
 
 def data_gate(study: Study) -> tuple[GateResult, ...]:
     """Clocks, shapes, commands, repeats; runs of each use are recordings of their own.
