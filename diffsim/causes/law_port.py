@@ -52,7 +52,6 @@ from diffsim.identify.setup import LawPort, law_effect
 
 _HIDDEN, _LASTING = "hidden", "lasting"
 _USUAL = 0.1  # factor of a number, of which slopes are asked
-_OUTER = 1.0  # percent of the positions of a place that its usual range leaves out at each end
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -194,7 +193,7 @@ class PortLaws(LawPort):
         for k, variable in enumerate(variables):
             if variable.formula in ("x", "v"):
                 seen = watched.forces[variable.name.partition(" at ")[2]].seen
-                low, high = np.percentile(seen[variable.formula], [_OUTER, 100.0 - _OUTER])
+                low, high = np.percentile(seen[variable.formula], [1.0, 99.0])
                 out[:, k] = np.linspace(float(low), float(high), count)
                 continue
             formula = self._read(variable.formula, variable)

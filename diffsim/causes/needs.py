@@ -12,7 +12,6 @@ from diffsim.data.study import Study
 from diffsim.identify.effect import Needs, needs_nothing
 
 FINE = 48  # values of a command that tell it from one that was rounded itself
-_NOTHING = 1e-300  # of a command that is zero throughout
 
 
 def needs_command(study: Study) -> str | None:
@@ -89,7 +88,7 @@ def _has_regulators(study: Study) -> bool:
 
 def _digits(values: Array) -> Array:
     """Values to six digits of the largest, so that rounding of a file makes none."""
-    return np.round(values / max(float(np.abs(values).max(initial=0.0)), _NOTHING), 6)
+    return np.round(values / max(float(np.abs(values).max(initial=0.0)), 1e-300), 6)
 
 
 #: What rows name, and the function of a study that says what it lacks.

@@ -18,7 +18,6 @@ from diffsim.data.study import Run, Study
 SCALES = "scales"  # place in a study's frame
 HELD = "held"  # another: commands that are held; a long record has it before it has scales
 _NO_RANGE = 1e-12  # of a command that is the same throughout
-_MOSTLY = 90  # percentile of rates of change that a record mostly stays below
 
 
 @dataclass(frozen=True)
@@ -200,7 +199,7 @@ def _command_scale(runs: Sequence[Run], name: str) -> CommandScale:
         seen.append(values[known])
         if known.sum() > 2:
             rate = np.abs(np.diff(values[known])) / np.diff(np.asarray(run.time_s)[known])
-            rates.append(float(np.percentile(rate, _MOSTLY)))
+            rates.append(float(np.percentile(rate, 90)))
     every = np.concatenate(seen)
     if not len(every):
         return CommandScale(0.0, 0.0, 0.0)

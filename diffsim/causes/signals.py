@@ -20,8 +20,6 @@ from diffsim.causes._ops_signals import approach, find_intervals, follow
 from diffsim.core.arrays import Array, IntArray
 
 _SHORTEST = 1e-3  # of the shortest step: a lag below it is none
-_SHORT_WAY = 1e-6  # steps of an actuator: on a way below it the ends tell the mean
-_NO_LIMIT = 1e-12  # s per unit: a slowness below it is none
 _SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
 MOST_STEPS = 1e9  # of a run
 
@@ -322,14 +320,15 @@ def _mean_rounding(u: Tensor, grid: Grid, step: Tensor) -> Tensor:
 def _mean_on_way(start: Tensor, end: Tensor, step: Tensor) -> Tensor:
     """Mean of the rounding e on a straight way: -e^2 / 2 is its integral, across steps, too."""
     first, last, far = _rounding(start, step), _rounding(end, step), end - start
-    moves = far.abs() > _SHORT_WAY * step
+    moves = far.abs() > 1e-6 * step  # steps of an actuator: on a shorter way the ends tell the mean
     mean = 0.5 * (first.square() - last.square()) / torch.where(moves, far, 1.0)
     return torch.where(moves, mean, 0.5 * (first + last))
 
 
 def slowed(u: Tensor, grid: Grid, slowness: Tensor) -> Tensor:
     """Followed no faster than 1 / ``slowness``, () or (K,) [s per unit]; 0: the signal itself."""
-    most = grid.times.diff() / slowness[..., None].clamp(min=_NO_LIMIT)
+    # [s per unit]: a slowness below it is none
+    most = grid.times.diff() / slowness[..., None].clamp(min=1e-12)
     return follow("slowed", u, most, u[..., 0])
 
 

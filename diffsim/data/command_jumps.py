@@ -14,13 +14,12 @@ from scipy.ndimage import median_filter
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.numbers import SD_OVER_MAD
-from diffsim.data.steps import rest_and_jump
+from diffsim.data.steps import GAP, rest_and_jump
 
 WIDTH = 5  # samples whose median is compared with: what lasts longer than two is no outlier
 JUMP_SD = 6.0  # robust sd of what others are off by, and usual changes from sample to sample
 LEAST = 0.02  # of the command's range
 ALONE = 6.0  # times the changes on either side of a lasting jump
-GAP = 1.5  # usual time steps
 MAX_JUMP_SHARE = 0.03  # share of the samples; more are how the command is
 
 

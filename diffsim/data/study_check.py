@@ -16,7 +16,7 @@ from diffsim.data.record import record_findings
 from diffsim.data.shared_rows import SHARED_BITS, bits_of, shared_stretches
 from diffsim.data.shown import shown_step
 from diffsim.data.signal import scatter
-from diffsim.data.steps import step_of
+from diffsim.data.steps import GAP, step_of
 from diffsim.data.study import USES, Channel, Run, Study
 
 NO_FIT_RUN = (
@@ -33,7 +33,6 @@ TOO_LARGE = (
     f"{{}} has values beyond {LARGEST:g}, of which no squares can be taken: `decode: {{{{valid: "
     "[LOW, HIGH]}}` leaves them out"
 )
-MAX_STEP = 1.5  # of the median step; a longer one is a gap in the clock
 MAX_MISSING = 0.2  # share of a channel's samples
 _SUFFIXES = ("mm", "cm", "um", "ms", "us", "deg", "rpm", "mbar", "kPa", "mV", "mA", "mN", "Pa",
              "rad", "Nm", "N", "rad_s", "m_s", "m_s2")  # fmt: skip
@@ -322,7 +321,7 @@ def _check_clock(run: Run, where: str) -> Iterator[Problem]:
             "error", where, f"time_s does not increase at sample {at} ({run.time_s[at]:g} s)"
         )
         return
-    long = step > MAX_STEP * np.median(step)
+    long = step > GAP * np.median(step)
     if long.any():
         at = int(np.argmax(long))
         yield Problem(

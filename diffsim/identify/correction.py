@@ -29,8 +29,6 @@ from diffsim.identify.numerics import Numerics
 if TYPE_CHECKING:
     from diffsim.data.study import Run
 
-_MOST_RUNS = 1024  # whose corrections are kept
-
 
 @dataclass(frozen=True, eq=False)
 class Finer:
@@ -60,7 +58,7 @@ class Correction:
     x: Array
     finer: tuple[Finer, ...]
     told: tuple[tuple[Run, Tensor], ...] = ()
-    _kept: Memo[Tensor] = memo_field(_MOST_RUNS)
+    _kept: Memo[Tensor] = memo_field()
 
     @property
     def shift(self) -> Tensor:

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from diffsim.identify.numerics import Numerics
 
 METHODS = ("gauss_newton", "lbfgs")
-IMPOSSIBLE = 1e8  # noise sd per sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +250,8 @@ class _Latest:
             return self._residual(x)
         except DiffsimError:
             self.num_failed += 1
-            return np.full(len(self.kept[0]), IMPOSSIBLE)
+            # noise sd per sample: farther off than any model
+            return np.full(len(self.kept[0]), 1e8)
 
     def _residual(self, x: Array) -> Array:
         # a batched model makes the whole stencil at about the price of one point

@@ -19,8 +19,6 @@ from diffsim.core.memo import Aside
 from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 
-LARGEST = 1e140  # of a slope: the square of all of them, over noise of 1e-9 and less, is a number
-
 
 class NoWhitener:
     """Takes every sample as it is, missing ones too."""
@@ -82,7 +80,8 @@ def linearization_at(
     idx = tuple(range(len(x))) if only is None else tuple(only)
     left, slopes = _raw(problem).linearize_scaled(x, screen=screen, only=idx)
     slopes = slopes[:, list(idx)]
-    is_number = (np.abs(slopes) < LARGEST).all(0)  # false for NaN, too
+    # the square of all slopes, over noise of 1e-9 and less, is a number
+    is_number = (np.abs(slopes) < 1e140).all(0)  # false for NaN, too
     if not is_number.all():
         bad = [problem.names[idx[k]] for k in np.flatnonzero(~is_number)]
         raise PredictionError(

@@ -14,8 +14,6 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 
-VISIBLE_SHARE = 1e-6  # of the most visible knot
-
 
 @dataclass(frozen=True, eq=False)
 class Course:
@@ -39,7 +37,7 @@ class Course:
         """
         power = np.einsum("kc,kc->c", shapes, self.gram @ shapes)
         # what hardly moves the record would be divided by rounding
-        seen = power > VISIBLE_SHARE * float(np.diag(self.gram).max(initial=0.0))
+        seen = power > 1e-6 * float(np.diag(self.gram).max(initial=0.0))  # of the most visible knot
         return np.divide(self.score @ shapes, power, out=np.zeros(len(power)), where=seen)
 
     def gains(self, shapes: Array) -> Array:

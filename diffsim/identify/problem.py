@@ -42,7 +42,6 @@ from diffsim.identify.shape import MovingShape
 from diffsim.identify.whitening import WhitenedRuns, Whitener
 
 SECANT = 0.1  # of the typical size
-_MOST_KEPT = 256
 AT_ONCE = 1 << 22  # samples that are simulated at once: states beside them take some 200 MB
 LANES = 32  # a batch has a multiple of that many members: kernels take eight at once
 BACKWARD = 4  # directions of a batch, that a backward pass costs
@@ -150,7 +149,7 @@ class Problem(Coordinates, WhitenedRuns):
     numerics: Numerics | None = None
     workers: int = 1
     correction: Correction | None = None
-    memo: Memo[Any] = memo_field(_MOST_KEPT)
+    memo: Memo[Any] = memo_field(256)  # records are large
 
     @property
     def reference_numerics(self) -> Numerics | None:

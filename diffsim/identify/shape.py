@@ -8,8 +8,6 @@ import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
 
-_ROUND = 2  # times that a ball's icosahedron is refined: 320 triangles
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovingShape:
@@ -37,7 +35,7 @@ class MovingShape:
         """
         import trimesh  # takes longer to load than all of this room
 
-        ball = trimesh.creation.icosphere(subdivisions=_ROUND)
+        ball = trimesh.creation.icosphere(subdivisions=2)  # 320 triangles
         points, faces = np.array(ball.vertices), np.array(ball.faces, dtype=np.int64)
         nodes = places_m[:, :, None] + radii_m[:, None, None] * points
         first = len(points) * np.arange(len(radii_m))[:, None, None]

@@ -12,8 +12,6 @@ from diffsim.core.arrays import Array
 from diffsim.core.memo import Memo
 from diffsim.data.study import Channel, Run
 
-MOST_RUNS = 1024  # whose matrices are kept
-
 
 class Whitener(Protocol):
     """Makes the noise of a run white with standard deviation one."""
@@ -38,7 +36,7 @@ class WhiteNoise:
                 "diffsim.diagnose.checks.noise.noise_floor"
             )
         self.sd = np.array([c.sd for c in channels], dtype=np.float64)
-        self._made: Memo[sparse.csr_array] = Memo(MOST_RUNS)
+        self._made: Memo[sparse.csr_array] = Memo()
 
     def matrix(self, run: Run) -> sparse.csr_array:
         """Rows of the measured samples of ``diag(1 / sd)``; made once per run."""

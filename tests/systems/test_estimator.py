@@ -12,9 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from diffsim.systems.multicopter.estimator import (
     BlindEstimator,
-    _chain_errors,
     _follow_errors,
-    _step_errors,
 )
 from tests.systems import small_copter
 from tests.systems.small_copter import Causes
@@ -61,24 +59,6 @@ def test_a_steady_turn_hides_drag_in_the_heading():
     assert abs(float(share[-1])) < 0.01
     # what accelerates the vehicle inward, turned by a small angle, is the drag: angle = drag / w
     assert float(errors[-1, 1, 2].abs()) == pytest.approx(DRAG / w, rel=0.02)
-
-
-def test_steps_in_a_chain_are_the_same_and_have_the_same_slopes():
-    generator = torch.Generator().manual_seed(4)
-    pull = torch.randn(2, 90, 3, generator=generator, dtype=f64)
-    force = torch.randn(2, 90, 3, generator=generator, dtype=f64) * 5.0
-    start = torch.randn(2, 2, 3, generator=generator, dtype=f64).requires_grad_()
-    decay = torch.tensor([0.04, 0.1], dtype=f64)
-    turning = torch.rand(2, 3, generator=generator, dtype=f64) * 1e-3
-    for follow in (_step_errors, _chain_errors):
-        start.grad = None
-        out = follow(pull, force, start, decay, turning, 0.01)
-        out.square().sum().backward()
-        if follow is _step_errors:
-            expected, slope = out.detach(), start.grad
-    assert out.shape == (2, 91, 2, 3)
-    torch.testing.assert_close(out.detach(), expected)
-    torch.testing.assert_close(start.grad, slope)
 
 
 def test_errors_in_a_window_go_on_where_the_record_left_them():

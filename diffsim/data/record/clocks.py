@@ -11,9 +11,9 @@ import numpy as np
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 from diffsim.data.stamps import JUMP
+from diffsim.data.steps import GAP
 from diffsim.data.study import Run
 
-GAP = 1.5  # usual steps
 NEVER = 1e7  # usual steps: no run pauses that long
 LEAST_MOVED = 0.1  # of a command's range, in a gap
 TIMELESS = ("bench",)  # systems without a state

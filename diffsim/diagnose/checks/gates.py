@@ -45,14 +45,6 @@ def require_separate(study: Study) -> None:
         )
 
 
-def shared_samples(a: Run, b: Run) -> int:
-    """Length of the longest stretch of ``b`` that ``a`` holds, too; 0 if chance may explain it.
-
-    Whole rows are compared, all channels to the last digit; missing channels equal each other.
-    """
-    return max((count for _, _, count in _shared_runs([a, b], lambda *_: False)), default=0)
-
-
 def _may_share(a: Run, b: Run) -> bool:
     return a.use == b.use or _are_blocks_of_one(a, b)
 
@@ -209,13 +201,6 @@ class GateResult:
     limit: float
     note: str = ""
     applies: bool = True
-
-    @property
-    def status(self) -> str:
-        """ "passed", "failed" or "does not apply"."""
-        if not self.applies:
-            return "does not apply"
-        return "passed" if self.passed else "failed"
 
 
 def data_gate(study: Study) -> tuple[GateResult, ...]:

@@ -17,10 +17,8 @@ from diffsim.data.signal import noise_std, scatter
 from diffsim.data.steps import rounding_sd
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Fit
-from diffsim.identify.whitening import MOST_RUNS
 
 MAX_ORDER = 4
-LONGEST_MEMORY = 1000  # samples over which a color is followed
 UNREPEATABLE = 1.4  # clean data of the prototypes: at most 1.38
 SCATTER_CHANCE = 1e-3  # of so large a scatter where the noise is as stated: repeats are few
 MIN_DEVIATIONS = 20  # independent deviations, from which on they tell the scatter and its color
@@ -45,7 +43,7 @@ class ArWhitener:
 
     def __init__(self, sd: Array, coefficients: Sequence[Array]):
         self.sd, self.coefficients = np.asarray(sd, dtype=np.float64), tuple(coefficients)
-        self._made: Memo[sparse.csr_array] = Memo(MOST_RUNS)
+        self._made: Memo[sparse.csr_array] = Memo()
 
     def matrix(self, run: Run) -> sparse.csr_array:
         """(num_valid, num_samples * num_channels), sparse; made once per run."""
@@ -189,7 +187,8 @@ def _freedom(runs: Sequence[Run], series: Sequence[Array], color: Array) -> floa
     if not total:
         return 0.0
     share = sum((k - 1) * length for k, length in groups) / total
-    rho = _autocorrelation(color, LONGEST_MEMORY) if len(color) else np.ones(1)
+    # samples over which a color is followed
+    rho = _autocorrelation(color, 1000) if len(color) else np.ones(1)
     count = sum(int(np.isfinite(x).sum()) for x in series)
     return float(share * count / (2.0 * np.sum(rho**2) - 1.0))
 

@@ -21,7 +21,6 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
 
 RULE = "starts"
-MOST_RUNS = 12  # that are simulated
 LEAST_ROWS, MOST_ROWS, ROW_SHARE = 6, 32, 0.01  # of a run, that show where and how fast it begins
 COMMAND_CHANGES = 3.0  # likewise: times what the run's commands, moved by their sd, change
 FAR_SHARES = np.array([[0.2], [0.5]])  # of the usual motion and of the usual speed
@@ -58,7 +57,7 @@ def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
     states = model.get("states")
     if model.get("system") != "ode" or not isinstance(states, dict):
         return
-    runs = [r for r in study.fit_runs if len(r.time_s) > MOST_ROWS][:MOST_RUNS]
+    runs = [r for r in study.fit_runs if len(r.time_s) > MOST_ROWS][:12]
     begins = [b for run in runs if (b := _begin(setup.model, study, run)) is not None]
     if len(begins) < 2:
         return

@@ -27,12 +27,9 @@ FAR_SHARE = 0.5  # of the squares of a channel, that the model leaves where it i
 NEAR_SHARE = 0.02  # of them, that it leaves with the right unit: a gain of that size is rare
 NEAR_EXCHANGED = 0.15  # likewise with the right columns: two channels come near at once
 RUNS, ROWS = 2, 600  # that are simulated, of the beginning
-MOST_WAYS = 300  # changes that are tried
-MOST_NUMBERS = 40  # of the model, that are moved
 FAR_SDS = 3.0  # of numbers: how far they may move
 NUDGE = 0.01  # sd, for slopes
 STEPS = 3  # of their fit
-SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step: the nearest is taken
 TWIN = 3.0  # times what the best leaves: others explain as much
 FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
 
@@ -84,7 +81,7 @@ def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
         return
     names = [channel.name for channel in study.channels]
     found = []
-    for way in islice(_ways(study, runs), MOST_WAYS):
+    for way in islice(_ways(study, runs), 300):
         left = plain.left(q, [way.of(run, names) for run in runs]).max()
         if left <= (NEAR_SHARE if len(way.names) == 1 else NEAR_EXCHANGED):
             found.append((float(left), way))
@@ -127,7 +124,7 @@ class _PlainModel:
     def numbers_explain(self, q: torch.Tensor) -> bool:
         """Whether the numbers of the model, moved as far as they may, bring it to half the way:
         a few steps of Gauss and Newton, each held within ``FAR_SDS``."""
-        at, which = q.clone(), range(min(len(q), MOST_NUMBERS))
+        at, which = q.clone(), range(min(len(q), 40))  # numbers that are moved
         measured = np.concatenate([run.measured for run in self.runs])
         weight = 1.0 / np.maximum(np.nanstd(measured, axis=0), 1e-300)
         seen = np.isfinite(measured)
@@ -143,7 +140,11 @@ class _PlainModel:
             step = torch.zeros_like(q)
             found = np.linalg.lstsq(np.stack(ways, axis=1), off, rcond=None)[0]
             step[: len(which)] = torch.from_numpy(found)
-            tried = [(at + share * step).clamp(q - FAR_SDS, q + FAR_SDS) for share in SHARES]
+            # of a step: the nearest is taken
+            tried = [
+                (at + share * step).clamp(q - FAR_SDS, q + FAR_SDS)
+                for share in (1.0, 0.3, 0.1, 0.03)
+            ]
             at = min(tried, key=lambda x: float(self.left(x, self.runs).max()))
             if not (self.left(at, self.runs) > FAR_SHARE).any():
                 return True

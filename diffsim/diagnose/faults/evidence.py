@@ -17,7 +17,6 @@ from diffsim.diagnose.faults.local import Local
 from diffsim.diagnose.faults.marginal import Information, Priors, without
 from diffsim.identify.effect import TAIL, Effect, coordinate_of, precision_at
 
-NUM_MODE_STEPS = 8
 NUM_SAMPLES = 40  # of the sizes, for each draw of the scatter
 TINY = 1e-12  # share of a normal distribution that is computed, and mean that one is divided by
 
@@ -133,7 +132,7 @@ def _mode(found: Sequence[Information], signed: Mask) -> tuple[Array, Array]:
     slope = np.mean([f.slope for f in found], axis=0)
     width = np.ones(len(signed))
     mode = np.zeros(len(signed))
-    for _ in range(NUM_MODE_STEPS):
+    for _ in range(8):
         mode = np.linalg.solve(curvature + np.diag(width), slope)
         mode = np.where(signed, mode, np.maximum(mode, 0.0))
         width = precision_at(mode)

@@ -26,6 +26,7 @@ from diffsim.diagnose.faults.local import problem_of
 from diffsim.diagnose.faults.marginal import Information, Priors
 from diffsim.diagnose.faults.states import State, possible_states
 from diffsim.diagnose.faults.verdict import (
+    ENDS,
     CandidateEvidence,
     FaultReport,
     FaultVerdict,
@@ -40,10 +41,6 @@ from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.whitening import WhiteNoise
 
 REFINED_NATS = 8.0  # below the best set: sets that are linearized again at their own sizes
-NUM_REFINEMENTS = 2
-ENDS = (0.05, 0.95)  # shares of draws below the two ends of an interval
-HELD = 1e12  # precision of a size that is known
-LONGEST_STEP = 1.5  # of a scaled size from one linearization to the next
 
 Progress = Callable[[int, int], None]
 
@@ -187,8 +184,9 @@ class _View:
         own = [effects[c] for c in candidate.causes]
         columns = [self.problem.columns_of(e)[0] for e in own]
         at = self._at(own)
-        for _ in range(NUM_REFINEMENTS):
-            step = np.clip(found.scaled - at[columns], -LONGEST_STEP, LONGEST_STEP)
+        for _ in range(2):
+            # of a scaled size from one linearization to the next
+            step = np.clip(found.scaled - at[columns], -1.5, 1.5)
             at[columns] += step
             found = self._evidence(self._rows_near(at, columns, step, own), own, rng)
         return found
@@ -221,7 +219,8 @@ class _View:
         slope[:num] = self.priors[factor].slope.mean(axis=0)
         for k, effect in enumerate(own):
             size = self.known.get(effect.name, 0.0)
-            held = HELD if effect.name in self.known else KNOWN_PRECISION
+            # precision of a size that is known
+            held = 1e12 if effect.name in self.known else KNOWN_PRECISION
             precision[num + k, num + k], slope[num + k] = held, held * size
         return rows.robust(self.learned.tails.widened(factor), precision, slope)
 

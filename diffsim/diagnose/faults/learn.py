@@ -29,14 +29,10 @@ from diffsim.identify.problem import Problem
 
 FACTOR_SD = 1.0  # sd of the logarithm of a spread about the stated one: a factor of e
 KNOWN_PRECISION = 1.0 / 3.0**2  # of known sizes: up to about five typical sizes
-NUM_TAILS = 5  # rounds over which rows and goals are trusted
 NUM_DRAWS = 32  # of the spreads
 NUM_TRIED = 128  # normal draws that they are chosen from, in pairs about the best ones
 NUM_SWEEPS = 4  # over the signs of known sizes, at the most probable spreads
 NUM_SWEEPS_OF_DRAW = 2  # and from there for each draw of them
-MAX_ROUNDS = 5
-CURVE_STEP = 0.05  # of the logarithms of spreads, for their curvature
-ROUND_CHANGE_SD = 1e-3  # change of common parameters in prior sd, at which rounds end
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +188,7 @@ def learn(
         empty,
     )
     before = np.full(num_base, np.inf)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(5):
         rows = {
             g.label: rows_at(
                 own[g.label], layout, points[g.label], [effects[c] for c in g.known or ()]
@@ -208,7 +204,7 @@ def learn(
             points[g.label] = _solve_point(
                 own[g.label], layout, locals_[g.label], place, log_spread
             )
-        if np.abs(place - before).max() < ROUND_CHANGE_SD:
+        if np.abs(place - before).max() < 1e-3:  # of prior sd: common parameters have settled
             break
         before = place
     return _learn_posterior(replace(started, tails=tails), locals_, log_spread)
@@ -218,7 +214,7 @@ def _find_trusted(
     layout: Layout, rows: Mapping[str, Rows], tails: Tails, log_spread: Array
 ) -> tuple[dict[str, Local], Tails]:
     """What the trusted rows of each group say, and how far goals are missed in them."""
-    for _ in range(NUM_TAILS):
+    for _ in range(5):
         found: dict[str, Fit] = {}
         for label, own in rows.items():
             known = layout.shared_precision(log_spread)[np.isin(layout.shared, own.common)]
@@ -475,7 +471,7 @@ def _solve_point(
 def _curvature(layout: Layout, locals_: Mapping[str, Local], at: Array) -> Array:
     """Second derivatives of -log posterior by central differences of its slopes, made positive
     definite."""
-    n, h = len(at), CURVE_STEP
+    n, h = len(at), 0.05  # step of the logarithms of spreads
     rows = [
         log_posterior(layout, locals_, at - step)[1] - log_posterior(layout, locals_, at + step)[1]
         for step in h * np.eye(n)

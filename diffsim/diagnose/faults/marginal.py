@@ -29,11 +29,6 @@ class Information:
     slope: Array
     level: float
 
-    def only(self, keep: Sequence[int]) -> Information:
-        """Information where the other coordinates are 0."""
-        at = list(keep)
-        return Information(self.curvature[np.ix_(at, at)], self.slope[at], self.level)
-
     def given(self, known: Sequence[int], values: Array) -> Information:
         """Information on the other coordinates where some are known."""
         at = list(known)

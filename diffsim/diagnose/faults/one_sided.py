@@ -16,7 +16,6 @@ from scipy.special import log_ndtr
 from diffsim.core.arrays import Array
 from diffsim.diagnose.faults.local import Local
 
-LOG_ROOT_TWO_PI = 0.5 * np.log(2.0 * np.pi)
 SMALLEST_SHARE = 1e-6  # of a variance that a condition leaves
 
 
@@ -76,6 +75,6 @@ def above_zero(mean: Array, variance: Array) -> tuple[Array, Array]:
     """
     sd = np.sqrt(variance)
     at = mean / sd
-    ratio = np.exp(-0.5 * at**2 - LOG_ROOT_TWO_PI - log_ndtr(at))
+    ratio = np.exp(-0.5 * at**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(at))
     share = np.maximum(1.0 - ratio * (ratio + at), SMALLEST_SHARE)
     return np.asarray(mean + sd * ratio), np.asarray(variance * share)

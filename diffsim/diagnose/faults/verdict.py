@@ -30,9 +30,8 @@ SOUND = "nothing"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
-MAX_ROWS = 8
 MAX_SAID = 3  # groups with a fault that the first sentence names
-TAILS = (0.05, 0.95)
+ENDS = (0.05, 0.95)  # shares below the two ends of an interval
 
 
 @dataclass(frozen=True)
@@ -253,7 +252,7 @@ def verdict_of(
                 float(alone[i]),
                 evidences[i].candidate.is_unlisted,
             )
-            for i in order[:MAX_ROWS]
+            for i in order[:8]
         ),
         smallest_visible=dict(smallest_visible),
         words=_words(status, sizes, rivals),
@@ -327,7 +326,7 @@ def _sizes(
     for k, cause in enumerate(causes):
         effect = effects[cause]
         values = PRIOR_WIDTH * effect.typical * evidence.samples[:, k]
-        low, high = weighted_quantiles(values, evidence.weights, TAILS)
+        low, high = weighted_quantiles(values, evidence.weights, ENDS)
         interval = Interval(float(values @ evidence.weights), low, high)
         out.append(Size(cause, effect.unit, interval, cause_words(effect, interval.value)))
     return tuple(out)

@@ -16,7 +16,6 @@ from diffsim.identify.model_file import SavedModel
 from diffsim.identify.setup import DiagnosisSetup
 
 KEY = "description"
-SAME_GRAVITY = 0.005  # relative: from pole to equator it differs by 0.5 %
 MOST_NAMES = 4  # of parameters in a message
 _LIBRARY = "effects"  # causes that are weighed: those of the file are judged, whatever is offered
 _STILL = "gravity"
@@ -127,7 +126,8 @@ def _flat(given: Any, path: str = "") -> dict[str, Any]:
 def _require_gravity(saved: SavedModel, path: str, was: Any, now: Any) -> None:
     """A rig may be turned; how strong gravity is does not change."""
     before, after = _strength(was), _strength(now)
-    if before and after and abs(after / before - 1.0) > SAME_GRAVITY:
+    # from pole to equator it differs by 0.5 %
+    if before and after and abs(after / before - 1.0) > 0.005:
         raise ValueError(
             f"study.yaml: model.{path} is {_say_value(now)}, {saved.path} was fitted with "
             f"{_say_value(was)}: gravity is the same for all recordings of a rig; state it as there"

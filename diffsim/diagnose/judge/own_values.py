@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -19,9 +18,6 @@ from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.effort import FIT_RTOL
 
-_FAR = 1.5  # misfit per sample of a run's own values, from which their slopes are taken anew
-_STRAIGHT = 0.02  # share of it that this must promise
-_ENOUGH = 0.1 * FIT_RTOL  # promise of a step that is not simulated: slopes may be a little wrong
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
 FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no usual one
 
@@ -154,136 +150,42 @@ def own_point(
         problem: Model and noise, with this run only.
         x: Standardized coordinates, (n,); the run's own are fitted from the middle of their prior.
         run: Run that they belong to.
-        slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated.
+        slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated at every step.
         unmet: Parameters that no fitted run has, as of ``own_names``.
     """
     names = set(own_names(problem.names, run, unmet))
     own = [i for i, n in enumerate(problem.names) if n in names]
     if not own:
         return x
-    alone = _Alone(problem, x, own)
-    # what is stated per run acts almost linearly: slopes of its start serve for all steps; a size
-    # is no straight function of its coordinate
-    is_linear = not names & set(unmet) and max(own) < problem.num_base
-    start = np.zeros(len(own))
-    if not is_linear:
-        return alone.full(alone.fitted(start, alone.columns))
-    held = alone.columns(start) if slopes is None else -slopes[:, own]
-    part = alone.fitted(start, lambda _: held)
-    if slopes is None and alone.is_left_short(part):
-        part = alone.fitted(part, alone.columns)  # a ball that begins to roll: no straight function
-    return alone.full(part)
+    # what is stated per run acts almost linearly: slopes of the fit serve for all steps; a size is
+    # no straight function of its coordinate
+    is_straight = not names & set(unmet) and max(own) < problem.num_base
+    held = -slopes[:, own] if slopes is not None and is_straight else None
 
-
-class _Alone:
-    """Values of one run, all others held.
-
-    Args:
-        problem: Model and noise, with this run only.
-        x: Standardized coordinates, (n,).
-        own: Indices of the run's own.
-    """
-
-    def __init__(self, problem: Problem, x: Array, own: list[int]):
-        self._problem, self._x, self._own = problem, x, own
-        self._bounds = tuple(b[own] for b in problem.bounds)
-        # where slopes of the start are given up, they are asked for twice
-        self._slopes = lru_cache(maxsize=1)(self._simulate_slopes)
-
-    def full(self, part: Array) -> Array:
+    def full(part: Array) -> Array:
         """All coordinates, (n,)."""
-        point = self._x.copy()
-        point[self._own] = part
+        point = x.copy()
+        point[own] = part
         return point
 
-    def columns(self, part: Array) -> Array:
-        """Slopes of the residual, (num_valid, num_own)."""
-        return self._slopes(part.tobytes())
+    def columns(part: Array) -> Array:
+        """Slopes of the residual and of the prior below, (num_valid + num_own, num_own)."""
+        at = -problem.linearize(full(part), only=own)[1][:, own] if held is None else held
+        return np.vstack([at, np.eye(len(own))])
 
-    def fitted(self, start: Array, columns: Callable[[Array], Array]) -> Array:
-        """The least misfit from a start, (num_own,)."""
-        low, high = self._bounds
-        is_bounded = np.isfinite(low).any() or np.isfinite(high).any()
-        descent = _Descent(lambda part: self._problem.residual(self.full(part)), columns)
-        try:
-            found = optimize.least_squares(
-                descent.rest,
-                np.clip(start, low, high),
-                jac=descent.slopes,
-                bounds=(low, high),
-                method="dogbox" if is_bounded else "trf",
-                ftol=FIT_RTOL,
-            )
-        except _EnoughError:
-            return descent.best
-        return np.asarray(found.x)
-
-    def is_left_short(self, part: Array) -> bool:
-        """Whether the misfit is large, and slopes taken anew promise to lower it."""
-        left = self._problem.residual(self.full(part))
-        if left @ left <= _FAR * len(left):
-            return False
-        return _promise(left, self.columns(part), part) > _STRAIGHT
-
-    def _simulate_slopes(self, key: bytes) -> Array:
-        point = self.full(np.frombuffer(key, dtype=np.float64))
-        return -np.asarray(self._problem.linearize(point, only=self._own)[1][:, self._own])
-
-
-class _EnoughError(Exception):
-    """The next step promises less than fits are exact to."""
-
-
-class _Descent:
-    """What a least-squares solver asks for, until a step promises too little to be simulated.
-
-    A solver asks what a step gained. Where slopes are a little wrong it tries ever shorter steps
-    near the end, none of which gains anything; what they promise says as much beforehand.
-
-    Args:
-        residual: Whitened residual of the run at its values.
-        columns: Its slopes.
-
-    Attributes:
-        best: Values of the least misfit so far, (num_own,).
-    """
-
-    def __init__(self, residual: Callable[[Array], Array], columns: Callable[[Array], Array]):
-        self._residual, self._columns = residual, columns
-        self._least = np.inf
-        self.best = self._left = self._slopes = np.zeros(0)
-        self._has_failed = False  # the last step; slopes are those of the best values then
-
-    def rest(self, part: Array) -> Array:
-        """Residual with the prior below, (num_valid + num_own,).
-
-        Raises:
-            _EnoughError: a step from the best values failed, and this shorter one promises too
-                little.
-        """
-        if self._has_failed:
-            after = self._left + self._slopes @ (part - self.best)
-            if self._least - float(after @ after) < _ENOUGH * self._least:
-                raise _EnoughError
-        rest = np.concatenate([self._residual(part), part])
-        cost = float(rest @ rest)
-        self._has_failed = not cost < self._least
-        if not self._has_failed:
-            self._least, self.best, self._left = cost, part.copy(), rest
-        return rest
-
-    def slopes(self, part: Array) -> Array:
-        """Their slopes, (num_valid + num_own, num_own)."""
-        self._slopes = np.vstack([self._columns(part), np.eye(len(part))])
-        return self._slopes
-
-
-def _promise(left: Array, columns: Array, part: Array) -> float:
-    """Share of the misfit that another step would remove, were all straight."""
-    rest, slopes = np.concatenate([left, part]), np.vstack([columns, np.eye(len(part))])
-    step = np.linalg.lstsq(slopes, -rest, rcond=None)[0]
-    after = rest + slopes @ step
-    return 1.0 - float(after @ after) / float(rest @ rest)
+    low, high = (bound[own] for bound in problem.bounds)
+    is_bounded = np.isfinite(low).any() or np.isfinite(high).any()
+    found = optimize.least_squares(
+        lambda part: np.concatenate([problem.residual(full(part)), part]),
+        np.clip(np.zeros(len(own)), low, high),
+        jac=columns,
+        bounds=(low, high),
+        method="dogbox" if is_bounded else "trf",
+        ftol=FIT_RTOL,
+        # slopes that are a little wrong end in ever shorter steps, none of which gains anything
+        xtol=1e-8 if held is None else 1e-3,
+    )
+    return full(np.asarray(found.x))
 
 
 def own_words(rows: Sequence[OwnRow]) -> list[str]:

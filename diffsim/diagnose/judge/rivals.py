@@ -21,9 +21,6 @@ from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.model_file import SavedModel
 
-LATEST = 0.25  # of a run, by which its command may come late
-NUM_DELAYS = 65  # that are tried
-
 
 def without_each(saved: SavedModel, effects: Sequence[Effect]) -> dict[str, SavedModel]:
     """The saved model without each of its causes, all else as it is, by name of the cause.
@@ -77,7 +74,8 @@ def _late_command(study: Study) -> Callable[[Run, int], Array]:
     """What a command says of a channel: that one, so late and so far shifted, that leaves least."""
 
     def said(run: Run, c: int) -> Array:
-        delays = np.linspace(0.0, LATEST * float(np.ptp(run.time_s)), NUM_DELAYS)
+        # it may come late by a quarter of the run
+        delays = np.linspace(0.0, 0.25 * float(np.ptp(run.time_s)), 65)
         tried = [
             np.interp(run.time_s - delay, run.time_s, np.asarray(run.command[name], dtype=float))
             for name in _commands_of(study.channels[c], study.commands)

@@ -30,7 +30,6 @@ from diffsim.identify.linearization import (
     measured_of,
     whitened,
 )
-from diffsim.identify.whitening import MOST_RUNS
 
 Array = NDArray[np.float64]
 LEAST_REFITS = 4  # sets that are fitted from there
@@ -85,7 +84,7 @@ class _Warm:
 
     def __init__(self, whitener: Whitener, factor: float):
         self._whitener, self._factor = whitener, factor
-        self._made: Memo[sparse.csr_array] = Memo(MOST_RUNS)
+        self._made: Memo[sparse.csr_array] = Memo()
 
     def matrix(self, run: Run) -> sparse.csr_array:
         """(num_valid, num_samples * num_channels)."""

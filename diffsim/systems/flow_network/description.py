@@ -28,8 +28,6 @@ from diffsim.systems.flow_network.lumped_build import (
 from diffsim.systems.flow_network.steady import Samples, plant_of
 from diffsim.systems.quantities import Viscosity
 
-NETWORK = 2000.0  # weighted steps of a prediction
-
 
 class FlowNetworkDescription(Description):
     """Narrow channels between nodes, pumps and pressures, and meters; steady at every sample."""
@@ -73,7 +71,7 @@ class FlowNetworkDescription(Description):
         """The network as a model."""
         network = self._build_network(study)
         model = SimModel(network, network.parameters.base, "flow network")
-        model.run_cost = NETWORK
+        model.run_cost = 2000.0  # weighted steps of a prediction
         return model
 
     def plant(self, study: Study) -> Plant:

@@ -11,6 +11,9 @@ from diffsim.core.arrays import Array
 from diffsim.stokes import FlowField, Grid
 from diffsim.stokes.devices.losses import integral, on_face
 
+DEEP = 0.75
+"""Pressures of cut cells are poor: pressures are fitted to cells so many spacings from the wall."""
+
 NUM_NEIGHBORS = 12
 """The stencil of a node inside: its 4 cells and the 8 around them."""
 

@@ -16,11 +16,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.errors import ConvergenceError
 from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
-from diffsim.systems.flow_network.steady import SteadyScene
+from diffsim.systems.flow_network.steady import SteadyScene, balanced
 
-RTOL, MAX_ITERS = 1e-11, 60
+RTOL = 1e-11
 THROAT = 0.5  # share of a channel's length over which something may lodge in it, a raised cosine
 _ZERO = torch.zeros((), dtype=torch.float64)
 _X, _W = (torch.from_numpy(v) for v in np.polynomial.legendre.leggauss(8))
@@ -102,14 +101,11 @@ class LumpedScene(SteadyScene):
         """
         drive, held, level = self.levels()
         balance = _Balance(self, drive, held)
-        with torch.no_grad():
-            y = balance.solved()
-        residual, slope = balance.at(y)
-        # one Newton step more carries the gradients (implicit function theorem)
-        y = y - torch.linalg.solve(slope.detach(), residual)
         readings = self.layout.readings
         offsets = [self.numbers.get(f"pressure_zero_{r.channel}", _ZERO) for r in readings]
-        shown = balance.read(y) * self.several("meter", len(readings)) + torch.stack(offsets)
+        shown = balance.read(balance.solved()) * self.several("meter", len(readings)) + torch.stack(
+            offsets
+        )
         return self.instruments.read_late(shown[level], self.grid)
 
 
@@ -135,23 +131,10 @@ class _Balance:
         self.pressure_scale = self.flow_scale * mean
 
     def solved(self) -> Tensor:
-        """The unknowns, (levels, num_free + num_tubes), by Newton's method."""
-        n = len(self.scene.layout.free)
-        y = torch.zeros(len(self.held), n + len(self.scene.layout.starts), dtype=torch.float64)
-        size = float("inf")
-        for _ in range(MAX_ITERS):
-            residual, slope = self.at(y)
-            size = float(residual.abs().max())
-            if size <= self.scene.rtol:
-                return y
-            y = y - torch.linalg.solve(slope, residual)
-        raise ConvergenceError(
-            f"flows and pressures of the network balance to {size:.1e} only after {MAX_ITERS} "
-            f"steps, needed {self.scene.rtol:.1e}; an effect is too large",
-            residual_norm=size,
-            tolerance=self.scene.rtol,
-            num_iters=MAX_ITERS,
-        )
+        """The unknowns, (levels, num_free + num_tubes)."""
+        unknowns = len(self.scene.layout.free) + len(self.scene.layout.starts)
+        start = torch.zeros(len(self.held), unknowns, dtype=torch.float64)
+        return balanced(self.at, start, self.scene.rtol)
 
     def at(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """Residual (levels, unknowns) over its scales [-], and its slope."""

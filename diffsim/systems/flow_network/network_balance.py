@@ -19,12 +19,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.core.errors import ConvergenceError
 from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
-from diffsim.systems.flow_network.steady import SteadyScene
+from diffsim.systems.flow_network.steady import SteadyScene, balanced
 from diffsim.systems.flow_network.unit_flows import ChannelShape, UnitFlowTable
 
-RTOL, MAX_ITERS = 1e-10, 40
+RTOL = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,13 +55,8 @@ class NetworkScene(SteadyScene):
         """
         drive, held, level = self.levels()
         balance = Balance(self, drive, held)
-        with torch.no_grad():
-            y = balance.solved()
-        residual, slope, tap = balance.at(y)
-        # one Newton step more carries the gradients of the balance (implicit function theorem)
-        y = y - torch.linalg.solve(slope.detach(), residual)
-        if residual.requires_grad:
-            tap = balance.at(y)[2]
+        y = balance.solved()
+        tap = balance.at(y)[2]
         levels = torch.cat([y[:, :-1] * balance.flow_scale, y[:, -1:], tap[:, None]], 1)
         flows = levels.shape[1] - 2
         none = torch.zeros(flows, dtype=torch.float64)
@@ -149,25 +143,14 @@ class Balance:
         return residual, slope, invert_linearized(at_tap, self.compliance)
 
     def solved(self) -> Tensor:
-        """The unknowns, (levels, m + 1), by Newton's method."""
-        rtol, m = self.scene.rtol, self.held.shape[1]
-        y = torch.zeros(len(self.drive), m + 1, dtype=torch.float64)
-        y[:, :m] = self.drive / (m * self.flow_scale)
-        size = float("inf")
-        for _ in range(MAX_ITERS):
-            residual, slope, _ = self.at(y)
-            given = self.drive.abs().max() / self.flow_scale + self.held.abs().max()
-            size = float(residual.abs().max() / given.clamp(min=1e-12))  # flows and pressures alike
-            if size <= rtol:
-                return y
-            y = y - torch.linalg.solve(slope, residual)
-        raise ConvergenceError(
-            f"flows and pressures of the network balance to {size:.1e} only after {MAX_ITERS} "
-            f"steps, needed {rtol:.1e}; an effect is too large",
-            residual_norm=size,
-            tolerance=rtol,
-            num_iters=MAX_ITERS,
-        )
+        """The unknowns, (levels, m + 1)."""
+        m = self.held.shape[1]
+        start = torch.zeros(len(self.drive), m + 1, dtype=torch.float64)
+        start[:, :m] = self.drive.detach() / (m * self.flow_scale)
+        given = self.drive.abs().max() / self.flow_scale + self.held.abs().max()
+        # flows and pressures alike
+        tolerance = self.scene.rtol * float(given.detach().clamp(min=1e-12))
+        return balanced(lambda y: self.at(y)[:2], start, tolerance)
 
     def _compute_resistance(self, flow: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Resistance and tap, as ``_compute_energies``, and what the slope has besides."""

@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim.core.errors import ConvergenceError, DiffsimError
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.systems.flow_network.corrections import FlowDerivatives
-from diffsim.systems.flow_network.grid_fits import MovingFit, average_corners, integrate_face
+from diffsim.systems.flow_network.grid_fits import DEEP, MovingFit, average_corners, integrate_face
 from diffsim.systems.flow_network.network import NetworkDevice
 
 BULK_RATIO = 1e7
@@ -23,12 +23,8 @@ PENALTY = 200.0
 """Of the walls, ten times the usual one: they let less of the flow through, and so a wall that
 moves changes resistances more smoothly."""
 
-DEEP = 0.75
-"""Pressures are fitted to cells so many spacings from the wall."""
-
 SLIP_RTOL = 1e-9
 MAX_SLIP_SWEEPS = 60
-NUM_SECTIONS = 12
 
 
 class NetworkFlow:
@@ -188,7 +184,7 @@ class NetworkFlow:
             for k in device.branches
         )
         first = int(start / self.grid.spacing[0]) + 1
-        planes = np.linspace(first, self.grid.shape[0] - 1, NUM_SECTIONS).round().astype(int)
+        planes = np.linspace(first, self.grid.shape[0] - 1, 12).round().astype(int)
         ends = [[device.nodes[n] for n in device.segments[k][1:3]] for k in device.branches]
         heights = self.grid.nodes[0, :, 1]
         sections = []

@@ -25,7 +25,6 @@ from diffsim.systems.flow_network.steady import (
 )
 from diffsim.systems.flow_network.unit_flows import UnitFlowTable
 
-_CELLS_PER_WIDTH = 6.8  # across the narrowest channel
 _GAUGES = 2  # at the pump and at the tap
 _SINGLE = (
     *("viscosity", "wall_offset", "slip_length", "viscosity_gradient", "thinning"),
@@ -48,7 +47,7 @@ class PlaneNetwork:
     def __init__(self, given: FlowDeviceKeys, plane: PlaneKeys):
         self.given, self.plane = given, plane
         self.num_outlets = len(plane.outlets)
-        spacing = self.narrowest / _CELLS_PER_WIDTH
+        spacing = self.narrowest / 6.8  # cells across the narrowest channel
         self.device = NetworkDevice(
             nodes=plane.nodes,
             segments=tuple(Segment(c.name, c.start, c.end, c.width.value) for c in plane.channels),

@@ -14,14 +14,11 @@ from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
 from diffsim.stokes.devices.losses import integral, on_face
 from diffsim.systems.flow_network.corrections import FlowDerivatives
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
-from diffsim.systems.flow_network.grid_fits import MovingFit, average_corners, integrate_face
+from diffsim.systems.flow_network.grid_fits import DEEP, MovingFit, average_corners, integrate_face
 
 BULK_RATIO = 1e6
 """Long channels raise much pressure: the usual 1e5 would lose 0.3 % of the flow on its way; above,
 rounding errors grow in proportion."""
-
-DEEP = 0.75
-"""Pressures of cut cells are poor: pressures are fitted to cells so many spacings from the wall."""
 
 
 class FlowRig:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,12 +15,48 @@ from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
 from diffsim.causes.scales import Scales
 from diffsim.causes.scene import Commands, Scene
 from diffsim.core.check import require_choice
+from diffsim.core.errors import ConvergenceError
 from diffsim.data.study import Run, Study
 
 Samples = Literal["levels", "time"]
 Parts = dict[str, dict[str, str]]
 DEVICE = "device"  # what plain magnitudes are of
 _ZERO = torch.zeros((), dtype=torch.float64)
+
+
+def balanced(
+    at: Callable[[Tensor], tuple[Tensor, Tensor]], start: Tensor, tolerance: float
+) -> Tensor:
+    """Flows and pressures that balance, (levels, num_unknowns), by Newton's method.
+
+    Args:
+        at: Residual of the unknowns, (levels, num_unknowns), and its slope.
+        start: Where the steps begin, (levels, num_unknowns).
+        tolerance: Of the largest residual.
+
+    Raises:
+        ConvergenceError: they do not balance after 60 steps; an effect is too large.
+
+    Gradients: what the residual depends on, by the implicit function theorem; first order.
+    """
+    y, size, count = start, float("inf"), 60
+    with torch.no_grad():
+        for _ in range(count):
+            residual, slope = at(y)
+            size = float(residual.abs().max())
+            if size <= tolerance:
+                break
+            y = y - torch.linalg.solve(slope, residual)
+        else:
+            raise ConvergenceError(
+                f"flows and pressures of the network balance to {size:.1e} only after {count} "
+                f"steps, needed {tolerance:.1e}; an effect is too large",
+                residual_norm=size,
+                tolerance=tolerance,
+                num_iters=count,
+            )
+    residual, slope = at(y)  # one step more carries the gradients
+    return y - torch.linalg.solve(slope.detach(), residual)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,7 +19,6 @@ from diffsim.core.memo import Memo
 from diffsim.systems.flow_network.network import NetworkDevice
 from diffsim.systems.flow_network.network_flow import NetworkFlow
 
-NUM_KEPT, NUM_RECENT = 256, 32
 NUM_LEVELS = 24
 """Of shear in each channel: cells of about the same shear are one group."""
 WALL_STEP, NARROWING_STEP = 0.1, 0.05
@@ -88,8 +87,8 @@ class UnitFlowTable:
         # the same on all grids, so that refining changes the flow only
         wall = WALL_STEP * max(s / n for s, n in zip(device.size, device.cells, strict=True))
         self.steps = (wall, wall, NARROWING_STEP)  # of offset, slip and narrowing
-        self._recent: Memo[UnitFlows] = Memo(NUM_RECENT)
-        self._kept: Memo[UnitFlows] = Memo(NUM_KEPT)
+        self._recent: Memo[UnitFlows] = Memo(32)
+        self._kept: Memo[UnitFlows] = Memo(256)
 
     def at(self, shape: ChannelShape) -> UnitFlows:
         """Unit flows of a shape; gradients pass to it through the interpolation."""

@@ -23,16 +23,13 @@ from diffsim.systems.multicopter.effects import ESTIMATOR_GAINS
 from diffsim.systems.multicopter.frames import AXES, RecordingFrames
 from diffsim.systems.multicopter.loads import SLING_M
 from diffsim.systems.multicopter.model_keys import MulticopterKeys
-from diffsim.systems.multicopter.scene import rotor_names
+from diffsim.systems.multicopter.scene import CopterScene, rotor_names
 from diffsim.systems.multicopter.sensing import sensing_of
 from diffsim.systems.multicopter.shooting import SPREAD
 from diffsim.systems.multicopter.spectrum import strongest_frequency
 from diffsim.systems.multicopter.thrust_law import ThrustLaw
 
 VEHICLE, GUST = "vehicle", "gust"  # places of their magnitudes in the record
-_THRUST_COEFFICIENT = 1e-5  # of a small propeller, where no command tells it [N s^2]
-_PAST = 0.5  # spread of the thrusts before the record, over what hovers
-_PUSH = 0.2  # per mass: a force that is no surprise, as of wind [m/s^2]
 _GAINS = {"thrust_gain": 5.0, "torque_gain": 20.0, "inertia_gain": 10.0}  # [%]
 
 
@@ -70,7 +67,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
             sd=sensing.sd,
             window_s=of.windows.length,
             rigid_spread=SPREAD,
-            past_spread=_PAST * hover,
+            past_spread=0.5 * hover,  # of what hovers
             longest_s=LONGEST_S if kept is None else kept.facts[LONGEST],
         ),
         substeps=of.windows.substeps,
@@ -79,7 +76,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
         full_thrust=full_thrust,
         thrust_coefficient=float(known["thrust_coefficient"])
         if law.is_squared
-        else _THRUST_COEFFICIENT,
+        else CopterScene.thrust_coefficient,
         lags_speed=lag_of == "speed",
         clocks={
             clock_of(name): tuple(names.index(c) for c in channels_of(study.channels, name))
@@ -119,7 +116,8 @@ def _find_axis_magnitudes(flights: DescribedFlights, study: Study) -> dict[str, 
     cutter = flights.cutter
     states = torch.cat([cutter.record(run).states for run in study.fit_runs or study.runs])
     way, velocity = (cutter.frames.in_world(part) for part in (states[:, :3], states[:, 6:9]))
-    push = _PUSH * float(flights.nominal_fleet().mass)
+    # [m/s^2]: a force per mass that is no surprise, as of wind
+    push = 0.2 * float(flights.nominal_fleet().mass)
     return {
         axis: {
             "push": push,

@@ -19,8 +19,6 @@ from diffsim.systems.multicopter.scene import flight_grid
 from diffsim.systems.multicopter.shooting import RIGID, Windows
 
 _SECONDS, _RATE_HZ = 4.0, 100.0
-_FEWEST = 4  # rotors
-_PAYLOAD = 0.2  # of the vehicle's mass
 
 
 def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -33,9 +31,9 @@ def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[R
         runs: Recorded runs; the first one's set-up and other commands are kept.
     """
     vehicle = _build_vehicle(flights)
-    if vehicle.num_rotors < _FEWEST:  # nothing that such feedback could hold
+    if vehicle.num_rotors < 4:  # nothing that such feedback could hold
         return ()
-    payload = _PAYLOAD * float(vehicle.mass)
+    payload = 0.2 * float(vehicle.mass)
     heavier = vehicle.replace(mass=vehicle.mass + payload)
     wanted = [(name, vehicle, path, 0.0) for name, path in PATHS.items()]
     wanted.append(("hover_with_payload", heavier, PATHS["hover"], payload))

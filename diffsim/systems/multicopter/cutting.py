@@ -22,9 +22,6 @@ from diffsim.systems.multicopter.starts import acceleration_of, states_of
 LONGEST = "longest_window_s"  # its place among the facts of a model
 LONGEST_S = 1.0  # of a window whose length is left to the model
 MIN_WINDOW_SAMPLES = 5  # samples of a window
-MOST_RUNS = 1024  # whose windows are kept
-_EASY_STEPS = 6  # in which initial states settle where windows are not too long
-_SEEN = 1e-3  # of the strongest way to move the vehicle: weaker ones are none
 _UNEVEN = 1e-3  # of the mean step
 
 
@@ -70,7 +67,8 @@ def idle_thrusts(vehicle: Fleet) -> Tensor | None:
     about = torch.linalg.solve(vehicle.inertia[0], vehicle.torque_matrix[0])
     moves = torch.cat([along, about])
     _, size, ways = torch.linalg.svd(moves, full_matrices=False)
-    seen = ways[size > _SEEN * size.max()]
+    # of the strongest way to move the vehicle: weaker ones are none
+    seen = ways[size > 1e-3 * size.max()]
     if len(seen) == vehicle.num_rotors:
         return None
     return torch.eye(vehicle.num_rotors, dtype=torch.float64) - seen.mT @ seen
@@ -131,7 +129,8 @@ class Cutter:
         windows = self._cut_windows(run, past, length, idle)
         while self.window_s is None and length > MIN_WINDOW_SAMPLES:
             try:
-                scene(windows).find_starts(_EASY_STEPS)
+                # steps in which initial states settle where windows are not too long
+                scene(windows).find_starts(6)
                 break
             except DiffsimError:  # the model leaves the record within a window
                 length = max(MIN_WINDOW_SAMPLES, length // 2)

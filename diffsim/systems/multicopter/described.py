@@ -18,7 +18,7 @@ from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, fact_in
-from diffsim.systems.multicopter.cutting import MOST_RUNS, Cutter, spacing, thrusts_before
+from diffsim.systems.multicopter.cutting import Cutter, spacing, thrusts_before
 from diffsim.systems.multicopter.effects import ESTIMATOR_GAINS
 from diffsim.systems.multicopter.keys import RotorKeys
 from diffsim.systems.multicopter.lag import speed_lagged
@@ -66,7 +66,7 @@ class DescribedFlights:
     lags_speed: bool
     clocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     cut_at: Mapping[str, Tensor] = field(default_factory=dict)
-    known: Memo[Windows] = memo_field(MOST_RUNS)
+    known: Memo[Windows] = memo_field()
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
         return self._build_scene(values, run, numerics, self.windows(run))

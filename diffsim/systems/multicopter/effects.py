@@ -78,7 +78,7 @@ def turn_with_spin(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
 
     def torque(motion: FlightMotion, thrusts: Tensor) -> Tensor:
         vehicle = motion.vehicle
-        speed = (motion.asked.clamp(min=1e-9) / scene.thrust_coefficient).sqrt()
+        speed = motion.rotor_speeds(scene.thrust_coefficient)
         shafts = -vehicle.spins[..., None] * vehicle.directions
         momentum = amount(size, 3) * (speed @ shafts[:, None])
         rates, momentum = torch.broadcast_tensors(motion.body_rates, momentum)

@@ -15,15 +15,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY
-from diffsim.core.rotation import cross, matrix_from_rpy, skew
-
-_FEW_STEPS = 64  # beyond these steps are chained
-_SLOWEST = 0.1  # frequency of a motion [rad/s]: below it there is no error to speak of
+from diffsim.core.rotation import cross, matrix_from_rpy
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,8 @@ class BlindEstimator:
         square = (_project_to_ground(acceleration) ** 2).sum() / (
             _project_to_ground(velocity) ** 2
         ).sum().clamp(min=1e-12)
-        frequency = square.sqrt().clamp(min=_SLOWEST)[None]
+        # [rad/s]: of a slower motion there is no error to speak of
+        frequency = square.sqrt().clamp(min=0.1)[None]
         start = blind._compute_steady_swing(velocity[0, :1], acceleration[:1], frequency)[:, 0]
         # the record shows the sum of velocity and error: what drives is less by the error
         shown = (drag, gains[:, 0] + drag, gains)
@@ -167,53 +164,16 @@ def _follow_errors(
     drag, decay, gains = rates
     turning = torch.stack([gains[..., 1], gains[..., 1], gains[..., 2]], -1)
     pull = dt * drag[..., None, None] * _project_to_ground(velocity)[..., : force.shape[-2], :]
-    follow = _step_errors if force.shape[-2] <= _FEW_STEPS else _chain_errors
-    return follow(pull, force, start, dt * decay, dt * turning, dt)
-
-
-def _step_errors(
-    pull: Tensor, force: Tensor, start: Tensor, decay: Tensor, turning: Tensor, dt: float
-) -> Tensor:
-    """Step after step."""
     error, attitude = start.unbind(-2)
     out = [start]
     for k in range(force.shape[-2]):
         thrust = force[..., k, :]
-        lean, change = _project_to_ground(cross(attitude, thrust)), turning * cross(thrust, error)
-        error = error + dt * lean + pull[..., k, :] - decay[..., None] * error
+        lean = _project_to_ground(cross(attitude, thrust))
+        change = dt * turning * cross(thrust, error)
+        error = error + dt * lean + pull[..., k, :] - dt * decay[..., None] * error
         attitude = attitude - change
         out.append(torch.stack(torch.broadcast_tensors(error, attitude), -2))
     return torch.stack(torch.broadcast_tensors(*out), -3)
-
-
-def _chain_errors(
-    pull: Tensor, force: Tensor, start: Tensor, decay: Tensor, turning: Tensor, dt: float
-) -> Tensor:
-    """All steps at once: they are linear in the errors, and are chained in pairs."""
-    across = skew(force)  # f x
-    keep = torch.eye(3, dtype=force.dtype).expand_as(across)
-    lean = -dt * _project_to_ground(across.mT).mT  # (d x f) along the ground
-    upper = torch.cat([(1.0 - decay[..., None, None, None]) * keep, lean.expand_as(keep)], -1)
-    lower = torch.cat([-turning[..., None, :, None] * across, keep], -1)
-    factor = torch.cat(torch.broadcast_tensors(upper, lower), -2)
-    shape = np.broadcast_shapes(factor.shape[:-2], pull.shape[:-1], (*start.shape[:-2], 1))
-    added = torch.cat([pull, torch.zeros_like(pull)], -1).expand(*shape, 6)[..., None]
-    factor = factor.expand(*shape, 6, 6)
-    reach = 1
-    while reach < shape[-1]:
-        later, earlier = factor[..., reach:, :, :], factor[..., :-reach, :, :]
-        added = torch.cat(
-            [
-                added[..., :reach, :, :],
-                added[..., reach:, :, :] + later @ added[..., :-reach, :, :],
-            ],
-            -3,
-        )
-        factor = torch.cat([factor[..., :reach, :, :], later @ earlier], -3)
-        reach *= 2
-    first = start.flatten(-2)[..., None, :, None]
-    after = (factor @ first + added)[..., 0].unflatten(-1, (2, 3))
-    return torch.cat([start[..., None, :, :].expand(*shape[:-1], 1, 2, 3), after], -3)
 
 
 def _project_to_ground(vectors: Tensor) -> Tensor:

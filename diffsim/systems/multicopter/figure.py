@@ -14,8 +14,6 @@ from diffsim.systems.multicopter.readings import RecordedScene
 from diffsim.systems.multicopter.scene import CopterScene
 
 _SIDES = 10  # of a propeller's disc
-_ARM = 0.08  # half the width of an arm over its propeller's radius
-_BARE = 0.4  # of an arm: radius of a propeller whose size nobody states
 _UP = np.diag([1.0, -1.0, -1.0])  # z up from north-east-down
 
 
@@ -69,14 +67,15 @@ def _build_stand_in(fleet: Fleet) -> tuple[Array, IntArray]:
     nodes: list[Array] = []
     triangles: list[IntArray] = []
     for hub, axis, radius in zip(hubs, axes, radii, strict=True):
-        size = float(radius) if radius > 0.0 else _BARE * float(np.linalg.norm(hub))
+        # of an arm, where nobody states the propeller's radius
+        size = float(radius) if radius > 0.0 else 0.4 * float(np.linalg.norm(hub))
         across = np.cross(axis, hub) if np.linalg.norm(np.cross(axis, hub)) > 0.0 else np.eye(3)[0]
         across = across / np.linalg.norm(across)
         beside = np.cross(axis, across)
         angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
         rim = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * beside
         first = sum(len(n) for n in nodes)
-        width = _ARM * size * across
+        width = 0.08 * size * across  # half the width of an arm, over its propeller's radius
         nodes += [np.array([width, -width, hub - width, hub + width]), hub + size * rim]
         disc = first + 4 + np.arange(_SIDES)
         fan = np.stack([np.full(_SIDES - 2, disc[0]), disc[1:-1], disc[2:]], 1)

@@ -7,7 +7,6 @@ from torch import Tensor
 
 from diffsim.causes.signals import Grid, affine_scan, decayed
 
-_LEAST_N = 1e-9  # of a thrust: the root has no slope at zero
 _SHORTEST = 1e-3  # of a step: below it exp(-dt / tau) is zero to the last digit
 
 
@@ -23,7 +22,7 @@ def speed_lagged(thrusts: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
         time_constant: tau, (..., 1) [s]; at first the rotors turn as commanded.
     """
     dt, tau = float(grid.times[1] - grid.times[0]), time_constant
-    root = thrusts.clamp(min=_LEAST_N).sqrt()
+    root = thrusts.clamp(min=1e-9).sqrt()  # [N]: the root has no slope at zero
     decay = torch.exp(-dt / tau.clamp(min=_SHORTEST * dt))
     share = tau / dt
     once, twice = share * (1.0 - decay), 0.5 * share * (1.0 - decay**2)

@@ -12,8 +12,6 @@ from diffsim.systems.multicopter.effects import torque_allocation
 from diffsim.systems.multicopter.motion import FlightMotion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 
-_LEAST_N = 1e-9  # of a thrust: its root has no slope at zero
-
 Moment = Callable[[FlightMotion], Tensor]
 
 
@@ -74,7 +72,7 @@ def turn_with_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterS
 
     def moment(motion: FlightMotion) -> Tensor:
         vehicle = motion.vehicle
-        speed = (motion.asked.clamp(min=_LEAST_N) / scene.thrust_coefficient).sqrt()
+        speed = motion.rotor_speeds(scene.thrust_coefficient)
         shafts = -vehicle.spins[..., None] * vehicle.directions
         (change,) = torch.gradient(speed, spacing=scene.dt, dim=-2)
         return -amount(size, 3) * (change @ shafts[:, None])

@@ -41,6 +41,11 @@ class FlightMotion:
         """(points, num_windows, length, 3) [m/s]."""
         return turned_back(self.rotation, self.velocity)
 
+    def rotor_speeds(self, thrust_coefficient: float | Tensor) -> Tensor:
+        """sqrt(thrust asked for / thrust coefficient), (points, num_windows, length, n_rotors)
+        [rad/s]; the root has no slope at zero."""
+        return (self.asked.clamp(min=1e-9) / thrust_coefficient).sqrt()
+
 
 def turned_back(rotation: Tensor, value: Tensor) -> Tensor:
     """R' v without a product of many small matrices, or a sum along a short axis: both are slow."""

@@ -10,8 +10,6 @@ from diffsim.systems.multicopter.effects import tilt_axes, torque_allocation
 from diffsim.systems.multicopter.motion import FlightMotion, by_rotor
 from diffsim.systems.multicopter.scene import CopterScene, amount, vector
 
-_LEAST_N = 1e-9  # of a thrust: its root has no slope at zero
-
 
 def drag_by_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterScene:
     """Force -size W_i (velocity of the hub across its axis) of each rotor, W_i its speed.
@@ -23,7 +21,7 @@ def drag_by_rotor_speed(scene: CopterScene, size: Tensor, run: Run) -> CopterSce
 
     def forces(motion: FlightMotion) -> Tensor:
         """In the body frame, (points, num_windows, length, n_rotors, 3) [N]."""
-        speed = (motion.asked.clamp(min=_LEAST_N) / scene.thrust_coefficient).sqrt()
+        speed = motion.rotor_speeds(scene.thrust_coefficient)
         arms, axes = (
             v[:, None, None] for v in (motion.vehicle.positions, motion.vehicle.directions)
         )

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from diffsim.core.arrays import Array, Mask
+from diffsim.data.steps import GAP
 from diffsim.data.study import Run, Study
 
 _UNEVEN = 1e-3  # of the mean step: below it a clock is even
-_GAP = 1.5  # of a step: a longer one is a gap
 
 
 def evenly_sampled(study: Study, rate_hz: float | None, means: Sequence[bool]) -> Study:
@@ -41,7 +41,7 @@ def _make_even(run: Run, rate_hz: float | None, means: Mask) -> Run:
     dt = usual if rate_hz is None else 1.0 / rate_hz
     count = int((run.time_s[-1] - run.time_s[0]) / dt + 1e-6) + 1
     time = run.time_s[0] + dt * np.arange(count)
-    limit = _GAP * max(dt, usual)
+    limit = GAP * max(dt, usual)
     columns = [
         _resample_channel(run.time_s, values, time, dt, limit, is_mean=bool(m))
         for values, m in zip(run.measured.T, means, strict=True)

@@ -32,7 +32,6 @@ _MAX_PASSES = 40  # over causes that depend on the motion
 _SETTLED = 1e-8  # change of forces from pass to pass [N]
 _PART = 5  # steps that settle together where whole windows do not
 _MORE_FOR_GRADIENTS = 2  # passes: derivatives settle after the values
-_FADES = 0.01  # speed below which dry friction fades [m/s]
 
 Schedule = Callable[[FlightMotion, Tensor], Tensor]
 Air = Callable[[FlightMotion], Tensor]
@@ -416,7 +415,8 @@ def _push_along(place: str, law: ForceLaw, motion: FlightMotion, frames: Recordi
     axis = AXES.index(place)
     along = torch.eye(3, dtype=torch.float64)[axis]
     way, speed = (frames.in_world(v)[..., axis] for v in (motion.position, motion.velocity))
-    size, fades = law.size.reshape(-1, 1, 1), way.new_tensor(_FADES)
+    # [m/s]: below this speed dry friction fades
+    size, fades = law.size.reshape(-1, 1, 1), way.new_tensor(0.01)
     force = law.formula({"size": size, "x": way, "v": speed, "w": fades})
     return frames.in_world(force[..., None] * along)
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-_LONGEST = 3.0  # times the step as it is
 _MOVED = 1e-4  # over the spread: less says nothing
 
 
@@ -34,17 +33,13 @@ class Secants:
         """Nothing is known yet: steps stay as they are."""
         return cls(spread, spread.new_zeros(windows, len(spread), len(spread)))
 
-    def of(self, change: Tensor) -> Tensor:
-        """J d for changes of the initial states, (num_windows, m)."""
-        return (self.slope @ (change / self.spread)[..., None])[..., 0] * self.spread
-
     def ahead(self, step: Tensor) -> Tensor:
         """(I - J)^-1 step, (num_windows, m); the step itself where that is far longer."""
         scaled = step / self.spread
         unit = torch.eye(len(self.spread), dtype=step.dtype)
         there, info = torch.linalg.solve_ex(unit - self.slope, scaled)
         # not a number, where there is no solution, is not below either
-        is_near = there.norm(dim=-1, keepdim=True) < _LONGEST * scaled.norm(dim=-1, keepdim=True)
+        is_near = there.norm(dim=-1, keepdim=True) < 3.0 * scaled.norm(dim=-1, keepdim=True)
         return torch.where(is_near & (info == 0)[:, None], there * self.spread, step)
 
     def learned(self, moved: Tensor, before: Tensor, after: Tensor) -> Secants:

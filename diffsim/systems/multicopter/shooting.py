@@ -22,16 +22,12 @@ RIGID = 12  # entries of the rigid body's state; thrusts held before the record 
 # What is known of an initial state beyond its first guess: hardly anything.
 SPREAD = (0.3, 0.2, 1.0, 1.0)  # [m, rad, m/s, rad/s]
 PAST_SPREAD = 2.0  # of the thrusts before the record [N]
-_IDLE = 1e-2  # of that, where thrusts only work against each other
 _NUDGE = 1e-4  # of the spread
 _SMOOTH_S = 0.15  # over which position is differentiated
 MAX_STEPS = 12
-_MAX_CREEPING = 40
 _LEAST_SHARE = 1e-3  # of a step
 _SETTLED = 3e-5  # step of an initial state over its spread
 _LINEAR = 1e-2  # likewise, where the tangents suffice without another flight
-_MAX_FREED = 4  # times that thrusts held at zero are let go
-_KNOWN = 2  # points: a step's end, and its start where it is not taken
 
 
 Predict = Callable[[Tensor], Tensor]
@@ -117,7 +113,7 @@ class Windows:
     is_at_zero: bool = True
     idle: Tensor | None = None
     start: Tensor | None = None
-    known: Memo[FlightShooting] = memo_field(_KNOWN)
+    known: Memo[FlightShooting] = memo_field(2)  # a step's end, and its start where it is not taken
 
     def __post_init__(self) -> None:
         if not len(self.held):
@@ -135,7 +131,8 @@ class Windows:
         """Of the initial states about the guess, (12 + n_rotors, 12 + n_rotors)."""
         precision = torch.diag(self.spread**-2)
         if self.idle is not None:
-            precision[RIGID:, RIGID:] += self.idle / (_IDLE * self.past_spread) ** 2
+            # of the spread, where thrusts only work against each other
+            precision[RIGID:, RIGID:] += self.idle / (1e-2 * self.past_spread) ** 2
         return precision
 
     def find_starts(
@@ -165,7 +162,7 @@ class Windows:
             if near is not None:
                 starts.insert(0, self._hold_at_zero(near, near[0, RIGID:] == 0.0))
             for windows, states in starts:
-                for _ in range(_MAX_FREED):
+                for _ in range(4):  # times that thrusts held at zero are let go
                     shooting, size, states = windows._take_bounded_steps(predict, states, max_steps)
                     if size >= _SETTLED:
                         break
@@ -260,7 +257,7 @@ class Windows:
         Returns:
             Tangents at the best states found, and the step that was wanted there, over the spread.
         """
-        for _ in range(_MAX_CREEPING):
+        for _ in range(40):
             shooting, step = self._find_step(predict, change)
             size = float((step / self.spread).abs().max())
             if size < _SETTLED:

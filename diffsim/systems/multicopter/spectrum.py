@@ -14,9 +14,6 @@ from diffsim.core.rotation import matrix_from_rpy
 from diffsim.data.study import Run
 from diffsim.systems.multicopter.described import DescribedFlights
 
-_HIGHEST_HZ = 3.0
-_PER_PERIOD = 8  # frequencies tried per inverse length of the longest record
-
 
 def strongest_frequency(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[float, float]:
     """Frequency [Hz] that explains most of the horizontal force left over, and its spread.
@@ -30,8 +27,8 @@ def strongest_frequency(flights: DescribedFlights, runs: Sequence[Run]) -> tuple
     """
     records = [_find_residuals(flights, run) for run in runs]
     longest = max(float(t[-1] - t[0]) for t, _, _ in records)
-    step = 1.0 / (_PER_PERIOD * longest)
-    tried = np.arange(1.0 / longest, _HIGHEST_HZ, step)
+    step = 1.0 / (8 * longest)  # frequencies per inverse length of the longest record
+    tried = np.arange(1.0 / longest, 3.0, step)
     if len(tried) == 0:
         return 1.0, 0.5
     left = [sum(_compute_misfit(f, *record) for record in records) for f in tried]

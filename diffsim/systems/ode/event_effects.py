@@ -33,7 +33,6 @@ Array = np.ndarray
 Entry = Callable[[OdeScene, Tensor], OdeScene]
 STEP_SHARE = 0.05  # of a knot: longest difference step of a time
 SENSOR_SHARE = 0.05  # of what a channel shows: a shift of its readings without surprise
-SAME = 1e-6  # of a cosine: responses that are the same but for a factor
 FEWEST_KNOTS = 3.0  # a width that can be read off them, half of a period
 
 
@@ -148,7 +147,7 @@ def _drop_alike(ways: Sequence[_Way], model: SimModel, run: Run) -> list[_Way]:
 
 def _is_alike(a: Array, b: Array) -> bool:
     lengths = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return lengths > 0.0 and abs(float(a @ b)) > (1.0 - SAME) * lengths
+    return lengths > 0.0 and abs(float(a @ b)) > (1.0 - 1e-6) * lengths  # the same but for a factor
 
 
 def _find_way(library: Library, events: Events, name: str) -> _Way:

@@ -37,10 +37,6 @@ SAID = {
     "train": "Pulses of ``width`` each ``period``, the first at ``onset``.",
 }
 NUM_PLACED = 3  # proposals of a form
-MAX_BINS = 48  # of a folded course
-NUM_PERIODS = 8  # folded courses that are looked at closely
-COARSE_PERIODS = 4000
-FINEST = 0.1  # of a knot: the last step of the search
 
 
 def shape_of(form: str, times: Tensor, timing: Timing, edge: float) -> Tensor:
@@ -171,12 +167,12 @@ def _find_trains(course: Course, usual: float, step: float) -> Array:
     weights = weights / weights.sum()
     away = force - weights @ force
     span = float(np.ptp(t))
-    periods = np.geomspace(6.0 * step, 0.6 * span, COARSE_PERIODS)
+    periods = np.geomspace(6.0 * step, 0.6 * span, 4000)
     best = [_score_folded(t, weights, away, p, step) for p in periods]
     order = np.argsort([-b[0] for b in best])
     out: list[tuple[float, float, float]] = []
     for k in order:
-        if len(out) == NUM_PERIODS:
+        if len(out) == 8:  # folded courses that are looked at closely
             break
         _, phase, width = best[k]
         if all(abs(np.log(periods[k] / p)) > 0.01 for _, _, p in out):
@@ -188,7 +184,7 @@ def _score_folded(
     t: Array, weights: Array, away: Array, period: float, step: float
 ) -> tuple[float, float, float]:
     """Score of the best pulse in a course folded by a period; its phase and width."""
-    bins = int(min(max(period / step, 6), MAX_BINS))
+    bins = int(min(max(period / step, 6), 48))
     place = ((t - t[0]) % period / period * bins).astype(int).clip(0, bins - 1)
     s = np.bincount(place, weights * away, bins)
     r = np.bincount(place, weights, bins)
@@ -208,7 +204,7 @@ def _refine_place(form: str, course: Course, start: Array, step: float) -> tuple
     at, t = start.astype(float), course.times
     gain = float(course.gains(_evaluate_shapes(form, t, at[None], step))[0])
     reach = np.full(len(at), 4.0 * step)
-    while reach[0] > FINEST * step:
+    while reach[0] > 0.1 * step:
         moves = np.array([m for m in product((-1.0, 0.0, 1.0), repeat=len(at)) if any(m)])
         tried = at + moves * reach
         if len(at) > 1:

@@ -13,12 +13,11 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.signals import Grid
+from diffsim.data.steps import GAP
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter
 
-LONG = 1.5  # usual steps: a longer one lacks a row
 JUMP = 3.0  # usual changes from row to row, which are none of a command that rests
-EVEN_SD = 1.0 / np.sqrt(12.0)  # of a share that may be anything from 0 to 1
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,8 @@ class Gap:
     @property
     def parameter(self) -> Parameter:
         """The nuisance: anything from the start to the end of the gap."""
-        return Parameter(self.name, 0.5, EVEN_SD, lower=0.0, upper=1.0)
+        # anything from 0 to 1 alike
+        return Parameter(self.name, 0.5, 1.0 / np.sqrt(12.0), lower=0.0, upper=1.0)
 
     def change(self, column: Tensor, grid: Grid, share: Tensor) -> Tensor:
         """A held command that changes inside the gap; steps that it cuts have the mean.
@@ -79,5 +79,5 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
             float(run.time_s[k]),
             float(run.time_s[k + 1]),
         )
-        for k in np.flatnonzero(jumps & (steps > LONG * np.median(steps)))
+        for k in np.flatnonzero(jumps & (steps > GAP * np.median(steps)))
     )

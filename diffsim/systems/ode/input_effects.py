@@ -19,8 +19,6 @@ from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import Change, filled, named
 from diffsim.systems.ode.scene import OdeScene
 
-_INSTANT = 1e-12  # s: shorter than any step
-
 
 def input_ways(library: Library) -> tuple[CommandGroup, ...]:
     """Every input by itself, as causes of commands see it.
@@ -97,7 +95,7 @@ def _join_samples(u: Tensor, grid: Grid) -> Tensor:
     places, last = torch.arange(len(grid.times)), len(grid.samples) - 1
     before = torch.searchsorted(grid.samples, places, right=True) - 1
     low, high = grid.samples[before], grid.samples[(before + 1).clamp(max=last)]
-    step = (grid.times[high] - grid.times[low]).clamp(min=_INSTANT)
+    step = (grid.times[high] - grid.times[low]).clamp(min=1e-12)  # [s]: shorter than any step
     return u[..., low] + (grid.times - grid.times[low]) / step * (u[..., high] - u[..., low])
 
 

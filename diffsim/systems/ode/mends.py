@@ -29,8 +29,7 @@ Mend = Callable[[FormulaSystem, Reader], FormulaSystem]
 _Found = TypeVar("_Found")
 PARTS = "steps_per_sample"  # place in a study's frame
 MOST_PARTS = 64  # of a sample interval
-_MOST_ANSWERS = 512  # of records that are remembered
-_KNOWN: Memo[object] = Memo(_MOST_ANSWERS)
+_KNOWN: Memo[object] = Memo()
 
 
 def mended(system: FormulaSystem, reader: Reader) -> FormulaSystem:

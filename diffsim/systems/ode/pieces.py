@@ -30,13 +30,11 @@ GROWTH = 5.0  # times that two starts part, beyond which a piece must not go on
 START_STEP_SHARE = 0.01  # of a state's usual motion: how far starts are moved
 BENT = 0.2  # of half the distance: how far the mean of two paths may leave the one between
 STRAIGHT = 1e-3  # of the distance of two starts, likewise: a linear system
-MANY = 8  # states, from which on they are moved together
 MIN_PIECE_SAMPLES = 8  # samples of a piece
 SEEN = 32  # samples that tell the start of a piece
 PLACES = 8  # of a piece from which the model is asked
 MAX_PIECES = 64  # pieces of a run
 START_PRIOR_FACTOR = 10.0  # times that a start may differ from what the samples say of it
-_STEPS = 4  # of the fit of a start state
 _TINY = 1e-9
 
 
@@ -153,7 +151,7 @@ class _Cutter:
 
         Of many states all are moved at once, twice: a path for each takes more than the answer.
         """
-        if len(start) <= MANY:
+        if len(start) <= 8:
             return bool((self._part(start, 0).bend <= STRAIGHT * 2.0 * START_STEP_SHARE).all())
         signs = np.where(np.arange(len(start)) % 2 == 0, 1.0, -1.0)
         ways = START_STEP_SHARE * self.usual.states * np.stack([np.ones(len(start)), signs])
@@ -235,7 +233,7 @@ class _Cutter:
         n, start, scale = len(guess), guess.copy(), self.usual.states
         sd, last = scale, first + min(SEEN, self.last - first)
         measured = self.run.measured[first : last + 1]
-        for _ in range(_STEPS):
+        for _ in range(4):
             readings, _ = _simulate(self.scene, _on_both_sides(start, scale), first, last)
             slopes = (readings[1 : n + 1] - readings[n + 1 :]) / (2.0 * START_STEP_SHARE)
             seen = np.isfinite(measured) & np.isfinite(readings).all(0)

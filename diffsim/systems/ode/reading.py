@@ -26,7 +26,6 @@ from diffsim.systems.quantities import START_IN_PLAY
 LONGEST = "longest"  # place in a study's frame
 _WORDS = re.compile(r"\w+")
 _NOISE = "_noise"  # after the name of a first sample: how far noise put it off
-_FEWEST = 8  # samples that tell their noise
 _SLOW_SHARE = 0.1  # of the longest run: how long a slow share takes, if nobody says
 
 
@@ -230,7 +229,8 @@ def _first_noises(motion: DescribedMotion, study: Study) -> dict[str, Quantity]:
         sd = channel.sd
         if sd is None:
             seen = [r.measured[np.isfinite(r.measured[:, at]), at] for r in study.runs]
-            levels = [float(scatter(np.diff(v, 2), 2)) for v in seen if len(v) >= _FEWEST]
+            # samples that tell their noise
+            levels = [float(scatter(np.diff(v, 2), 2)) for v in seen if len(v) >= 8]
             sd = float(np.median(levels)) if levels else 0.0
         if sd > 0.0:
             quantity = Quantity(value=0.0, sd=sd, per="run", unit=channel.unit)

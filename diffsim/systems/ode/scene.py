@@ -16,8 +16,6 @@ from diffsim.data.study import Run
 from diffsim.ode import Ode
 from diffsim.systems.ode.network import TIME, Change, Network
 
-AT_REST = 1e-9  # of the rates with a run's first inputs: rounding of sums that cancel
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OdeScene(Scene):
@@ -128,7 +126,8 @@ class OdeScene(Scene):
             return False
         first = flow.inputs[..., 0, :]
         with_first, without = (flow.rates(u).abs().max() for u in (first, torch.zeros_like(first)))
-        return bool(without <= AT_REST * with_first and with_first > 0.0)
+        # rounding of sums that cancel
+        return bool(without <= 1e-9 * with_first and with_first > 0.0)
 
     def _prepare_flow(self, network: Network) -> _Flow:
         solver = network.solver(self.changes)

@@ -26,7 +26,6 @@ MOST_TRIED = 600
 SPREAD = 0.25  # of the inverse length of a run: how far off the best frequency tried may be
 UNSEEN_HZ = 1.0  # of a run in which no frequency was looked for
 _STEP = 0.1  # of a prior standard deviation, in difference quotients
-_TOGETHER = 32  # frequencies that are simulated at once
 
 
 def swing_names(swing: Swing) -> tuple[str, str, str]:
@@ -118,5 +117,6 @@ def strongest_frequency(model: SimModel, swing: Swing, run: Run, tried: Array) -
         bases = (np.linalg.qr(pair.T)[0] for pair in waves.reshape(len(some), 2, -1))
         return [float(np.sum((basis.T @ left) ** 2)) for basis in bases]
 
-    together = [tried[i : i + _TOGETHER] for i in range(0, len(tried), _TOGETHER)]
+    # frequencies that are simulated at once
+    together = [tried[i : i + 32] for i in range(0, len(tried), 32)]
     return float(tried[int(np.argmax([gain for some in together for gain in gains(some)]))])

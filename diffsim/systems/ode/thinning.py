@@ -33,7 +33,7 @@ SLOW = 1e-2  # of a channel's range
 NOISES = 4.0  # noise sd that are no motion
 MOST_SHARE = 0.5  # of a run's rows: where more are needed, all stay
 
-_KNOWN: Memo[Run] = Memo(512)
+_KNOWN: Memo[Run] = Memo()
 
 
 def interval_of(study: Study, most_rows: int) -> float:

@@ -44,7 +44,6 @@ CLICKS = "calibration_points"
 CLICK_CHANNELS = ("clicked_u_px", "clicked_v_px")
 FOCAL_SD, SHIFT_SD = 0.15, 0.1
 SOLID = 0.4
-STEP = 1e-4  # a wider one would carry bounces past samples, where the motion has a kink
 BALLS = "balls"  # the kind of system, and its table
 FIRST_FLIGHT = 0.3  # s: long enough to show how a ball falls, short of most bounces
 
@@ -202,7 +201,8 @@ class Balls:
         """Effort that suits balls."""
         settings = DiagnosisSettings(search=SearchSettings(max_effects=6))
         flies = any(b.begins == "flying" for b in self.bodies)
-        return replace(settings, jacobian=Jacobian(step=STEP)) if flies else settings
+        # a wider step would carry bounces past samples, where the motion has a kink
+        return replace(settings, jacobian=Jacobian(step=1e-4)) if flies else settings
 
     @property
     def _pair_contact(self) -> Contact | None:

@@ -10,7 +10,6 @@ from torch import Tensor
 from diffsim.systems.rigid_body.flight import BallFlight, fall_time, span_of
 from diffsim.systems.rigid_body.on_ground import Ball, Laws, moved
 
-MAX_BOUNCES = 60
 SETTLES = 0.03  # [m/s] of the rebound: a bounce of 0.05 mm
 REFERENCE_SPEED = 1.0  # [m/s] where the slope of the restitution does nothing
 
@@ -79,7 +78,7 @@ def bounced(ball: ThrownBall, time: Tensor, ground: Bounces) -> tuple[Tensor, Te
         pull = ground.acceleration(velocity)
         place = place + velocity * before + 0.5 * pull * before**2
         velocity = velocity + pull * before
-    for _ in range(MAX_BOUNCES):
+    for _ in range(60):
         height = ball.place[:, 2] - ground.level
         fall = fall_time(height, ball.velocity[:, 2], ground.laws.gravity)
         span = span_of(fall) if ground.lands else (end + 1e-3).expand_as(fall)

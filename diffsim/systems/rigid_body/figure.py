@@ -10,8 +10,8 @@ from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy
 from diffsim.identify.shape import MovingShape
 from diffsim.systems.rigid_body.ball_scene import BallScene
 from diffsim.systems.rigid_body.layout import PoseLayout
+from diffsim.systems.rigid_body.windows import CORNERS
 
-_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2.0
 _SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4],
                    [1, 5, 7, 3]])  # fmt: skip
 
@@ -40,7 +40,7 @@ def figure_of(layout: PoseLayout, edges: Tensor, channels: Tensor) -> MovingShap
         rotation = matrix_from_rpy(angles)
     up = matrix_from_quaternion(layout.up)
     turn, at = (up @ rotation).numpy(), (place @ up.mT).numpy()
-    nodes = (_CORNERS * edges.numpy()) @ turn.transpose(0, 2, 1) + at[:, None]
+    nodes = (0.5 * CORNERS * edges.numpy()) @ turn.transpose(0, 2, 1) + at[:, None]
     triangles = _SIDES[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
     return MovingShape(triangles=triangles, nodes_m=nodes)
 

@@ -10,10 +10,6 @@ import torch
 from torch import Tensor
 
 _DEGREE = 10
-_SWEEPS = 14  # each takes a factor of about (drag times path) off the error
-_NEWTON_STEPS = 5
-_MARGIN = 1.1  # of a flight without drag
-_SHORTEST = 1e-4  # [s]
 
 _nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(_DEGREE + 1) / _DEGREE)
 _powers = np.vander(_nodes, _DEGREE + 1, increasing=True)
@@ -52,10 +48,10 @@ class BallFlight:
             acceleration: Velocities (K, num_nodes, 3) -> accelerations of equal shape [m/s^2].
             span: Duration, (K,) [s].
         """
-        span = span.clamp(min=_SHORTEST)
+        span = span.clamp(min=1e-4)  # [s]
         wide = span[:, None, None]
         speed = velocity[:, None].expand(-1, _DEGREE + 1, -1)
-        for _ in range(_SWEEPS):
+        for _ in range(14):  # each takes a factor of about (drag times path) off the error
             speed = velocity[:, None] + wide * (_INTEGRALS @ acceleration(speed))
         where = place[:, None] + wide * (_INTEGRALS @ speed)
         return cls(span, _COEFFICIENTS @ where, _COEFFICIENTS @ speed)
@@ -74,7 +70,7 @@ class BallFlight:
             first: First guess, (K,) [s].
         """
         time = first
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(5):
             place, velocity = (y[:, 0] for y in self.at(time[:, None]))
             # at the ends of the span the polynomial is held: beyond, the slope goes on
             beyond = (time - self.span).clamp(min=0.0)
@@ -97,4 +93,4 @@ def fall_time(height: Tensor, speed: Tensor, gravity: Tensor) -> Tensor:
 
 def span_of(fall: Tensor) -> Tensor:
     """Duration over which a flight is solved, for one that would take ``fall`` without drag."""
-    return _MARGIN * fall
+    return 1.1 * fall  # of a flight without drag

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from diffsim.core.values import dot
 
-NEWTON_STEPS = 12
 _TINY = 1e-9
 
 
@@ -77,7 +76,7 @@ def moved(ball: Ball, time: Tensor, laws: Laws) -> Ball:
 def time_of_impact(resting: Ball, coming: Ball, diameter: Tensor, laws: Laws) -> Tensor:
     """When the centers are one diameter apart [s], by Newton's method."""
     time = torch.zeros_like(diameter)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(12):
         a, b = moved(resting, time, laws), moved(coming, time, laws)
         apart = b.place - a.place
         distance = _compute_length(apart)

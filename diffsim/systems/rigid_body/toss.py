@@ -28,7 +28,6 @@ from diffsim.systems.rigid_body.layout import PoseLayout, TossMotion
 from diffsim.systems.rigid_body.turning import turned
 from diffsim.systems.rigid_body.windows import CORNERS, TURN, TWIST
 
-NEWTON_STEPS = 6
 SHORTEST = 1e-9  # [s] of a contact: instant
 TOSS = "toss"  # the kind of system, and its table
 REFERENCE_SPEED = 1.0  # [m/s] where the slopes of restitution and friction do nothing
@@ -167,7 +166,7 @@ class Tosses:
                 level = ground + (place[..., :2] * slope).sum(-1, True)
                 return place[..., 2:] - level, speed, arm, q
 
-            for _ in range(NEWTON_STEPS):
+            for _ in range(6):
                 gap, speed, _, _ = at(hit)
                 hit = hit - gap / speed[..., 2:].clamp(max=-0.1)
             _, speed, arm, q_hit = at(hit)

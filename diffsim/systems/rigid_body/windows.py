@@ -18,7 +18,6 @@ MIN_FRAMES_AFTER = 3
 MIN_FRAMES = 10
 CLEAR = 2.0  # times the height that counts as touching: another corner may come down next
 CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=float)
-_FRAMES_AT_START = 8
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def start_facts(run: Run, poses: RecordedPoses, gravity: float) -> dict[str, flo
         poses: Its motion.
         gravity: Strength of gravity [m/s^2].
     """
-    few = slice(0, max(min(_FRAMES_AT_START, len(run.time_s)), 3))
+    few = slice(0, max(min(8, len(run.time_s)), 3))
     time = run.time_s[few] - run.time_s[0]
     place = poses.place[few] + 0.5 * gravity * time[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
     first, speed = _fit_lines(time, place)

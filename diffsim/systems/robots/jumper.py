@@ -22,7 +22,6 @@ from diffsim.systems.robots.walkers import build_table
 
 # Passive stiffness of the fibers that carry the active stress [Pa]: 0.4 % of Young's modulus.
 FIBER_STIFFNESS = 10.0
-_TETS_PER_COMMAND = 2
 _Cells = tuple[int, int, int]
 
 
@@ -68,7 +67,7 @@ def soft_jumper(
     edge = require_number("cell", cell, above=0.0, hint="unit is m") * (2.0 if coarse else 1.0)
     stress = require_number("active_stress", active_stress, above=0.0, hint="unit is Pa")
     shape = _build_table(edge, *(((3, 2, 1), (1, 1, 2)) if coarse else ((6, 4, 2), (2, 1, 3))))
-    pairs = torch.arange(shape.num_elements).reshape(-1, _TETS_PER_COMMAND)
+    pairs = torch.arange(shape.num_elements).reshape(-1, 2)  # tetrahedra of a command
     body = soft.SoftBody(
         shape,
         dt=dt,

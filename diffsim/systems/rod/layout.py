@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from diffsim.systems.rod.keys import RodKeys, RodTendon
 
 TIP = "tip"  # name of the free end, before its mass
-MIN_SPAN_ELEMENTS = 2  # elements between two places where something begins or ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +70,8 @@ def rod_shape(at: Array, radius: Array, cells: int, breaks: Sequence[float]) -> 
     knots = np.unique(np.round([*at, *inner], 9))
     parts = [np.zeros(1)]
     for low, high in itertools.pairwise(knots):
-        count = max(MIN_SPAN_ELEMENTS, round(cells * (high - low) / (at[-1] - at[0])))
+        # two elements at least between places where something begins or ends
+        count = max(2, round(cells * (high - low) / (at[-1] - at[0])))
         parts.append(np.linspace(low, high, count + 1)[1:])
     edges = np.concatenate(parts)
     middles = 0.5 * (edges[1:] + edges[:-1])

@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from diffsim.systems.description import BaseParameters
     from diffsim.systems.rod.keys import RodKeys
 
-MOST_GUESSES = 1024  # a run's poses at the best guess beforehand
-EQUILIBRIUM = 1000.0  # weighted steps of a pose
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RodScene(Scene):
@@ -110,9 +107,9 @@ class RodModel(SimModel):
         zeros: tuple[str, ...],
     ):
         self.given, self.parameters, self.zeros = given, parameters, zeros
-        self.step_cost = EQUILIBRIUM
+        self.step_cost = 1000.0  # weighted steps of a pose
         self._layout = lru_cache(maxsize=8)(lambda finer: layout_of(given, channels, finer))
-        self._guesses: Memo[Tensor] = Memo(MOST_GUESSES)
+        self._guesses: Memo[Tensor] = Memo()
         super().__init__(self._build, parameters.base, "described rod", batched=True)
 
     def _build(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> RodScene:

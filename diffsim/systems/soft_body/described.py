@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 
 Values = Mapping[str, Tensor]
-LEAD_RAMP = 0.5  # of the lead-in, in which the command comes up
 
 
 class DescribedModel:
@@ -217,7 +216,8 @@ class DescribedModel:
             column = interpolated(torch.from_numpy(grid), times[known.numpy()], given[known])
             lead = self.given.start.lead_in
             if lead > 0.0:
-                rise = np.clip((grid - start) / (LEAD_RAMP * lead), 0.0, 1.0)
+                # the command comes up in the first half of the lead-in
+                rise = np.clip((grid - start) / (0.5 * lead), 0.0, 1.0)
                 column = column * torch.from_numpy(rise)
             columns.append(column)
         actuate, pressurize = self._make_drives(rig, own)

@@ -36,8 +36,6 @@ from diffsim.systems.soft_body.causes import (
 from diffsim.systems.soft_body.described import DescribedModel
 from diffsim.systems.soft_body.quasi_static import pose_commands
 
-DIFFERENCE = 1e-4  # prior sd: a larger step sees tendons go slack and taut again
-
 
 class SoftBodyDescription(SoftBodyKeys):
     """A described soft body, checked against recordings and made into a model."""
@@ -99,7 +97,8 @@ class SoftBodyDescription(SoftBodyKeys):
         model.frame = {SCALES: plant.scales.saved()}
         advised = DiagnosisSettings(
             search=SearchSettings(max_effects=3, num_refits=2, max_rounds=4),
-            jacobian=Jacobian(step=DIFFERENCE) if self.tendons else Jacobian(),
+            # prior sd: a larger step sees tendons go slack and taut again
+            jacobian=Jacobian(step=1e-4) if self.tendons else Jacobian(),
             noise_rounds=1,
         )
         return DiagnosisSetup(

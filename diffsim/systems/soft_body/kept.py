@@ -10,7 +10,6 @@ from torch import Tensor
 
 from diffsim.systems.soft_body.scene import Moment, SoftScene
 
-_STEPS = 256  # computed at a time
 _Value = TypeVar("_Value")
 
 
@@ -59,7 +58,7 @@ class OfTime:
             self._first, self._dt = moment.time, moment.dt
         k = round((moment.time - self._first) / self._dt)
         if k == len(self._times):
-            steps = torch.arange(k, k + _STEPS, dtype=torch.float64)
+            steps = torch.arange(k, k + 256, dtype=torch.float64)  # computed at a time
             times = self._first + self._dt * steps
             self._times += times.tolist()
             self._rows += self._signal(times).unbind()

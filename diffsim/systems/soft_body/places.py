@@ -17,7 +17,6 @@ from diffsim.mesh.reference import hex_shape, hex_shape_derivatives
 
 AnyMesh = HexMesh | TetMesh
 
-PLANE_EXTENT_SHARE = 1e-4  # of the body's largest extent: how far nodes may be off a plane
 INSIDE = 1e-6  # of an element: how far a point may be outside of it
 
 
@@ -85,7 +84,8 @@ class Region(Part):
         return found
 
     def _mark_inside(self, points: Array, mesh: AnyMesh) -> Mask:
-        tolerance = PLANE_EXTENT_SHARE * float((mesh.x_rest.amax(0) - mesh.x_rest.amin(0)).max())
+        # of the largest extent: how far nodes may be off a plane
+        tolerance = 1e-4 * float((mesh.x_rest.amax(0) - mesh.x_rest.amin(0)).max())
         inside = np.ones(len(points), dtype=bool)
         for axis, bound in enumerate((self.x, self.y, self.z)):
             if bound is None:

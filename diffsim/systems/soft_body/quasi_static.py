@@ -15,9 +15,6 @@ from diffsim.systems.soft_body.loads import HungWeight
 from diffsim.systems.soft_body.scene import SoftScene
 
 Key = tuple[float, ...]
-POSE_MARGIN = 0.1  # of the commanded range, for causes that enlarge the command
-MOST_ADDED = 10  # times as many poses as were stated, on each side; straight lines beyond
-ROUNDING = 1e-9  # of a spacing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,9 +102,11 @@ def pose_commands(fitted: Sequence[float], now: Sequence[float], num_poses: int)
     knots = torch.linspace(first, last, num_poses, dtype=torch.float64)
     spacing = float(knots[1] - knots[0])
     low, high = _add_margin((min(now[0], fitted[0]), max(now[1], fitted[1])))
-    counts = [math.ceil(far / spacing - ROUNDING) for far in (first - low, high - last)]
+    # rounding adds no pose
+    counts = [math.ceil(far / spacing - 1e-9) for far in (first - low, high - last)]
     below, above = (
-        torch.arange(1, min(max(n, 0), MOST_ADDED * num_poses) + 1, dtype=torch.float64)
+        # times as many as were stated, on each side; straight lines beyond
+        torch.arange(1, min(max(n, 0), 10 * num_poses) + 1, dtype=torch.float64)
         for n in counts
     )
     return torch.cat([knots[0] - spacing * below.flip(0), knots, knots[-1] + spacing * above])
@@ -115,7 +114,7 @@ def pose_commands(fitted: Sequence[float], now: Sequence[float], num_poses: int)
 
 def _add_margin(reach: Sequence[float]) -> tuple[float, float]:
     """Ends a little beyond, as effects push commands there; what only pulls ends at zero."""
-    margin = POSE_MARGIN * (reach[1] - reach[0])
+    margin = 0.1 * (reach[1] - reach[0])  # for causes that enlarge the command
     return (reach[0] - margin if reach[0] < 0.0 else 0.0), reach[1] + margin
 
 

@@ -25,13 +25,8 @@ if TYPE_CHECKING:
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
     from diffsim.systems.soft_body.keys import DescribedMuscle
 
-MOST_KEPT = 256  # sequences of poses
-MOST_HELD = 512  # shapes before the start
 SMALL = 1e-3  # of the body's length: displacements that are still linear
-FIRST_PUSH = 1e-5  # force per volume, of Young's modulus per length
-FADE_ANGLE = 0.1  # of attack, below which the force of the water fades [rad]
 SOFT_CABLE_N = 0.1  # force per strain of cables whose tension is commanded: far below any body's
-FORCE_ATOL_N = 1e-11  # far below what moves a marker by its noise
 
 
 @contextmanager
@@ -89,8 +84,8 @@ class BodyRig:
         self._seen = {main_axis(r) for _, r in readings if r.axis is not None} or {0, 1, 2}
         self._prepare_holder()
         self._water = lru_cache(maxsize=64)(self._new_water)
-        self.poses: Memo[Tensor] = Memo(MOST_KEPT)
-        self._held_shapes: Memo[Tensor] = Memo(MOST_HELD)
+        self.poses: Memo[Tensor] = Memo(256)  # sequences of poses are large
+        self._held_shapes: Memo[Tensor] = Memo(256)
 
     def _find_nodes(self, key: str, region: Any) -> Tensor:
         with within(key):
@@ -165,7 +160,8 @@ class BodyRig:
             # never a plain zero, which would switch damping off for good
             "damping": soft.Damping(rayleigh_beta=torch.tensor(0.0, dtype=torch.float64)),
             "masses": soft.Masses(attached_mass=none, added_mass=none),
-            "solver": soft.SolverOptions(rtol=self._rtol, atol=FORCE_ATOL_N),
+            # [N]: far below what moves a marker by its noise
+            "solver": soft.SolverOptions(rtol=self._rtol, atol=1e-11),
         }
         return soft.SoftBody(self.mesh, **(options | changes))
 
@@ -228,7 +224,7 @@ class BodyRig:
             density=self.given.water.density,
             drag_coefficients=drag * torch.tensor(DRAG_COEFFICIENTS).double(),
             thrust_coefficients=thrust * torch.tensor(THRUST_COEFFICIENTS).double(),
-            fade_angle=FADE_ANGLE,
+            fade_angle=0.1,  # [rad] of attack, below which the force of the water fades
         )
         inside = torch.zeros(len(around.faces), dtype=torch.bool)
         for clamp in self.given.fixed:
@@ -256,7 +252,7 @@ class BodyRig:
         for axis in self._seen:
             push = torch.zeros_like(self.mesh.x_rest)
             push[:, axis] = self.volume
-            size = FIRST_PUSH * young / length
+            size = 1e-5 * young / length  # force per volume, of Young's modulus per length
             try:
                 for _ in range(2):
                     still = bare.static_equilibrium(external_force=size * push, physics=physics)

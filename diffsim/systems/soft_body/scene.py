@@ -38,7 +38,6 @@ NUMBERS = (
 )
 ANYWHERE = ""  # place of a force on all nodes
 _ONE = torch.ones((), dtype=torch.float64)
-_NO_FIBERS = 1e-12  # share of the fibers' stiffness that is left in the solid's own force
 
 OutputMap = Callable[[Tensor, Tensor], Tensor]
 
@@ -260,7 +259,8 @@ class SoftScene(Scene):
         """
         body = self.body
         values: dict[str, Any] = dict(self.parameters)
-        values["fiber_stiffness"] = _NO_FIBERS * self.number("fiber_stiffness")
+        # share of the fibers' stiffness that is left in the solid's own force
+        values["fiber_stiffness"] = 1e-12 * self.number("fiber_stiffness")
         physics = body.physics(**values)
         # a field of moduli weighs the strain; the energy carries gradients in x alone
         scale = 0.5 * self.number("youngs_modulus").detach().mean() * body.nodal_volume.sum()

@@ -9,7 +9,7 @@ import pytest
 
 from diffsim.data.study import Run
 from diffsim.diagnose.judge import own_values
-from diffsim.diagnose.judge.own_values import _promise, held_out_point, own_point
+from diffsim.diagnose.judge.own_values import held_out_point, own_point
 from diffsim.identify import Problem
 from tests.diagnose import linear
 
@@ -55,26 +55,6 @@ def test_what_is_no_straight_function_is_fitted_to_the_end():
     assert point[0] == 0.0
 
 
-@pytest.mark.property
-def test_what_another_step_promises_is_what_the_slopes_span():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        left, columns, part = rng.normal(size=9), rng.normal(size=(9, 3)), rng.normal(size=3)
-        rest = np.concatenate([left, part])
-        spanned = np.linalg.qr(np.vstack([columns, np.eye(3)]))[0].T @ rest
-        share = float(spanned @ spanned) / float(rest @ rest)
-        assert _promise(left, columns, part) == pytest.approx(share, rel=1e-9)
-
-
-def test_slopes_of_the_start_serve_where_they_lead_to_the_noise():
-    problem = Sliding()
-    own_point(problem, TRUE, RUN)
-    problem.motion = lambda x: 50.0 * x[1] + 20.0 * x[2] * np.linspace(0.0, 1.0, 30)
-    problem.asked = 0
-    own_point(problem, np.zeros(3), RUN)
-    assert problem.asked == 1
-
-
 @dataclass
 class Unexplained(Sliding):
     """A straight line in the values, and what no value explains."""
@@ -93,22 +73,18 @@ class Unexplained(Sliding):
 WAVES = 20.0 * np.cos(6.0 * np.linspace(0.0, 1.0, 30))
 
 
-@pytest.mark.parametrize("wrong", [0.0, 0.3, -0.5])
-def test_steps_that_promise_nothing_are_not_simulated(monkeypatch, wrong):
-    """Wrong slopes may lead to ever shorter steps, none of which lowers the misfit. Where they gain
-    more than they promise, they are followed to the end."""
-    ends, counts = [], []
+@pytest.mark.parametrize("wrong", [0.0, 0.02, -0.02])
+def test_slopes_of_the_fit_serve_although_a_little_wrong(wrong):
+    """They may lead to ever shorter steps, none of which lowers the misfit."""
     slopes = Unexplained().linearize(np.zeros(3), [1, 2])[1]
-    slopes[:, 1:] += wrong * WAVES[:, None]
-    for enough in (own_values._ENOUGH, 0.0):
-        monkeypatch.setattr(own_values, "_ENOUGH", enough)
+    ends = []
+    for given in (slopes + wrong * WAVES[:, None], None):
         problem = Unexplained()
-        ends.append(own_point(problem, np.zeros(3), RUN, slopes))
-        counts.append(problem.runs)
-    costs = [float(np.sum(Unexplained().residual(end) ** 2) + end @ end) for end in ends]
-    assert costs[0] <= costs[1] * (1.0 + own_values.FIT_RTOL)
-    if wrong > 0.0:
-        assert counts[0] <= 0.7 * counts[1]
+        point = own_point(problem, np.zeros(3), RUN, given)
+        ends.append(float(np.sum(problem.residual(point) ** 2) + point @ point))
+        assert problem.runs < 12 or given is None
+        assert given is None or not problem.asked
+    assert ends[0] <= 1.02 * ends[1]
 
 
 @dataclass(frozen=True, eq=False)
