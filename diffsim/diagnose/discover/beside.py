@@ -20,8 +20,9 @@ from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 
 MOST_PAIRED = 40  # laws of a screen, the best first, that are weighed beside every cause
-NUM_LAWS = 2  # whose pairs are fitted in the simulator
-ALIKE = 2  # pairs of one law that are: a lag and a delay are told apart by fits
+#: causes beside the best law, and beside the next, that are fitted in the simulator: a lag and a
+#: delay are told apart by fits alone
+NUM_CAUSES = (6, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +118,11 @@ def best_pairs(screen: Screen, causes: Sequence[CauseAlong]) -> tuple[list[Pair]
                 pairs.append(Pair(law, cause, nats + _nats(*left)))
     least = best + KEEP_NATS + float(np.log(count))
     better = sorted((p for p in pairs if p.nats > least), key=lambda p: -p.nats)
-    best_laws = list(dict.fromkeys(p.law for p in better))[:NUM_LAWS]
-    chosen = [[p for p in better if p.law is law][:ALIKE] for law in best_laws]
+    best_laws = dict.fromkeys(p.law for p in better)
+    chosen = [
+        [p for p in better if p.law is law][:most]
+        for law, most in zip(best_laws, NUM_CAUSES, strict=False)
+    ]
     return [pair for of_law in chosen for pair in of_law], count
 
 
