@@ -101,7 +101,7 @@ def layout_of(path: Path) -> TableLayout | None:
         return _without_header(rows)
     names = _drop_empty_end(rows[above[0]])
     is_pair = len(above) == 2 and _are_units(rows[above[1]])
-    is_part = bool(_repeated(names)) or ("" in names and not is_pair)
+    is_part = bool(_names_twice(names)) or ("" in names and not is_pair)
     if len(above) > 1 and is_part:  # as of motion capture: bodies above their axes
         return _lines_as_names([rows[i] for i in above], above[-1] + 1, first + 1)
     units = _drop_empty_end(rows[above[1]]) if len(above) > 1 else [""] * len(names)
@@ -145,7 +145,7 @@ def _lines_as_names(above: list[list[str]], last: int, first: int) -> TableLayou
     *parts, names = above
     for row in reversed(parts):  # what has no axis is named further up
         names = [name or cell for name, cell in zip(names, row, strict=True)]
-    twice = _repeated(names)
+    twice = _names_twice(names)
     if not twice and names == above[-1]:
         columns = (column_of(name, unit) for name, unit in zip(names, units, strict=True))
         return TableLayout(last, first, tuple(columns))
@@ -171,7 +171,7 @@ def _bare_unit(cell: str) -> str:
     return cell.strip().strip("()[]{}<>").strip()
 
 
-def _repeated(names: list[str]) -> set[str]:
+def _names_twice(names: list[str]) -> set[str]:
     return {name for name, count in Counter(names).items() if name and count > 1}
 
 

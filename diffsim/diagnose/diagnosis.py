@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,7 +55,14 @@ from diffsim.diagnose.search.fit import (
 )
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.gauss_newton import gauss_newton
-from diffsim.diagnose.search.search import begin, begin_from, refit, search_sets, with_numerics
+from diffsim.diagnose.search.search import (
+    begin,
+    begin_from,
+    has_left_prior,
+    refit,
+    search_sets,
+    with_numerics,
+)
 from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify import Fit
@@ -63,14 +70,17 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import linearization_at, residuals_by_run
 from diffsim.identify.model import SimModel
-from diffsim.identify.problem import PredictionError
+from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.setup import LawPort
 from diffsim.identify.unknown import Unknown, drifts
 
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
 ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws are short of it
+FINER_TIMES = 4.0  # what a search under finer numerical settings costs, at least
+LEAST_ROOM = 0.2  # of it, without which laws are not looked for
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
+Begins = Sequence[Mapping[str, float]]
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -111,7 +121,7 @@ def diagnose(
     Raises:
         ValueError: the study cannot be judged at all, or effects share a name.
     """
-    asked = _Question(study, bank, settings, progress, cache, seed)
+    asked = _Question(study, bank, settings, progress, cache, seed, laws is not None)
     begun = model.simulations.steps
     answer = _answer(asked, model, effects, unknowns)
     found = None
@@ -127,12 +137,13 @@ def diagnose(
         else:
             fits = [answer.search.fit_of(members) for members in dict.fromkeys((NONE, answer.best))]
             fits = [*at_data_sheet(plain), *fits]
-            found = find_laws(fits, laws, progress or silent, budget.steps)
+            library = answer.search.wide.effects
+            found = find_laws(fits, laws, progress or silent, budget.steps, library)
             first = answer
             answer, again = _with_laws(asked, first, laws, found, budget)
             is_late = budget.until is not None and model.simulations.steps > budget.until
             if not is_late and (beside := _newly_named(first, again, found)):
-                beside_causes = find_laws(beside, laws, progress or silent, budget.steps)
+                beside_causes = find_laws(beside, laws, progress or silent, budget.steps, library)
                 last, _ = _with_laws(asked, first, laws, beside_causes, budget)
                 if _is_better(last, answer, beside_causes):
                     answer, found = last, beside_causes
@@ -179,12 +190,26 @@ class _Question:
     progress: Progress | None
     cache: str | Path | None
     seed: int
+    keeps_room: bool = False
 
     def within(self, steps: float) -> _Question:
         """The same with a smaller budget."""
         settings = self.settings or DiagnosisSettings()
         search = replace(settings.search, refit_steps=steps, scan_steps=steps)
-        return replace(self, settings=replace(settings, search=search))
+        return replace(self, settings=replace(settings, search=search), keeps_room=False)
+
+    def with_room(self, null: Null) -> tuple[Case, float]:
+        """The case with the budget that its search may spend, and what that leaves for laws: none
+        where they have one of their own."""
+        case, settings = null.case, null.case.settings
+        own = settings.search
+        if own.law_steps is not None:
+            return case, 0.0
+        spent = ROOM_SHARE * own.refit_steps
+        search = replace(own, refit_steps=spent, scan_steps=min(own.scan_steps, spent))
+        again = min(settings.again_steps, spent / FINER_TIMES)
+        settings = replace(settings, search=search, again_steps=again)
+        return replace(case, settings=settings), own.refit_steps - spent
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,11 +220,13 @@ class _Answer:
         frozen: The report.
         search: Behind it; None where nothing was searched.
         best: Set of causes with the best evidence.
+        kept: Weighted steps of the budget that it left for laws.
     """
 
     frozen: Report
     found: Search | None = None
     best: Members = NONE
+    kept: float = 0.0
 
     @property
     def search(self) -> Search:
@@ -254,18 +281,19 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
         begun: Weighted steps that were simulated before it.
     """
     spent, settings = answer.search.steps - begun, answer.search.settings
-    room = settings.refit_steps - spent
-    is_short = room < ROOM_SHARE * settings.refit_steps
+    given = settings.refit_steps + answer.kept
+    room = given - spent
+    is_short = room < ROOM_SHARE * given
     if settings.law_steps is not None:
         return _LawBudget(settings.law_steps, None, is_short)
-    until = begun + settings.refit_steps
-    return _LawBudget(0.0 if is_short else ROOM_SHARE * room, until, is_short)
+    until, is_over = begun + given, room < LEAST_ROOM * given
+    return _LawBudget(0.0 if is_over else ROOM_SHARE * room, until, is_short)
 
 
 def _without_laws(answer: _Answer) -> _Answer:
     """The answer of a budget that ended before laws were looked for: none of it is certain."""
-    steps, frozen = answer.search.settings.refit_steps, doubted(answer.frozen, FIRST_ANSWER)
-    late = law_gate(steps)
+    frozen = doubted(answer.frozen, FIRST_ANSWER)
+    late = law_gate(answer.search.settings.refit_steps + answer.kept)
     return replace(answer, frozen=replace(frozen, gates=(*frozen.gates, late)))
 
 
@@ -286,10 +314,11 @@ def _with_laws(
     elif budget.is_short:
         asked = asked.within(budget.steps)
     if budget.is_short:
-        kept = names | _names_near_best(answer, {law.entry.target for law in found.laws})
+        targets = {law.entry.target for law in found.laws}
+        kept = names | found.beside | _names_near_best(answer, targets)
         effects = tuple(e for e in effects if e.name in kept)
     try:
-        again = _answer(asked, setup.model, effects, setup.unknowns)
+        again = _answer(asked, setup.model, effects, setup.unknowns, found.begins)
     except PredictionError as error:  # such as an exponential of what goes far: the answer stands
         gates = (*answer.frozen.gates, unsimulable_gate(error))
         return replace(answer, frozen=replace(answer.frozen, gates=gates)), None
@@ -321,7 +350,7 @@ def _newly_named(first: _Answer, again: _Answer | None, found: FoundLaws) -> lis
     laws, named = {law.name for law in found.laws}, set(again.frozen.best_names)
     effects = first.search.wide.effects
     members = frozenset(i for i, e in enumerate(effects) if e.name in named - laws)
-    if not laws & named or members in (NONE, first.best):
+    if not laws & named or members in (NONE, first.best) or named - laws <= found.beside:
         return []
     search = refit(first.search, members)
     return [search.fit_of(members)] if members in search.fits else []
@@ -394,9 +423,19 @@ def _names_near_best(answer: _Answer, targets: AbstractSet[str] = frozenset()) -
 
 
 def _answer(
-    asked: _Question, model: SimModel, effects: Sequence[Effect], unknowns: Sequence[Unknown]
+    asked: _Question,
+    model: SimModel,
+    effects: Sequence[Effect],
+    unknowns: Sequence[Unknown],
+    first: Begins = (),
 ) -> _Answer:
-    """Search among causes, and judge; no test run is looked at."""
+    """Search among causes, and judge; no test run is looked at.
+
+    Args:
+        asked: What the diagnosis is asked for.
+        model, effects, unknowns: As of ``diagnose``.
+        first: Coordinates of sets by name, at which the search begins; none: at the plain model.
+    """
     study, seed, bank, cache = asked.study, asked.seed, asked.bank, asked.cache
     gates = (*data_gate(study), *cuts_gate(model))
     # from here to the end of the search nothing can look at a test run: there is none
@@ -416,8 +455,12 @@ def _answer(
         return _Answer(report_of(null, checks, Judgment(decision), screened, seed, bank))
     seen = first_look(screened, at.problem.effects, null.fit.chi2)
     null.case.progress(FIRST_LOOK, 0.27, seen)
+    kept = 0.0
+    if asked.keeps_room and has_left_prior(null.fit):  # what is missing is large
+        case, kept = asked.with_room(null)
+        null = replace(null, case=case)
     null = replace(null, case=replace(null.case, searching=model.simulations.steps))
-    search, renewal = _renew_correction(search_rounds(null, simulations))
+    search, renewal = _renew_correction(search_rounds(null, simulations, first))
     checks, null = checks.joined(renewal), search.null
     screened = screen(search.plain.evidence)
     case.progress("gain", 0.88, "unseen runs")
@@ -427,15 +470,21 @@ def _answer(
     late = tuple(budget_gates(num_unscanned, search.num_late, search.settings))
     checks, judgment = _judge_search(search, checks.joined(late), validation, seed)
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, validation)
-    return _Answer(frozen, judgment.search or search, judgment.decision.best)
+    return _Answer(frozen, judgment.search or search, judgment.decision.best, kept)
 
 
-def search_rounds(null: Null, simulations: Simulations) -> Search:
+def search_rounds(null: Null, simulations: Simulations, first: Begins = ()) -> Search:
     """Search; estimate the noise from what the best set leaves; again if it has changed, from what
-    was simulated before."""
+    was simulated before.
+
+    Args:
+        null: The plain model under its noise floor.
+        simulations: Simulations made so far.
+        first: Coordinates of sets by name, at which the search begins; none: at the plain model.
+    """
     case = null.case
     for round_ in range(case.settings.noise_rounds):
-        search = _search_fine_enough(null, simulations)
+        search = _search_fine_enough(null, simulations, first)
         null, simulations = search.null, search.simulations
         best = simulations.fitted[decision_of(search).best]
         residuals = residuals_by_run(case.study.fit_runs, best.record)
@@ -479,16 +528,16 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
     return search, (coarse_gate(size, search.null.fit.problem),)
 
 
-def _search_fine_enough(null: Null, simulations: Simulations) -> Search:
+def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
     allow; simulations under coarser ones do not serve. Where the budget would not last for the same
     search with finer settings, that begins at the set which was found."""
-    found: tuple[Members, Array] | None = None
+    found = [_set_at(null.wide, coordinates) for coordinates in first]
     for round_ in range(MAX_RENEWALS):
         started = null.case.model.simulations.steps
         search = begin(null, simulations)
-        if found is not None:
-            search = begin_from(search, *found)
+        for members, x in found:
+            search = begin_from(search, members, x)
         search = search_sets(search)
         steps = search.steps - started
         best = decision_of(search).best
@@ -504,9 +553,20 @@ def _search_fine_enough(null: Null, simulations: Simulations) -> Search:
         null = _store_anew(refit_under(null, checked.finer), simulations)
         times = null.wide.cost() / coarse
         is_short = times * steps > _steps_left(search)
-        found = (best, search.fit_of(best).x) if is_short else None
+        found = [(best, search.fit_of(best).x)] if is_short else []
         simulations = Simulations(null.wide, null.case.store).under(null)
     return search
+
+
+def _set_at(wide: Problem, coordinates: Mapping[str, float]) -> tuple[Members, Array]:
+    """The set of causes that coordinates by name belong to, and its point."""
+    members = frozenset(
+        k
+        for k, effect in enumerate(wide.effects)
+        if any(wide.names[i] in coordinates for i in wide.columns_of(effect))
+    )
+    own = Simulations(wide).coordinates(members)
+    return members, np.array([coordinates.get(wide.names[i], 0.0) for i in own])
 
 
 def _steps_left(search: Search) -> float:

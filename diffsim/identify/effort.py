@@ -32,7 +32,7 @@ class SearchSettings:
         refit_steps: Weighted steps of all searches after which rivals of the best set keep their
             linear evidence; infinite: all that could win are refitted.
         law_steps: Weighted steps that laws which nobody listed may cost, and again the search with
-            them; None: they share those of the search, where it leaves half of these.
+            them; None: they share those of the search, where it leaves a fifth of these.
         num_starts: Largest number of starts of a fit that disappoints.
         unknown_steps: Number of Gauss-Newton steps of a set together with an unknown cause.
     """

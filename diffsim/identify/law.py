@@ -172,6 +172,7 @@ class Law:
         shapes: Numbers of the formula and of hidden states beside the size.
         price: Nats that the choice among all that was tried costs.
         signed: Whether the size may be negative.
+        sign: Of the size, as it was found.
     """
 
     name: str
@@ -184,6 +185,7 @@ class Law:
     shapes: Mapping[str, Shape] = field(default_factory=dict)
     price: float = 0.0
     signed: bool = True
+    sign: float = 1.0
 
 
 def put_variable(term: str, variable: Variable) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.core import interruptible, open_executor, run_kept
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose import diagnose
@@ -23,11 +24,13 @@ from labs.command import ended
 from labs.rates.case import solve as solve_rate
 from labs.rates.plan import head
 from labs.rates.score import HELD, OPEN, RIGHT
+from labs.search_compare.cars import CARS
 from labs.search_compare.drives import DRIVES
 from labs.search_compare.rigs import RIGS as TOGETHER
 
 PLACE = re.compile(r"(_\d+|_(of|at)_.*)$")
-RIGS = {**TOGETHER, **DRIVES}
+NUMBER = re.compile(r"_\d+$")
+RIGS = {**TOGETHER, **DRIVES, **CARS}
 NULLS = 4  # every fourth seed of a rig hides nothing
 COLUMNS = ("right", "open", "wrong", "false names", "unseen error", "simulations", "CPU s")
 
@@ -104,8 +107,10 @@ def solve(item: Mapping[str, Any]) -> dict[str, Any]:
 
 def _solve_rig(name: str, seed: int) -> dict[str, Any]:
     is_null = seed % NULLS == NULLS - 1
-    study = RIGS[name].record(seed, is_null)
-    setup = setup_of(study)
+    rig = RIGS[name]
+    study = rig.record(seed, is_null)
+    made = inputs_of(study, seed=0, budget="quick") if rig.with_laws else None
+    setup = setup_of(study) if made is None else made.setup
     started, before = time.process_time(), setup.model.simulations.count
     row: dict[str, Any] = {"kind": f"{name}, null" if is_null else name}
     try:
@@ -116,8 +121,9 @@ def _solve_rig(name: str, seed: int) -> dict[str, Any]:
             seed=0,
             unknowns=setup.unknowns,
             settings=setup.settings,
+            laws=setup.laws if rig.with_laws else None,
         )
-        row |= scored(report, frozenset() if is_null else RIGS[name].truth)
+        row |= scored(report, frozenset() if is_null else rig.truth)
     except (DiffsimError, ValueError) as error:
         row |= {"right": False, "open": False, "false": 0, "said": str(error), "error": None}
         row["verdict"] = "failed"
@@ -132,9 +138,9 @@ def scored(report: Report, truth: frozenset[str]) -> dict[str, Any]:
         report: The answer.
         truth: Rows that act.
     """
-    rows = {PLACE.sub("", name) for name in report.named}
+    rows = {_row_of(name) for name in report.named}
     alike = (report.best_names, *report.rivals)
-    sets = [{PLACE.sub("", n) for n in rival} for rival in alike]
+    sets = [{_row_of(n) for n in rival} for rival in alike]
     is_right = report.verdict in ("none", "data_sheet") if not truth else rows == truth
     is_among = truth in sets
     if report.verdict == "named":  # what is certain, and an exact twin of the rest
@@ -145,11 +151,17 @@ def scored(report: Report, truth: frozenset[str]) -> dict[str, Any]:
     return {
         "right": is_right and report.verdict != "ambiguous",
         "open": is_open,
-        "false": len(rows - truth) if report.verdict == "named" else 0,
+        "false": len(rows - truth) if report.verdict in ("named", "described") else 0,
         "said": f"{report.verdict}: {', '.join(report.best_names)}",
         "verdict": report.verdict,
         "error": float(np.sqrt(np.mean(after))) if after else None,
     }
+
+
+def _row_of(name: str) -> str:
+    """A cause without its place, a law without its number among those at one place."""
+    is_law = name.startswith("law_of_")
+    return (NUMBER if is_law else PLACE).sub("", name)
 
 
 def say(name: str, row: Mapping[str, Any]) -> None:

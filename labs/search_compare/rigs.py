@@ -27,11 +27,14 @@ class Rig:
 
     Attributes:
         record: Function (seed, whether nothing is hidden) -> study.
-        truth: What is hidden: rows of the library, without the places where they act.
+        truth: What is hidden: rows of the library, without the places where they act; laws with
+            theirs.
+        with_laws: Whether a law may be hidden: the answer is a first one, as of the command line.
     """
 
     record: Callable[[int, bool], Study]
     truth: frozenset[str]
+    with_laws: bool = False
 
 
 def shoulder(seed: int, null: bool) -> Study:

@@ -311,9 +311,9 @@ def law_gate(steps: float) -> GateResult:
     """Laws that nobody listed were not looked for, so that is said.
 
     Args:
-        steps: The budget that causes of the library have spent half of.
+        steps: The budget that causes of the library have spent most of.
     """
-    note = f"laws that nobody listed were not looked for, as half of {steps:,.0f} steps was spent"
+    note = f"laws that nobody listed were not looked for, as most of {steps:,.0f} steps was spent"
     return GateResult(LAWS, False, 0.0, 0.0, note, applies=False)
 
 

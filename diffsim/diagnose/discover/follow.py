@@ -171,12 +171,13 @@ class FollowedRecord:
 
     def simulated(self, effect: Effect) -> Array:
         """Whitened response to the components of an effect, (num_valid, num_components) [per
-        unit]: a tangent for each."""
+        unit]: a tangent for each, a chord where it has a kink."""
         unit, parts = PRIOR_WIDTH * effect.typical, []
         for problem, x in zip(self.problems, self.points, strict=True):
             wide = replace(problem, effects=(*problem.effects, effect))
             own = list(range(len(x), len(x) + len(effect.components)))
-            at = linearization_at(wide, np.concatenate([x, np.zeros(len(own))]), own)
+            start = np.concatenate([x, np.zeros(len(own))])
+            at = linearization_at(wide, start, own, screen=True)
             parts.append(whitened(problem, at.columns) / unit)
         return np.concatenate(parts)
 

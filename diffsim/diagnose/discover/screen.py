@@ -499,7 +499,7 @@ class Weigher:
         Args:
             columns: Slopes by its factors, (N, k); of root mean square one.
         """
-        gram, right = self._reduce(columns)
+        gram, right = self.reduced(columns)
         values, vectors = linalg.eigh(gram)
         values, along = np.maximum(values, 0.0), (vectors.T @ right) ** 2
         squares = np.array(AMPLITUDES)[:, None] ** 2
@@ -509,7 +509,7 @@ class Weigher:
         mean = float(special.logsumexp(nats)) - float(np.log(len(nats)))
         return mean, AMPLITUDES[int(np.argmax(nats))]
 
-    def _reduce(self, columns: Array) -> tuple[Array, Array]:
+    def reduced(self, columns: Array) -> tuple[Array, Array]:
         """Parabola of the misfit over factors of columns, whatever the model's numbers are."""
         j = self.jacobian
         mixed = j.T @ columns
@@ -523,7 +523,7 @@ class Weigher:
         Args:
             columns: Slopes by factors, (N, k).
         """
-        gram, right = self._reduce(columns)
+        gram, right = self.reduced(columns)
         values, vectors = linalg.eigh(gram)
         kept = values > TOLD * values[-1]
         size = np.sqrt(values[kept])

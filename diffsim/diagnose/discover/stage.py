@@ -2,7 +2,8 @@
 
 1. Every entry by every variable is weighed beside the plain model and beside the best set of causes
    (``screen``).
-2. The best ones are fitted in the simulator, without a form yet.
+2. The best ones are fitted in the simulator, without a form yet, and so are the best pairs of a law
+   and a cause of the library (``beside``).
 3. Forms are fitted to what the record tells of them (``forms``).
 4. The same again beside the best law, while that is worth its price.
 5. The best forms become causes like any other, which the search weighs against the library. The
@@ -12,7 +13,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from scipy import linalg
 
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
+from diffsim.diagnose.discover.beside import CauseAlong, best_pairs, causes_along
 from diffsim.diagnose.discover.follow import follow
 from diffsim.diagnose.discover.forms import FORM_PRIOR_SD, Curve, FittedForm, fit_forms
 from diffsim.diagnose.discover.screen import ONE_TURN, Candidate, Screen, screen_laws
@@ -28,7 +30,7 @@ from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import has_left_prior
 from diffsim.identify import Fit, Problem
-from diffsim.identify.effect import PRIOR_WIDTH
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
 from diffsim.identify.fitting import summary
 from diffsim.identify.law import Entry, Law, Shape
 from diffsim.identify.linearization import linearization_at, measured_of, records_at, whitened
@@ -66,7 +68,7 @@ class FittedLaw:
         forms: Forms that it may have, the best first.
         left: Nats that the law without a form leaves.
         by_run: Name, variable and law of each run, as this run alone tells it.
-        num_pairs: Laws of two variables that it was chosen from; 0: it is of one.
+        num_pairs: Laws of two variables, or beside a cause, that it was chosen from; 0: none.
     """
 
     candidate: Candidate
@@ -99,12 +101,21 @@ class FoundLaws:
         fitted: The best of them, fitted in the simulator.
         laws: Formulas that the search shall weigh.
         num_tried: Entries by variables by bases that were weighed.
+        begins: Coordinates by name at which that search begins, of the formulas of the best law and
+            of causes of the library beside it; empty where none acts there.
     """
 
     screened: tuple[Candidate, ...]
     fitted: tuple[FittedLaw, ...]
     laws: tuple[Law, ...]
     num_tried: int
+    begins: tuple[Mapping[str, float], ...] = ()
+
+    @property
+    def beside(self) -> set[str]:
+        """Names of causes of the library that laws were fitted beside."""
+        fitted = (e for f in self.fitted for e in f.fit.problem.effects)
+        return {e.name for e in fitted if e.family != "law"}
 
     @property
     def most_nats(self) -> float:
@@ -135,7 +146,11 @@ def at_data_sheet(plain: Fit) -> list[Fit]:
 
 
 def find_laws(
-    fits: Sequence[Fit], port: LawPort, progress: Progress, most_steps: float = np.inf
+    fits: Sequence[Fit],
+    port: LawPort,
+    progress: Progress,
+    most_steps: float = np.inf,
+    library: Sequence[Effect] = (),
 ) -> FoundLaws:
     """Laws that explain what fits leave.
 
@@ -145,6 +160,7 @@ def find_laws(
         port: What the system offers to laws.
         progress: Receives stage, share done and message.
         most_steps: Weighted steps after which no further law is fitted in the simulator.
+        library: Causes that may act beside a law.
     """
     tally = fits[0].problem.model.simulations
     begun = tally.steps
@@ -163,19 +179,32 @@ def find_laws(
         screened = _screen(fit, port, progress, SCREEN_SHARE * most_steps)
         num_tried += screened.num_tried
         every += screened.screen.found
-        for k, fitted in enumerate(_rounds(screened, fit, port, may_fit)):
+        table = Table(library, SCREEN_SHARE * most_steps)
+        for k, fitted in enumerate(_rounds(screened, fit, port, may_fit, table)):
             rounds = [*rounds, []] if len(rounds) == k else rounds
             rounds[k] += fitted
     laws: list[Law] = []
     for most, fitted in zip(MOST_LAWS, rounds, strict=False):
-        near = _near_best(fitted)
         before = len(laws)
-        made = (_laws_of(f, _price(num_tried + f.num_pairs)) for f in near)
-        laws = _without_twins([*laws, *(law for of_one in made for law in of_one)])
-        laws = laws[: before + most]
+        for f in _near_best(fitted):
+            laws += _laws_of(f, _price(num_tried + f.num_pairs))
+        laws = _without_twins(laws)[: before + most]
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     fitted = [f for of_round in rounds for f in of_round]
-    return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried)
+    best = max(fitted, key=lambda f: f.evidence, default=None)
+    is_alone = best is None or all(e.family == "law" for e in best.fit.problem.effects)
+    begins = () if best is None or is_alone else tuple(_begins_of(best, laws))
+    return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried, begins)
+
+
+def _begins_of(best: FittedLaw, laws: Sequence[Law]) -> Iterator[Mapping[str, float]]:
+    """Where a search with formulas of the best fitted law and the causes beside it begins."""
+    problem, of = best.fit.problem, best.candidate
+    count = len(of.basis.terms)
+    own = dict(zip(problem.names[:-count], best.fit.x[:-count].tolist(), strict=True))
+    for law in laws:
+        if law.entry == of.entry and law.variable == of.variable:
+            yield {**own, law.name: law.sign * float(coordinate_of(np.array(1.0 / PRIOR_WIDTH)))}
 
 
 def _price(num_tried: int) -> float:
@@ -206,17 +235,14 @@ class _ScreenWithFit:
         candidate: The best law that was fitted; None where none was.
         law: Its fit; None where it cannot be fitted.
         num_tried: Entries by variables by bases that were weighed until this screen held.
+        kept: Nats that the best law keeps in the simulator.
     """
 
     screen: Screen
     candidate: Candidate | None
     law: FittedLaw | None
     num_tried: int
-
-    @property
-    def kept(self) -> float:
-        """Nats that the best law keeps in the simulator."""
-        return 0.0 if self.law is None else self.law.nats
+    kept: float = 0.0
 
     @property
     def keeps_promise(self) -> bool:
@@ -228,10 +254,9 @@ def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _
     """All laws weighed along the recordings; where the best of them keeps little of what it
     promises there, along the simulations as fitted, too: the screen that keeps more."""
     screen = screen_laws(follow(fit, port), port, progress, most_steps)
-    if not any(response.shape[1] for response in screen.followed.responses):  # nothing leads
-        return _ScreenWithFit(screen, None, None, _count_tried(screen))
     led = _with_best_fitted(screen, fit, port)
-    if led.keeps_promise:
+    is_led = any(response.shape[1] for response in screen.followed.responses)
+    if led.keeps_promise or not is_led:
         return led
     along_fit = screen_laws(follow(fit, port, max_steps=0), port, progress, most_steps)
     as_fitted = _with_best_fitted(along_fit, fit, port)
@@ -242,27 +267,35 @@ def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _
 def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort) -> _ScreenWithFit:
     """The screen with the first of its best laws that keeps what it promises, or the one that keeps
     most: slopes of one law may hold nowhere near, such as of a mass whose frequency is off."""
-    tried = [_ScreenWithFit(screen, None, None, _count_tried(screen))]
+    tried = [_ScreenWithFit(screen, None, None, sum(len(c.basis.tried) for c in screen.found))]
     for candidate in _choose(screen.found, KEEP_NATS)[:NUM_JUDGING]:
         law = _fit_law(screen, fit, candidate, port, ())
-        tried.append(replace(tried[0], candidate=candidate, law=law))
+        kept = 0.0 if law is None else law.nats
+        tried.append(replace(tried[0], candidate=candidate, law=law, kept=kept))
         if tried[-1].keeps_promise:
             return tried[-1]
     return max(tried[1:] or tried, key=lambda one: one.kept)
 
 
-def _count_tried(screen: Screen) -> int:
-    return sum(len(c.basis.tried) for c in screen.found)
-
-
 def _rounds(
-    screened: _ScreenWithFit, fit: Fit, port: LawPort, may_fit: Callable[[], bool]
+    screened: _ScreenWithFit,
+    fit: Fit,
+    port: LawPort,
+    may_fit: Callable[[], bool],
+    table: Table | None = None,
 ) -> Iterator[list[FittedLaw]]:
-    """Fitted laws beside a fit, then beside the best of them, while that is worth its price."""
+    """Fitted laws beside a fit, or beside it and a cause of the library; then beside the best of
+    them, while that is worth its price."""
     screen = screened.screen
     standing: tuple[FittedLaw, ...] = ()
     first = 0.0
     for _ in MOST_LAWS:
+        beside = []
+        if table is not None and not standing:
+            left = fit if screened.law is None else screened.law.fit
+            price = _price(len(screen.found) * len(table.library))
+            if 0.5 * (left.chi2 - left.num_samples) > KEEP_NATS + price:  # else no cause could pay
+                beside = _fit_beside(screen, fit, port, table)
         fitted: list[FittedLaw] = []
         least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
         for candidate in _choose(screen.found, least):
@@ -274,11 +307,15 @@ def _rounds(
             law = screened.law if is_fitted else _fit_law(screen, fit, candidate, port, standing)
             if law is not None and law.nats > least:
                 fitted.append(law)
+        most = max((f.nats for f in fitted), default=0.0) + KEEP_NATS
+        together = [law for law in beside if law.nats > most + _price(law.num_pairs)]
         if not fitted:
+            if together:
+                yield together
             return
         screen, pairs = _fit_pairs(screen, fit, fitted, port, standing)
         fitted += pairs
-        yield fitted
+        yield [*fitted, *together]
         law = max(fitted, key=lambda f: f.nats)
         first = first or law.nats
         standing, fit = (*standing, law), law.fit
@@ -302,6 +339,31 @@ def _fit_pairs(
     made = [_fit_law(screen, fit, c, port, standing) for c in better[:NUM_PAIRS]]
     kept = [law for law in made if law is not None and law.nats > least]
     return screen, [replace(law, num_pairs=count) for law in kept]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Causes of the library that stand in one table with laws.
+
+    Attributes:
+        library: The causes.
+        most_steps: Weighted steps that their columns may take.
+    """
+
+    library: Sequence[Effect]
+    most_steps: float
+
+
+def _fit_beside(screen: Screen, fit: Fit, port: LawPort, table: Table) -> list[FittedLaw]:
+    """Laws beside a cause of the library, as one table of both ranks them."""
+    causes = causes_along(screen.followed, table.library, table.most_steps)
+    pairs, count = best_pairs(screen, causes)
+    out = []
+    for pair in pairs:
+        law = _fit_law(screen, fit, pair.law, port, (), pair.cause)
+        if law is not None:
+            out.append(replace(law, num_pairs=count))
+    return out
 
 
 def _name(laws: Sequence[Law], k: int) -> str:
@@ -370,16 +432,22 @@ def _fit_law(
     candidate: Candidate,
     port: LawPort,
     standing: Sequence[FittedLaw],
+    cause: CauseAlong | None = None,
 ) -> FittedLaw | None:
-    """A law fitted in the simulator from what the recordings tell; None where it cannot be."""
+    """A law fitted in the simulator from what the recordings tell, beside a cause of the library
+    where one is given; None where it cannot be."""
     variable = candidate.variable
     size = candidate.typical / PRIOR_WIDTH
     name = f"law {len(standing)}"
     effect = port.terms(candidate.entry, variable, candidate.basis.terms, name, size)
-    problem = replace(before.problem, effects=(*before.problem.effects, effect))
+    beside = () if cause is None else (cause.effect,)
+    problem = replace(before.problem, effects=(*before.problem.effects, *beside, effect))
+    laws, followed = (*(f.candidate for f in standing), candidate), screen.followed
     try:
-        candidates = [*(f.candidate for f in standing), candidate]
-        every, right = _slopes(screen, candidates)
+        *others, own = (screen.columns_of(c, c.basis.values) * c.typical for c in laws)
+        others += [] if cause is None else [cause.columns]
+        every = np.hstack([followed.jacobian, *others, own])
+        right = followed.missing + followed.jacobian @ followed.fit.x
         gram = every.T @ every + np.eye(every.shape[1])
         asked = np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
         ended, _ = gauss_newton(problem, linearization_at(problem, _begin(problem, before, asked)))
@@ -393,7 +461,8 @@ def _fit_law(
         return FittedLaw(candidate, ended, curve, nats, (), 0.0, by_run)
     told = screen.misfit_of(candidate)
     left = told.left_by(candidate.basis.values(told.u))
-    if left > 0.5 * ended.chi2:  # more than all that the fit leaves: such slopes do not lead there
+    # more than all that the fit leaves: such slopes do not lead there, nor do they know a cause
+    if left > 0.5 * ended.chi2 or cause is not None:
         told, left = screen.misfit_at(ended, candidate, curve), 0.0
     return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
 
@@ -411,14 +480,6 @@ def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
             r = whitened(problem, measured_of(problem) - record)
             costs.append(float(r @ r + x @ x))
     return points[int(np.nanargmin(costs))]
-
-
-def _slopes(screen: Screen, candidates: Sequence[Candidate]) -> tuple[Array, Array]:
-    """Slopes by the model's numbers and by factors of laws, and what they are held against."""
-    followed = screen.followed
-    columns = [screen.columns_of(c, c.basis.values) * c.typical for c in candidates]
-    right = followed.missing + followed.jacobian @ followed.fit.x
-    return np.hstack([followed.jacobian, *columns]), right
 
 
 def _by_run(
@@ -462,7 +523,9 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     if c.basis.wave:
         return [_repeating(fitted, price, memory)]
     best = fitted.forms[0].nats if fitted.forms else np.inf
-    kept = [f for f in fitted.forms if f.nats - best < FORM_NATS][:NUM_FORMS]
+    # by slopes of bumps a form is told as closely as bumps follow it: there the simulator decides
+    near = FORM_NATS if fitted.left > 0.0 else np.inf
+    kept = [f for f in fitted.forms if f.nats - best < near][:NUM_FORMS]
     laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
     if best - fitted.left <= TABLE_PRICE * len(c.basis.terms):
         return laws
@@ -499,6 +562,7 @@ def _make_law(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[st
         {**shapes, **memory},
         price,
         form.form.signed,
+        float(np.sign(form.size)) or 1.0,
     )
 
 

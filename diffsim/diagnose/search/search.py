@@ -33,7 +33,7 @@ from diffsim.diagnose.search.scan import BORROWED
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
-from diffsim.identify.linearization import Linearization
+from diffsim.identify.linearization import Linearization, linearization_at
 
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
@@ -63,11 +63,10 @@ def begin_from(search: Search, members: Members, x: Array) -> Search:
     """
     made, names = search.simulations, (search.wide.effects[i].name for i in sorted(members))
     search.null.case.progress("search", 0.3, " + ".join(names) or "no effect")
-    wide = np.zeros(len(search.wide.names))
-    wide[made.coordinates(members)] = x
     try:
-        start = made.start(members, search.plain.at, wide)
-        fit, at = made.fitted_from(members, start, search.best_cost())
+        if members not in made.fitted:
+            made = made.kept(members, linearization_at(made.narrow(members), x))
+        fit, at = made.fitted_from(members, made.fitted[members], search.best_cost())
     except DiffsimError as error:
         failed = {**search.failed, Hypothesis(members): str(error)}
         return replace(search, failed=failed)

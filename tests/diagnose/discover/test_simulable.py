@@ -12,11 +12,11 @@ from tests.diagnose.discover.pump_rig import recorded
 def test_an_answer_stands_where_laws_cannot_be_simulated(monkeypatch):
     answer, asked = diagnosis._answer, []
 
-    def fails_with_laws(question, model, effects, unknowns):
+    def fails_with_laws(question, model, effects, unknowns, *begins):
         asked.append([e.name for e in effects])
         if any(name.startswith("law_of") for name in asked[-1]):
             raise PredictionError("the prediction of run day_1 has 3 NaN entries")
-        return answer(question, model, effects, unknowns)
+        return answer(question, model, effects, unknowns, *begins)
 
     monkeypatch.setattr(diagnosis, "_answer", fails_with_laws)
     warm = lambda p_a, p_b, temperature: p_a + 1.5 * (temperature - 298.0)  # noqa: E731

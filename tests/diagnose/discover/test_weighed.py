@@ -68,7 +68,7 @@ def spending(share, **settings):
     search = SimpleNamespace(
         steps=5.0 + share * GIVEN, settings=SearchSettings(refit_steps=GIVEN, **settings)
     )
-    return SimpleNamespace(found=search, search=search)
+    return SimpleNamespace(found=search, search=search, kept=0.0)
 
 
 @pytest.mark.parametrize(("spent", "is_short"), [(0.2, False), (0.9, True), (1.2, True)])
@@ -100,7 +100,9 @@ def test_laws_that_share_a_budget_have_what_is_left_of_it():
     budget = diagnosis._budget_of_laws(spending(0.2, law_steps=None), 5)
     # half to find them, the rest for the search with them
     assert budget == diagnosis._LawBudget(pytest.approx(0.4 * GIVEN), 5 + GIVEN, False)
-    assert diagnosis._budget_of_laws(spending(0.6, law_steps=None), 5).steps == 0.0
+    short = diagnosis._budget_of_laws(spending(0.6, law_steps=None), 5)
+    assert short == diagnosis._LawBudget(pytest.approx(0.2 * GIVEN), 5 + GIVEN, True)
+    assert diagnosis._budget_of_laws(spending(0.85, law_steps=None), 5).steps == 0.0
 
 
 @pytest.mark.parametrize(
