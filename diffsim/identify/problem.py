@@ -235,11 +235,6 @@ class Problem(Coordinates, WhitenedRuns):
         """Weighted steps of one simulation of all runs."""
         return sum(self.model.cost(run, self.numerics) for run in self.runs)
 
-    @property
-    def has_dear_slopes(self) -> bool:
-        """Whether each slope takes simulations of its own."""
-        return not (self.model.batched or has_tangents(self.model))
-
     def cost_of_many(self, number: int) -> float:
         """Weighted steps of simulations at a number of points and of one more, of all runs."""
         return self.cost() * (1.0 + number * (TOGETHER if self.model.batched else 1.0))

@@ -28,6 +28,7 @@ from diffsim.identify.linearization import (
     record_at,
     whitened,
 )
+from diffsim.identify.model import has_tangents
 
 Array = NDArray[np.float64]
 # relative error up to which the linear prediction counts as exact, and so does the distance in
@@ -113,7 +114,8 @@ class _Iterate:
             return shorter, 0.0
         after = self._update_slopes(x, step, record, r)
         has_fallen = 0.5 * (self.cost - cost) > KEPT_PROMISE * self.promised(step)
-        is_kept = has_fallen and self.problem.has_dear_slopes
+        model = self.problem.model
+        is_kept = has_fallen and not (model.batched or has_tangents(model))
         if after.at.slope_error - self.at.slope_error > REFRESH_RTOL and not is_kept:
             return replace(after, radius=max(0.5 * longest, 0.5 * self.radius)), REFRESH_RTOL
         limit = KEPT_RTOL if is_kept else REFRESH_RTOL
