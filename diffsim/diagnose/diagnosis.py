@@ -612,12 +612,12 @@ def _check_null(
     null: Null, gates: tuple[GateResult, ...], cache: str | Path | None, once: float
 ) -> tuple[Null, Checks, Simulations]:
     """Numerical settings and gradients at the null fit, everything linearized there."""
+    refined = check_numerics(null) if once == 0.0 else None
     found: NullCorrection | RefinedNull
-    if once > 0.0:
-        null, found = corrected(null, once)
+    if refined is None:
+        null, found = corrected(null, once or null.fit.problem.cost())
     else:
-        found = check_numerics(null)
-        null = found.null
+        null, found = refined.null, refined
     changes = found.changes
     case = null.case
     gates = (*gates, *found.gates, *windows_gate(case.model, case.study.fit_runs))

@@ -36,7 +36,7 @@ from diffsim.identify.effect import (
 )
 from diffsim.identify.jacobian import Jacobian, Stencil
 from diffsim.identify.line import DifferenceLine, ModelPoint
-from diffsim.identify.model import SimModel, has_tangents
+from diffsim.identify.model import TOGETHER, SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.identify.whitening import WhitenedRuns, Whitener
@@ -234,6 +234,10 @@ class Problem(Coordinates, WhitenedRuns):
     def cost(self) -> float:
         """Weighted steps of one simulation of all runs."""
         return sum(self.model.cost(run, self.numerics) for run in self.runs)
+
+    def cost_of_many(self, number: int) -> float:
+        """Weighted steps of simulations at a number of points and of one more, of all runs."""
+        return self.cost() * (1.0 + number * (TOGETHER if self.model.batched else 1.0))
 
     def records(self, points: Array) -> Array:
         """Predicted samples of all runs at K points, (K, N) [unit of the channel].

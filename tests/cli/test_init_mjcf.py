@@ -103,6 +103,36 @@ def test_files_that_are_parts_or_no_mjcf_are_passed_over(tmp_path):
     assert "model: scene.xml" in (folder / "study.yaml").read_text()
 
 
+def test_models_are_found_in_folders_as_collections_lay_them_out(tmp_path):
+    folder = arm_folder(tmp_path)
+    (folder / "vendor").mkdir()
+    (folder / "arm.xml").rename(folder / "vendor" / "arm.xml")
+    scene = '<mujoco><include file="arm.xml"/><worldbody><light pos="0 0 3"/></worldbody></mujoco>'
+    (folder / "vendor" / "scene.xml").write_text(scene)
+    init(folder)
+    stated = yaml.safe_load((folder / "study.yaml").read_text())["model"]
+    assert stated["options"]["model"] == "vendor/scene.xml"
+    study = load_study(folder)
+    run, model = study.fit_runs[0], setup_of(study).model
+    assert np.isfinite(model.predict(run, model.at_prior()).numpy()).all()
+
+
+def test_a_column_called_like_an_actuator_and_no_joint_is_its_command(tmp_path):
+    belt = '<velocity name="belt" joint="slider" kv="4"/>'
+    joint = '<joint name="slider" type="slide" axis="1 0 0" damping="1"/>'
+    body = f'<worldbody><body name="cart">{joint}<geom size="0.1"/></body></worldbody>'
+    text = f"<mujoco>{body}<actuator>{belt}</actuator></mujoco>"
+    (tmp_path / "cart.xml").write_text(text)
+    speed = np.sin(3.0 * TIME)
+    table = np.c_[TIME, speed, 0.2 * (1.0 - np.cos(3.0 * TIME))]
+    header = "time_s,belt_speed_m_s,cart_m"
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=header, comments="")
+    init(tmp_path)
+    options = yaml.safe_load((tmp_path / "study.yaml").read_text())["model"]["options"]
+    assert options["commands"] == {"belt_speed_m_s": "belt"}
+    assert options["channels"] == {"cart_m": "joint.slider.position"}
+
+
 def test_two_models_are_a_question_and_a_broken_one_is_said(tmp_path):
     folder = arm_folder(tmp_path)
     (folder / "other.xml").write_text("<mujoco><worldbody/></mujoco>")

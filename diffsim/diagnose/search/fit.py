@@ -48,6 +48,7 @@ from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 8  # of a run in a window
+TABLE_SHARE = 0.25  # of a search, that slopes of all candidates may cost with refined settings
 HARD_START_CHI2 = 25.0  # chi2 per sample, from which a fit needs an easier start
 
 Ended = tuple[Fit, Linearization]
@@ -343,12 +344,16 @@ def residual_of(fit: Fit, run: Run) -> Array:
         return run.measured - fit.problem.predict(run, torch.from_numpy(fit.x)).numpy()
 
 
-def check_numerics(null: Null) -> RefinedNull:
+def check_numerics(null: Null) -> RefinedNull | None:
     """Check the settings at the null fit; refine and fit again where the gate fails. Where it would
     fail within the budget, too, and is no good part of the misfit, settings stay as they are.
 
     Args:
         null: The plain model, fitted with the model's own settings.
+
+    Returns:
+        None where slopes of all candidates with finer settings would cost too much of what a search
+        may.
     """
     changes = numerics_changes(null.fit.problem, null.at)
     gates = tuple(numerics_gate(null.fit, changes))
@@ -365,6 +370,9 @@ def check_numerics(null: Null) -> RefinedNull:
         )
         if names_of_failed(found) and not could_be_misfit(null.fit, gates):
             break
+        table = replace(null.wide, numerics=numerics).cost_of_many(len(null.wide.names))
+        if table > TABLE_SHARE * settings.search.refit_steps:
+            return None
         changes, gates = finer, found
         paid = max(paid, ratio)
         if numerics == (null.fit.problem.numerics or Numerics()):

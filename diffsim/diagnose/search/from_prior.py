@@ -21,6 +21,7 @@ from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import SetPosterior
 from diffsim.diagnose.search.fit import HARD_START_CHI2
 from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.scan import groups, num_points
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Problem, Whitener
 from diffsim.identify.effort import SearchSettings
@@ -38,11 +39,14 @@ PAIRED = 12  # causes that are best alone, each paired with every other
 
 
 def is_prior_too_dear(simulations: Simulations, settings: SearchSettings) -> bool:
-    """Whether slopes at the prior, which nobody simulated yet, would take more than scans there
-    may."""
+    """Whether slopes and scans at the prior, which nobody simulated yet, would take all that is for
+    fits from there: a table of which nothing is fitted is in vain."""
     wide = simulations.wide
-    left = settings.scan_steps - simulations.scan_steps
-    return simulations.at_prior is None and wide.cost() * len(wide.names) > left
+    left = min(settings.scan_steps - simulations.scan_steps, FROM_PRIOR * settings.refit_steps)
+    tried = groups(wide.effects, NONE, settings.max_effects)
+    points = sum(num_points([wide.effects[i] for i in group]) for group in tried)
+    count = len(wide.names) + min(points, settings.scan_points)
+    return simulations.at_prior is None and wide.cost_of_many(count) > left
 
 
 def center_at_prior(

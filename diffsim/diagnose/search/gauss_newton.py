@@ -28,6 +28,7 @@ from diffsim.identify.linearization import (
     record_at,
     whitened,
 )
+from diffsim.identify.model import has_tangents
 
 Array = NDArray[np.float64]
 # relative error up to which the linear prediction counts as exact, and so does the distance in
@@ -35,6 +36,9 @@ Array = NDArray[np.float64]
 SLOPE_RTOL = 0.05
 SLOPE_ATOL = 0.5  # the same in noise standard deviations of the misfit
 REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
+# where each slope takes simulations of its own: of a step that kept its promise
+KEPT_PROMISE = 0.75  # share of the promised nats
+KEPT_RTOL = 1.0  # relative error from which slopes are simulated again
 MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
 MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
@@ -83,14 +87,18 @@ class _Iterate:
         x = self.problem.standardized(self.scaled + step)
         return 0.5 * (self.cost - float(linear @ linear + x @ x))
 
-    def tried(self, step: Array) -> tuple[_Iterate, bool]:
+    def tried(self, step: Array) -> tuple[_Iterate, float]:
         """Take a step if it lowers the cost; the radius follows the error of the linear prediction.
+
+        Along a curved valley records bend while the cost falls as it should: where slopes are dear,
+        steps get no shorter there, and Broyden's updates serve for longer.
 
         Args:
             step: In scaled coordinates, (n,).
 
         Returns:
-            The next iterate, and whether the cost is lower there.
+            The next iterate, and the error above which slopes are simulated again; 0: the cost is
+            not lower.
         """
         x = self.problem.standardized(self.scaled + step)
         longest = float((np.abs(step) / self.problem.step_factors).max())
@@ -98,18 +106,22 @@ class _Iterate:
         try:
             record = record_at(self.problem, x)
         except DiffsimError:  # too far to be simulated
-            return shorter, False
+            return shorter, 0.0
         r = whitened(self.problem, measured_of(self.problem) - record)
         with np.errstate(over="ignore"):  # of an unstable simulation: too far as well
             cost = float(r @ r + x @ x)
         if not cost < self.cost:
-            return shorter, False
+            return shorter, 0.0
         after = self._update_slopes(x, step, record, r)
-        if after.at.slope_error - self.at.slope_error > REFRESH_RTOL:
-            return replace(after, radius=max(0.5 * longest, 0.5 * self.radius)), True
+        has_fallen = 0.5 * (self.cost - cost) > KEPT_PROMISE * self.promised(step)
+        model = self.problem.model
+        is_kept = has_fallen and not (model.batched or has_tangents(model))
+        if after.at.slope_error - self.at.slope_error > REFRESH_RTOL and not is_kept:
+            return replace(after, radius=max(0.5 * longest, 0.5 * self.radius)), REFRESH_RTOL
+        limit = KEPT_RTOL if is_kept else REFRESH_RTOL
         if longest > 0.9 * self.radius:
-            return replace(after, radius=2.0 * longest), True
-        return after, True
+            return replace(after, radius=2.0 * longest), limit
+        return after, limit
 
     def _update_slopes(self, x: Array, step: Array, record: Array, residual: Array) -> _Iterate:
         """At x, the end of a step; Broyden's update of the slopes."""
@@ -173,11 +185,11 @@ def gauss_newton(
             s = s.refreshed()
             continue
         evaluations += 1
-        s, is_lower = s.tried(step)
-        if not is_lower and s.radius < MIN_RADIUS:
+        s, limit = s.tried(step)
+        if limit == 0.0 and s.radius < MIN_RADIUS:
             ended, message = "stalled", "no step along the slopes lowers the cost"
             break
-        if s.at.slope_error > (REFRESH_RTOL if is_lower else 0.0):
+        if s.at.slope_error > limit:
             s = s.refreshed()
     slopes = s.jacobian * problem.stretch(s.at.x)
     return summary(problem, s.at.x, s.residual, slopes, ended, message, evaluations), s.at

@@ -37,7 +37,7 @@ class Term:
     scale: float = 1.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class ForceKnots:
     """A force at one place that follows straight lines between knots in time.
 
@@ -72,6 +72,7 @@ class PlaceForces:
     Attributes:
         places: Names of the places.
         acts: Whether any force is there; if not, a simulator may skip the call.
+        key: What the forces depend on.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class PlaceForces:
         self._terms = tuple(t for t in terms if t.size != 0.0)
         self._knots = tuple(k for k in knots if any(k.values))
         self.acts = bool(self._terms or self._knots)
+        self.key = (self._terms, self._knots)
         acting = dict.fromkeys([*(t.place for t in self._terms), *(k.place for k in self._knots)])
         #: Places where a force acts, by their index, with the force by time, position and velocity
         self.acting = tuple((self.places.index(p), self._force_at(p)) for p in acting)

@@ -33,6 +33,7 @@ from diffsim.core.arrays import Array, Mask
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
 from diffsim.systems.outside.mjcf_numbers import Numbers
+from diffsim.systems.outside.mjcf_payloads import carriers_of
 from diffsim.systems.outside.mjcf_steps import Steps
 from diffsim.systems.outside.source import Call
 
@@ -42,6 +43,7 @@ JOINT_SENSORS = {"position": "jointpos", "velocity": "jointvel"}
 JOINT = re.compile(rf"joint\.(.+)\.({'|'.join(JOINT_SENSORS)})")
 MAX_BYTES = 100_000_000  # of the states, and of the models, that are simulated side by side
 MAX_MODELS = 64
+OF_CALL, OF_FORCE = 1.0, 1.5  # weighted steps of calling Python at a stage, and of each force there
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +111,9 @@ class Mjcf:
         ratios = _list_ratios(mujoco, text, files) if "dampratio" in text else ()
         self.numbers = Numbers(mujoco, self.plain, ratios)
         self.channels, self.commands, self.held = channels, commands, held
+        self.carriers = carriers_of(self.plain)
+        is_rk4 = int(self.plain.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_RK4)
+        self._stages = 4 if is_rk4 else 1  # of a step
         self._models: list[Any] = []
         self._rollouts: dict[int, Any] = {}
         self._make_rollout = _find_rollout()
@@ -149,9 +154,16 @@ class Mjcf:
                 out += self._simulate_group(group, threads)
         return out
 
-    def count_steps(self, run: Run) -> float:
-        """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``)."""
-        return Steps.count(run.time_s, float(self.plain.opt.timestep)) * (1.0 + 0.7 * self.plain.nv)
+    def count_steps(self, run: Run, num_forces: int = 0) -> float:
+        """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``).
+
+        Args:
+            run: Run that is simulated.
+            num_forces: Number of places where forces of causes act, asked for at each step.
+        """
+        of_forces = OF_CALL + OF_FORCE * num_forces if num_forces else 0.0
+        of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
+        return Steps.count(run.time_s, float(self.plain.opt.timestep)) * of_step
 
     def value_of(self, path: str) -> float:
         """What the file states for a parameter of a joint, such as "joint.hinge.damping".
@@ -220,7 +232,7 @@ class Mjcf:
                     ready.append((k, job))
                 else:
                     out[k] = self._step_through(job, call.force)
-            except (ValueError, ArithmeticError) as error:
+            except (ValueError, ArithmeticError, self.mujoco.FatalError) as error:
                 out[k] = error
         rolled = self._roll([job for _, job in ready], threads) if ready else []
         for (k, _), found in zip(ready, rolled, strict=True):

@@ -18,6 +18,7 @@ from diffsim.data.names import spelled
 from diffsim.systems.outside.joint_drive import GRAVITY
 from diffsim.systems.outside.mjcf import JOINT, JOINT_SENSORS, Mjcf
 
+MAX_FILES = 50  # of the folders beside recordings, that are looked into
 MAX_XML_BYTES = 5_000_000  # of a file that is looked into
 MASS_PERCENT, DAMPING_PERCENT, GAIN_PERCENT = 10, 50, 20  # of a file that nobody measured
 SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no surprise
@@ -43,15 +44,21 @@ class GuessedModel:
 
 
 def find_mjcf(folder: Path) -> tuple[Path, ...]:
-    """MJCF files of a folder that no other one of them includes or attaches."""
-    roots = {path: root for path in sorted(folder.glob("*.xml")) if (root := _root_of(path))}
+    """MJCF files of a folder that no other one of them includes or attaches; where it has none,
+    those of the folders in it, as collections of models are laid out."""
+    own, below = sorted(folder.glob("*.xml")), sorted(folder.glob("*/*.xml"))[:MAX_FILES]
+    return _without_parts(own) or _without_parts(below)
+
+
+def _without_parts(paths: Sequence[Path]) -> tuple[Path, ...]:
+    roots = {path: root for path in paths if (root := _root_of(path))}
     parts = {
-        Path(node.attributes["file"]).name
-        for root in roots.values()
+        path.parent / Path(node.attributes["file"]).name
+        for path, root in roots.items()
         for node in _below(root)
         if node.tag in ("include", "model") and "file" in node.attributes
     }
-    return tuple(path for path in roots if path.name not in parts)
+    return tuple(path for path in roots if path not in parts)
 
 
 def _root_of(path: Path) -> Node | None:
@@ -146,13 +153,27 @@ def _pairs(found: dict[str, str]) -> str:
 
 
 def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
-    """Columns of force and torque are commands where actuators lack theirs: no joint shows them."""
-    lacking = simulator.plain.nu - len(guess.those("command"))
-    pushes = [c for c in guess.those("channel") if _unit(c) in _PUSHES]
-    if 0 < len(pushes) <= lacking:
-        for column in pushes:
-            column.role = "command"
-        made.said.append(f"commands: {', '.join(c.name for c in pushes)}, what actuators push with")
+    """Columns of force and torque, or called like an actuator and no joint or sensor, are commands
+    where actuators lack theirs."""
+    plain = simulator.plain
+    lacking = plain.nu - len(guess.those("command"))
+    columns = guess.those("channel")
+    drives = [_words(plain.actuator(i).name) for i in range(plain.nu)]
+    shown = [_words(plain.joint(i).name) for i in range(plain.njnt)]
+    shown += [_words(plain.sensor(i).name) for i in range(plain.nsensor)]
+    pushes = [c for c in columns if _unit(c) in _PUSHES]
+    named = [c for c in columns if _is_called(c, drives) and not _is_called(c, shown)]
+    for found, why in ((pushes, "what actuators push with"), (named, "called like actuators")):
+        if 0 < len(found) <= lacking and len(found) < len(columns):
+            for column in found:
+                column.role = "command"
+            made.said.append(f"commands: {', '.join(c.name for c in found)}, {why}")
+            return
+
+
+def _is_called(column: GuessedColumn, names: Sequence[set[str]]) -> bool:
+    own = _words(column.name)
+    return any(words and words <= own for words in names)
 
 
 def _name_channels(simulator: Any, guess: Guess, made: GuessedModel) -> dict[str, str]:

@@ -6,6 +6,7 @@
 | ``body.NAME.mass`` | mass; the inertia grows alike |
 | ``body.NAME.inertia``, ``.inertia[k]`` | largest principal moment, the others grow alike; or one |
 | ``body.NAME.pos[k]`` | place in the frame of the body that carries it |
+| ``body.NAME.payload``, ``.payload_at`` | point mass more; where on the way from joint to far end |
 | ``joint.NAME.damping``, ``.armature``, ``.frictionloss``, ``.stiffness`` | of all its axes |
 | ``joint.NAME.start``, ``.start_rate`` | at the first sample; ``[k]`` of a free or ball joint |
 | ``actuator.NAME.kp``, ``.kv`` | gains of a servo |
@@ -26,15 +27,25 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean, require_number
+from diffsim.systems.outside.mjcf_payloads import put_payload, reach_of
 
 KINDS = {
-    "body": ("mass", "inertia", "pos"),
+    "body": ("mass", "inertia", "pos", "payload", "payload_at"),
     "joint": ("damping", "armature", "frictionloss", "stiffness", "start", "start_rate"),
     "actuator": ("kp", "kv", "gain", "gainprm", "biasprm", "forcerange", "delay"),
 }
 WORLD = ("gravity", "density", "viscosity")
 FIRST = ("mass", "kp", "gain")  # set before what others say of the same arrays
-NOT_NEGATIVE = ("mass", "inertia", "armature", "frictionloss", "damping", "forcerange", "delay")
+NOT_NEGATIVE = (
+    "mass",
+    "inertia",
+    "payload",
+    "armature",
+    "frictionloss",
+    "damping",
+    "forcerange",
+    "delay",
+)
 _VECTORS = {"inertia": 3, "pos": 3, "start": 7, "start_rate": 6, "gainprm": 10, "biasprm": 10}
 _OF_DOF = {
     "damping": "dof_damping",
@@ -44,6 +55,11 @@ _OF_DOF = {
 _ARRAYS = (
     "body_mass",
     "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "body_sameframe",
+    "geom_sameframe",
+    "site_sameframe",
     "body_pos",
     *_OF_DOF.values(),
     "jnt_stiffness",
@@ -105,11 +121,15 @@ class Setting:
     Attributes:
         positions, rates: Start values by their entry of qpos and qvel.
         delays: Time by which an actuator hears its command late, by its index [s].
+        payloads: Mass that a body carries more, by the body's index [kg].
+        payloads_at: Where it hangs, 0 at the body's joint, 1 at its far end.
     """
 
     positions: dict[int, float] = field(default_factory=dict)
     rates: dict[int, float] = field(default_factory=dict)
     delays: dict[int, float] = field(default_factory=dict)
+    payloads: dict[int, float] = field(default_factory=dict)
+    payloads_at: dict[int, float] = field(default_factory=dict)
 
 
 class Numbers:
@@ -127,6 +147,7 @@ class Numbers:
         self._names = {kind: tuple(_names(plain, kind)) for kind in (*KINDS, "sensor")}
         self._data = mujoco.MjData(plain)
         self._reflected = self._list_reflected(plain) if by_ratio else {}
+        self._reaches: dict[int, tuple[Array, Array]] = {}
 
     def find(self, kind: str, name: str, where: str) -> int:
         """Index of a body, joint, actuator or sensor.
@@ -183,6 +204,8 @@ class Numbers:
             index = self.find(path.kind, path.name, "parameters")
             act: Callable[..., None] = getattr(self, f"_put_{path.kind}")
             act(model, path, index, value, out)
+        for body, mass in out.payloads.items():
+            put_payload(self.mujoco, model, body, mass, self._reach(body, out.payloads_at))
         stated = {p.name for p, _ in paths if p.what in ("kv", "biasprm", "gainprm")}
         self._put_ratios(model, [p for p, _ in paths], stated)
         self.mujoco.mj_setConst(model, self._data)
@@ -220,16 +243,28 @@ class Numbers:
             setattr(model.opt, name, getattr(self.plain.opt, name))
         model.opt.gravity[:] = self.plain.opt.gravity
 
-    def _put_body(self, m: Any, path: Path, i: int, value: float, _: Setting) -> None:
+    def _reach(self, body: int, shares: Mapping[int, float]) -> Array:
+        """Where a body carries a payload, in its frame, (3,) [m]; without a word at its far end."""
+        if body not in self._reaches:
+            self._reaches[body] = reach_of(self.mujoco, self.plain, self._data, body)
+        joint, end = self._reaches[body]
+        return np.asarray(joint + shares.get(body, 1.0) * (end - joint))
+
+    def _put_body(self, m: Any, path: Path, i: int, value: float, out: Setting) -> None:
         if path.what == "pos":
             m.body_pos[i, path.entry] = value
+            return
+        if path.what == "payload_at":
+            out.payloads_at[i] = value
             return
         if not self.plain.body_mass[i] > 0.0:
             raise ValueError(
                 f"parameter {path.text}: the file gives body {path.name!r} no mass, so there is "
                 "no inertia to scale; give it <inertial> or a shape with mass"
             )
-        if path.what == "mass":
+        if path.what == "payload":
+            out.payloads[i] = value
+        elif path.what == "mass":
             m.body_inertia[i] = self.plain.body_inertia[i] * value / self.plain.body_mass[i]
             m.body_mass[i] = value
         elif path.entry is not None:

@@ -122,14 +122,13 @@ class Records:
         self._kept: OrderedDict[Hashable, Array] = OrderedDict()
 
     @staticmethod
-    def key(job: Job) -> Hashable | None:
-        """What the record depends on; None for forces, which are functions."""
-        if job.forces is not None and job.forces.acts:
-            return None
+    def key(job: Job) -> Hashable:
+        """What the record depends on."""
         run = job.run
         command = tuple((n, np.asarray(u).tobytes()) for n, u in run.command.items())
         seen = (run.name, run.time_s.tobytes(), run.measured.tobytes(), command)
-        return *seen, *job.values.items(), job.numerics
+        forces = None if job.forces is None or not job.forces.acts else job.forces.key
+        return *seen, *job.values.items(), job.numerics, forces
 
     def get(self, job: Job) -> Array | None:
         """The record of a job, if it is among the last."""
@@ -137,10 +136,9 @@ class Records:
 
     def keep(self, job: Job, record: Array) -> Array:
         """The record, remembered."""
-        if (key := self.key(job)) is not None:
-            self._kept[key] = record
-            while len(self._kept) > MAX_KEPT:
-                self._kept.popitem(last=False)
+        self._kept[self.key(job)] = record
+        while len(self._kept) > MAX_KEPT:
+            self._kept.popitem(last=False)
         return record
 
 
@@ -166,6 +164,7 @@ class OutsideScene(Scene):
         with model.one_at_a_time:  # most simulators hold state, and threads share this one
             record = model.made.get(job)
             if record is None:
+                model.count(job)
                 record = model.made.keep(job, call(model.predict_run, model.source.label, job))
         return self.read(record)
 
@@ -251,20 +250,39 @@ class OutsideModel(SimModel):
         simulator = getattr(self.predict_run, "__self__", None)
         self.run_many: PredictMany | None = getattr(simulator, "predict_many", None)
         self._count_steps = getattr(simulator, "count_steps", None)
+        #: Bodies that may carry a payload, with their masses [kg], where the simulator says so
+        self.carriers: Mapping[str, float] = getattr(simulator, "carriers", {})
+        self.zeros: tuple[str, ...] = ()  # numbers that causes alone change
         self._pool: Processes | None = None
 
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction; counted where the simulator counts its own."""
+        return self._cost_of(run, numerics or Numerics(), 0)
+
+    def _cost_of(self, run: Run, numerics: Numerics, num_forces: int) -> float:
+        """Weighted steps of a prediction.
+
+        Args:
+            run: Run that is simulated.
+            numerics: Factors on the simulator's own settings.
+            num_forces: Number of places where forces of causes act.
+        """
         if self._count_steps is None:
             return super().cost(run, numerics)
-        finer = (numerics or Numerics()).time_step
-        return self.run_cost + float(self._count_steps(run)) / finer
+        return self.run_cost + float(self._count_steps(run, num_forces)) / numerics.time_step
+
+    def note_simulations(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
+        """Count nothing: calls are counted where they are made, records are used again."""
+
+    def count(self, job: Job) -> None:
+        """Count a call of the simulator."""
+        num_forces = 0 if job.forces is None else len(job.forces.acting)
+        self.simulations.add(1, round(self._cost_of(job.run, job.numerics, num_forces)))
 
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes, side by side where there are workers."""
         jobs = [scene.job() for scene in scenes]
-        # jobs that are alike are one; forces, which have no key, are each their own
-        keys = [Records.key(job) or index for index, job in enumerate(jobs)]
+        keys = [Records.key(job) for job in jobs]  # jobs that are alike are one
         todo = {k: j for k, j in zip(keys, jobs, strict=True) if self.made.get(j) is None}
         if len(todo) < 2 or (self.workers < 2 and self.run_many is None):
             return [scene.simulate() for scene in scenes]
@@ -279,6 +297,8 @@ class OutsideModel(SimModel):
 
     def _run_jobs(self, jobs: Sequence[Job]) -> Arrays:
         """Records of several jobs: by the simulator's own threads, else by processes."""
+        for job in jobs:
+            self.count(job)
         if self.run_many is not None:
             with self.one_at_a_time:
                 return call_many(self.run_many, self.source.label, jobs, self.workers)
@@ -301,6 +321,7 @@ class OutsideModel(SimModel):
         return OutsideScene(
             grid=Grid.of(np.asarray(run.time_s, dtype=np.float64), np.inf),
             numbers=self.in_run(values, run),
+            zeros=self.zeros,
             commands=Commands(torch.from_numpy(stacked), rows),
             model=self,
             run=run,

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from torch import Tensor
 
 from diffsim.causes.channel_groups import channels_of, clock_of
-from diffsim.causes.listing import list_causes
+from diffsim.causes.listing import list_causes, numbers_added
 from diffsim.causes.plant import IN_TIME, Plant
 from diffsim.causes.readings import usual_sample, with_play_start
+from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.causes.scene import PLAY_START
 from diffsim.causes.signals import Between
@@ -91,11 +93,30 @@ def outside_setup(
         workers=workers,
     )
     model.frame = {SCALES: plant.scales.saved()}
+    plant = _with_carriers(plant, model)
     return DiagnosisSetup(
         model=model,
         effects=(*list_causes(plant), *more_effects),
         unknowns=unknown_forces(plant.places, study.runs),
         settings=settings or DiagnosisSettings(),
+    )
+
+
+def _with_carriers(plant: Plant, model: OutsideModel) -> Plant:
+    """The plant with the bodies that the simulator says may carry a payload."""
+    masses = model.carriers
+    if not masses:
+        return plant
+    paths = {name: f"body.{name}" for name in masses}
+    parts = {spell_plainly(name): path for name, path in paths.items()}
+    model.zeros = numbers_added(OUTSIDE, {"body": parts})
+    fitted = tuple(n for n in model.zeros if any(n == p.name.split("@")[0] for p in model.base))
+    return replace(
+        plant,
+        numbers=(*plant.numbers, *model.zeros),
+        fitted=(*plant.fitted, *fitted),
+        parts={**plant.parts, "body": parts},
+        magnitudes={**plant.magnitudes, "carrier": sum(masses.values()) / len(masses)},
     )
 
 

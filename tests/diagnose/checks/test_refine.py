@@ -44,6 +44,15 @@ def test_a_coarse_time_step_is_refined_until_it_passes():
     assert np.linalg.norm(found.changes["time_step"]) < 0.6 * before
 
 
+def test_settings_whose_slopes_would_take_a_search_are_not_used():
+    """Then finer simulations correct the coarse ones instead."""
+    null = null_fit(case())
+    table = null.wide.cost_of_many(len(null.wide.names))
+    search = replace(QUICK.search, refit_steps=5.0 * table)  # refined by two: half of it
+    settings = replace(QUICK, search=search)
+    assert check_numerics(replace(null, case=replace(null.case, settings=settings))) is None
+
+
 @pytest.mark.parametrize(("budget", "numerics"), [(8.0, None), (1.5, None), (8.0, 0.5)])
 def test_where_nobody_searches_again_finer_settings_are_not_sought_to_the_end(budget, numerics):
     """What is said of the settings is the same: that they fail, and whether finer cost too much."""
@@ -104,7 +113,7 @@ def test_a_setting_beyond_the_budget_does_not_keep_others_coarse():
             return self.scene.simulate() + self.error
 
     def build(values, run, numerics):
-        return Off(plain.build(values, run, numerics), 50.0 * numerics.mesh)
+        return Off(plain.build(values, run, numerics), 5.0 * numerics.mesh)
 
     model = Costly(plain, lambda numerics: 10.0 if numerics.mesh == 1.0 else 1000.0, build)
     numerics = check_numerics(null_fit(replace(coarse, model=model))).null.case.numerics

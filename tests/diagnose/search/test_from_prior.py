@@ -110,6 +110,13 @@ def begun(effort: SearchSettings, effects=(toy.BIAS, toy.DELAY, toy.DRAG)) -> Se
     return begin(null, Simulations(null.wide))
 
 
+def table_of(search: Search) -> float:
+    """Weighted steps that slopes of all causes are taken to cost; half of a budget is for them and
+    for the fits from there."""
+    wide = search.wide
+    return wide.cost_of_many(len(wide.names))
+
+
 @pytest.fixture
 def left(monkeypatch):
     """Every fit of the plain model counts as far from its data sheet."""
@@ -119,13 +126,21 @@ def left(monkeypatch):
 def test_sets_from_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
     whole = _fit_from_prior(begun(SearchSettings()))
     assert not whole.is_cut_short and len(whole.fits) > 1
-    short = _fit_from_prior(begun(SearchSettings(refit_steps=1.0)))
+    short = _fit_from_prior(begun(SearchSettings(refit_steps=2.0 * 1.001 * table_of(whole))))
     assert short.num_late == len(whole.fits) - 1 and set(short.fits) == {NONE}
     assert short.is_cut_short
 
 
+def test_slopes_at_the_data_sheet_after_which_no_set_could_be_fitted_are_not_made(left):
+    search = begun(SearchSettings())
+    short = begun(SearchSettings(refit_steps=2.0 * 0.999 * table_of(search)))
+    before = short.steps
+    after = _fit_from_prior(short)
+    assert after.steps == before and after.num_late == 1 and after.is_cut_short
+
+
 def test_sets_of_an_earlier_round_are_weighed_again_though_the_budget_is_spent(left):
-    search = begun(SearchSettings(refit_steps=1.0))
+    search = begun(SearchSettings(refit_steps=2.0 * 1.001 * table_of(begun(SearchSettings()))))
     made = Simulations(search.wide).under(search.null)
     kept = _fit_from_prior(begun(SearchSettings())).simulations.fitted
     again = replace(search, simulations=replace(search.simulations, fitted={**made.fitted, **kept}))

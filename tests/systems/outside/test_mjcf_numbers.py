@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
+from diffsim.systems.outside.hooks import Place
 from diffsim.systems.outside.mjcf import DivergedError, Mjcf
 from diffsim.systems.outside.mjcf_steps import Steps
 from diffsim.systems.outside.model import SimulatorError
@@ -228,6 +230,25 @@ def test_models_predict_batches_and_count_their_steps():
     bad = outside_setup(study, Mjcf(UNSTABLE, CHANNELS, {"moment_Nm": "m"}), {}).model
     with pytest.raises(SimulatorError, match=r"failed in run sine_a at .*DivergedError: joint"):
         bad.predict(run, bad.at_prior())
+
+
+def test_calls_are_counted_where_they_are_made():
+    """A record that is known costs nothing, with forces too; forces in Python cost more."""
+    study = scenes.recorded()
+    sim = Mjcf(XML.format(POSITION), CHANNELS, {"moment_Nm": "m"})
+    setup = outside_setup(study, sim, {}, places=[Place("elbow", "N m", 0.05, speed=3.0)])
+    model, run = setup.model, study.runs[0]
+    (friction,) = [e for e in setup.effects if e.name == "dry_friction_at_elbow"]
+    (scale,) = [e for e in setup.effects if e.name == "sensor_scale_of_angle"]
+    point = torch.stack([model.at_prior()] * 3)
+    sizes = {friction: torch.full((3, 1), 0.05), scale: torch.tensor([[0.0], [0.1], [0.2]])}
+    sizes = {effect: size.double() for effect, size in sizes.items()}
+    model.predict_many(run, point, sizes)
+    # of one force: a call of Python and its law, 1 + 1.5 beside the 2.4 of two joints
+    assert model.simulations.count == 1
+    assert model.simulations.steps == pytest.approx(250 + (119 * 4 + 1) * 4.9, abs=1)
+    model.predict_many(run, point, sizes)
+    assert model.simulations.count == 1
 
 
 def test_steps_are_counted_and_bounded():
