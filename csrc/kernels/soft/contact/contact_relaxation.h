@@ -3,23 +3,15 @@
 // one does.
 #pragma once
 
+#include <Eigen/Core>
 #include <vector>
 
 #include "kernels/soft/contact/contact_problem.h"
 
 namespace diffsim {
 
-/// Moves x to the solution of the contact problem linearized at x, and sets the statuses.
-/// @param[in] contacts  those that may touch; the others separate
-/// @param[in] gradient  grad g at x [N]
-/// @param[out] limits   (num_contacts,) friction force at which each contact slips [N]
-/// @return false where the clamped tangent cannot be factorized or the forces do not settle
-bool relax_contacts(StepProblem& problem, ContactSpace& space,
-                    const std::vector<std::size_t>& contacts, const Vector& gradient, Vector& x,
-                    Vector& limits);
-
 /// The last resort of one step: solves its contact problem as a whole, by relaxation after
-/// relaxation, and with more of them each time it is asked.
+/// relaxation until these settle, closer each time it is asked.
 class ContactRelaxation {
  public:
   explicit ContactRelaxation(std::size_t num_contacts) : touched_(num_contacts, false) {}
@@ -31,9 +23,20 @@ class ContactRelaxation {
 
  private:
   std::vector<std::size_t> candidates(const ContactSpace& space, const Vector& x) const;
+  /// Factors the clamped tangent at x; false where that fails.
+  bool linearize(StepProblem& problem, const ContactSpace& space,
+                 const std::vector<std::size_t>& contacts, const Vector& x);
+  /// Moves x to the solution of the contact problem linearized there, and sets the statuses.
+  /// @param[in] contacts  those that may touch, as linearized; the others separate
+  /// @param[in] gradient  grad g at x [N]
+  /// @param[out] limits   (num_contacts,) friction force at which each contact slips [N]
+  /// @return false where the forces do not settle
+  bool relax(StepProblem& problem, ContactSpace& space, const std::vector<std::size_t>& contacts,
+             const Vector& gradient, Vector& x, Vector& limits) const;
 
   std::vector<bool> touched_;
-  int doublings_ = 0;
+  int num_resolutions_ = 0;
+  Eigen::MatrixXd inverse_;  // of the tangent, between the linearized contacts
 };
 
 }  // namespace diffsim

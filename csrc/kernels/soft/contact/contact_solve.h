@@ -41,6 +41,8 @@ class ContactSolve {
   /// where H may be indefinite: what fails is solved again on a factor of the clamped tangent.
   KrylovResult solve_answer(const Vector& x, LinearSide side, const Vector& r, double tolerance,
                             int max_iters, Vector& out);
+  /// Whether solves on multigrid have come to need a factor for each set of statuses.
+  bool factors_each_set() const { return kind_ == Kind::kTangent && problem_.by_multigrid(); }
   /// A factor of the tangent from here on.
   void use_tangent() { kind_ = Kind::kTangent; }
 

@@ -91,7 +91,9 @@ void iterate(ContactProblem& p, ContactIterate& at, StepStats& stats) {
       on_constraints = false;
       p.solve.statuses_changed();
     }
-    if (iter < p.options.max_iters && p.statuses.needs_resolution() && relaxation.resolve(p, at)) {
+    // A Newton step on a factor serves one set of statuses, a relaxation all of them.
+    const bool needs_all = p.statuses.needs_resolution() || (changed && p.solve.factors_each_set());
+    if (iter < p.options.max_iters && needs_all && relaxation.resolve(p, at)) {
       on_constraints = false;
       continue;
     }
