@@ -19,10 +19,10 @@ constexpr std::size_t kTogether = 8;
 // Relaxations of a resolution, and those that a factor of the tangent serves: an old one costs a
 // tenth of a new one (ball that lands, 177k DoF: 0.2 for 2.0 s) and comes nearly as far.
 constexpr int kMaxRelaxations = 32, kRelaxationsPerFactor = 4;
-// Relaxations have settled where one is so short, of the longest of its resolution; in each further
-// resolution of a step, a tenth of that.
+// Relaxations have settled where one is so short, of the longest of its resolution; after each
+// cycle of a step, a tenth of that.
 constexpr double kSettled = 0.1, kTighter = 0.1;
-constexpr int kLooseResolutions = 2;  // of a step; in later ones every relaxation has its factor
+constexpr int kLooseResolutions = 2;  // of cycles; in later ones every relaxation has its factor
 // Shortest step towards a relaxed solution, of the whole: ten trials.
 constexpr double kLeastLength = 1e-3;
 
@@ -80,15 +80,16 @@ std::vector<std::size_t> ContactRelaxation::candidates(const ContactSpace& space
   return near;
 }
 
-bool ContactRelaxation::resolve(ContactProblem& problem, ContactIterate& at) {
+bool ContactRelaxation::resolve(ContactProblem& problem, bool cycled, ContactIterate& at) {
   StepProblem& objective = problem.objective;
   ContactSpace& space = problem.space;
   const std::vector<std::size_t> near = candidates(space, at.x);
   // Infinite friction may leave no answer to relax to; see kMaxReleases.
   const auto sticky = [&](std::size_t k) { return std::isinf(space.inputs().friction[k]); };
   if (near.size() > kMaxRelaxed || std::any_of(near.begin(), near.end(), sticky)) return false;
-  const double settled = kSettled * std::pow(kTighter, num_resolutions_);
-  const int per_factor = num_resolutions_++ < kLooseResolutions ? kRelaxationsPerFactor : 1;
+  const double settled = kSettled * std::pow(kTighter, num_cycles_);
+  const int per_factor = num_cycles_ < kLooseResolutions ? kRelaxationsPerFactor : 1;
+  if (cycled) ++num_cycles_;
   double longest = 0.0;
   for (int round = 0; round < kMaxRelaxations; ++round) {
     const std::vector<ContactStatus> before = space.status;

@@ -11,7 +11,7 @@
 namespace diffsim {
 
 /// The last resort of one step: solves its contact problem as a whole, by relaxation after
-/// relaxation until these settle, closer each time it is asked.
+/// relaxation until these settle, closer after each cycle of the statuses.
 class ContactRelaxation {
  public:
   explicit ContactRelaxation(std::size_t num_contacts) : touched_(num_contacts, false) {}
@@ -19,7 +19,8 @@ class ContactRelaxation {
   /// Remembers which contacts have touched in this step.
   void remember(const ContactSpace& space);
   /// Moves x and sets the statuses; false where that did not succeed, or is too large to try.
-  bool resolve(ContactProblem& problem, ContactIterate& at);
+  /// @param cycled  the statuses; false: they only changed on a tangent that needs a factor
+  bool resolve(ContactProblem& problem, bool cycled, ContactIterate& at);
 
  private:
   std::vector<std::size_t> candidates(const ContactSpace& space, const Vector& x) const;
@@ -35,7 +36,7 @@ class ContactRelaxation {
              const Vector& gradient, Vector& x, Vector& limits) const;
 
   std::vector<bool> touched_;
-  int num_resolutions_ = 0;
+  int num_cycles_ = 0;       // resolved
   Eigen::MatrixXd inverse_;  // of the tangent, between the linearized contacts
 };
 

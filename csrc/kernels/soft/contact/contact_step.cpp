@@ -92,8 +92,9 @@ void iterate(ContactProblem& p, ContactIterate& at, StepStats& stats) {
       p.solve.statuses_changed();
     }
     // A Newton step on a factor serves one set of statuses, a relaxation all of them.
-    const bool needs_all = p.statuses.needs_resolution() || (changed && p.solve.factors_each_set());
-    if (iter < p.options.max_iters && needs_all && relaxation.resolve(p, at)) {
+    const bool cycled = p.statuses.needs_resolution();
+    const bool needs_all = cycled || (changed && p.solve.factors_each_set());
+    if (iter < p.options.max_iters && needs_all && relaxation.resolve(p, cycled, at)) {
       on_constraints = false;
       continue;
     }
