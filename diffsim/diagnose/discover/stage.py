@@ -172,7 +172,9 @@ def find_laws(
     num_tried = 0
     rounds: list[list[FittedLaw]] = []
     for fit in fits:
-        if any(f.evidence > _nats(fit) for fitted in rounds for f in fitted):
+        every_fit = (f for fitted in rounds for f in fitted)
+        alone = (f for f in every_fit if all(e.family == "law" for e in f.fit.problem.effects))
+        if any(f.evidence > _nats(fit) for f in alone):
             break  # laws explain more than the plain model or the best set of causes does
         if not may_fit():
             break
