@@ -93,6 +93,7 @@ class Effect:
         needs: Function of a study: what it lacks for the effect to be judged; None if nothing.
         shown_unit: Unit in which a user reads the size, such as "mm"; None: ``unit``.
         shown_times: What a size is multiplied by to be read in it; None: as the units say.
+        shown_power: Power of the size that is read: -1 where it is stated per what is read.
         price: Nats that the choice of its form among others costs, beside that of its family.
         members: Names of the causes that it is with one size, such as delays of commands; empty:
             it is of one member, or one cause in itself.
@@ -121,6 +122,7 @@ class Effect:
     needs: Needs = needs_nothing
     shown_unit: str | None = None
     shown_times: float | None = None
+    shown_power: int = 1
     price: float = 0.0
     members: tuple[str, ...] = ()
     shapes: Mapping[str, Shape] = field(default_factory=dict)

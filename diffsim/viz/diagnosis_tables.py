@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from diffsim.core.figures import figure, signed, unit_of, with_interval, with_sd
 from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.data_sheet import words_of
-from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.gain import Gain, percent
 from diffsim.diagnose.judge.own_values import FAR_OFF, OwnRow
 from diffsim.diagnose.judge.records import (
     HIDDEN,
@@ -106,7 +106,6 @@ def causes(r: Report) -> Table:
         "probability",
         "gain where not fitted (90 % interval)",
         "removes",
-        "name",
         "note",
     ]
     return Table(
@@ -202,13 +201,12 @@ def _outside(o: OutsideRow) -> list[str]:
 def _cause(row: CauseRow) -> list[str]:
     row = row.as_read()
     return [
-        row.words,
+        row.words if row.words == row.name else f"{row.words}\n{row.name}",
         _status(row),
         _sizes(row),
         "–" if row.probability is None else f"{row.probability:.2f}",
         _interval(row.gain),
-        "–" if row.removes is None else f"{row.removes:.0%}",
-        row.name,
+        "–" if row.removes is None else percent(row.removes),
         _note(row),
     ]
 
@@ -223,7 +221,7 @@ def _note(row: CauseRow) -> str:
 
 def _status(row: CauseRow) -> str:
     """The status with what it speaks of: rivals, or the smallest size that would be seen."""
-    status, rivals = row.status, ", ".join(row.rivals)
+    status, rivals = row.status, ", ".join(words_of(name) for name in row.rivals)
     if status == HIDDEN:
         seen = [v for v in row.smallest_visible.values() if math.isfinite(v)]
         low, high = (figure(f(seen)) for f in (min, max)) if seen else ("", "")
@@ -245,7 +243,8 @@ def _sizes(row: CauseRow) -> str:
 def _format_size(row: CauseRow, component: str, size: Interval) -> str:
     label = "" if len(row.size) == 1 else f"{component_words(component)}: "
     numbers = with_interval(size.value, size.low, size.high)
-    return f"{label}{numbers} {unit_of(row.unit)}".rstrip().replace(" ", "\u00a0")
+    said = f"{label}{numbers} {unit_of(row.unit)}".rstrip().replace(" ", "\u00a0")
+    return said.replace("\u00a0(", " (").replace(")\u00a0", ") ")  # where a narrow column breaks
 
 
 def sets(r: Report, most: int = 12) -> list[Table]:
@@ -288,4 +287,6 @@ def _base(row: BaseRow) -> list[str]:
 def _interval(gained: Gain | None) -> str:
     if gained is None:
         return "–"
+    if gained.excess <= 0.0:  # of noise alone no share is left
+        return "nothing to gain, but less is left" if gained.has_fallen else "nothing to gain"
     return f"{gained.value:.2f} ({gained.low:.2f} to {gained.high:.2f})"

@@ -48,7 +48,7 @@ class Gain:
         fall: Lower end of the 90 % interval of e_null^2 - e_ext^2, in noise variances per sample:
             what is known of it where the excess, and with it every share, is uncertain.
         farthest: How far a value that was fitted to these runs ended from what is stated of it, at
-            most [prior sd].
+            most [prior sd], and which value that is, such as "zero closing".
     """
 
     value: float
@@ -57,7 +57,7 @@ class Gain:
     excess: float
     num_blocks: int
     fall: float = 0.0
-    farthest: float = 0.0
+    farthest: tuple[float, str] = (0.0, "")
 
     @property
     def status(self) -> str:
@@ -69,7 +69,7 @@ class Gain:
             return "withdrawn" if self._can_be_judged else "cannot be judged"
         if self.excess <= 0.0:
             return "nothing to gain"
-        is_sure = self.is_above_zero and self.farthest <= FAR_OFF
+        is_sure = self.is_above_zero and self.farthest[0] <= FAR_OFF
         return "confirmed" if is_sure else "not confirmed"
 
     @property
@@ -105,7 +105,7 @@ class Gain:
         """The gain in a sentence."""
         if self.status == "nothing to gain":
             return "On unseen runs the plain model's error is noise alone: nothing is to be gained."
-        share, low, high = (_percent(v) for v in (self.value, self.low, self.high))
+        share, low, high = (percent(v) for v in (self.value, self.low, self.high))
         interval = f"90 % interval: {low} to {high}"
         if self.num_blocks < MIN_BLOCKS:
             what = "block of samples is" if self.num_blocks == 1 else "blocks of samples are"
@@ -115,11 +115,10 @@ class Gain:
             why = ": next to nothing was there to be removed"
             if self.left > 1.0 + max(self.excess, 0.0) + NEAR_ZERO:
                 why = ": without these samples the fit ran away"
-        if self.farthest > FAR_OFF:
-            far = figure(self.farthest, 2)
-            why = f"; a value fitted to these runs is {far} sd from what is stated"
+        if (far := self.farthest[0]) > FAR_OFF:
+            why = f"; {self.farthest[1]} of them is {figure(far, 2)} sd off what the study states"
         if self.is_below_noise:
-            share = _percent(float(np.sqrt(max(self.left, 0.0))))
+            share = percent(float(np.sqrt(max(self.left, 0.0))))
             why = f"; the stated noise is too large, {share} of it is left"
         return (
             f"On unseen runs {share} of the error above the noise is removed ({interval}): "
@@ -127,7 +126,7 @@ class Gain:
         )
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     """A share, as exact as it is small."""
     return f"{share:.0%}" if abs(share) >= 0.095 or share == 0.0 else f"{share:.1%}"
 

@@ -49,16 +49,26 @@ class OwnRow:
         return abs(self.pull) > UNTOLD_PULL
 
     @property
+    def plain_name(self) -> str:
+        """Its name without the run."""
+        return self.name.partition("@")[0].rstrip(".").replace("_", " ")
+
+    @property
+    def farthest(self) -> tuple[float, str]:
+        """How far it ended from what is stated [prior sd], and what it is."""
+        return abs(self.pull), self.plain_name
+
+    @property
     def words(self) -> str:
         """The row in a clause."""
         values = (self.value, self.prior_value, self.prior_sd)
         shown, times = small_scale(self.unit, values)
         value, prior, sd = (times * v for v in values)
         unit = after_number(shown)
-        name = self.name.partition("@")[0].rstrip(".").replace("_", " ")
         stated = f"{figure(prior, 4)} +- {figure(sd, 2)}{unit}"
         return (
-            f"{name} {figure(value, 4)}{unit}, stated {stated}: {figure(abs(self.pull), 2)} sd off"
+            f"{self.plain_name} {figure(value, 4)}{unit}, stated {stated}: "
+            f"{figure(abs(self.pull), 2)} sd off"
         )
 
 
@@ -212,7 +222,7 @@ def _many_words(own: Sequence[OwnRow]) -> str:
     stated_ends = (*ends, own[0].prior_value, own[0].prior_sd)
     shown, times = small_scale(own[0].unit, stated_ends)
     low, high = (figure(times * v, 2) for v in (min(ends), max(ends)))
-    name, unit = own[0].name.partition("@")[0].rstrip(".").replace("_", " "), after_number(shown)
+    name, unit = own[0].plain_name, after_number(shown)
     stated = f"{figure(times * own[0].prior_value)} +- {figure(times * own[0].prior_sd, 2)}{unit}"
     return (
         f"{len(own)} runs were fitted far from what the study states: "

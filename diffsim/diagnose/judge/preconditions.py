@@ -227,11 +227,10 @@ def why_unconfirmed(total: Gain) -> str:
         return "" if total.has_fallen else "the plain model's error is noise alone"
     if total.status == "confirmed":
         return ""
-    is_bought = total.farthest > FAR_OFF and total.is_above_zero
-    with_it = (
-        f"with a value {figure(total.farthest, 2)} sd from what is stated " if is_bought else ""
-    )
-    return f"{with_it}no gain is confirmed"
+    far, what = total.farthest
+    is_bought = far > FAR_OFF and total.is_above_zero
+    bought = f"with {what} {figure(far, 2)} sd off what the study states " if is_bought else ""
+    return f"{bought}no gain is confirmed"
 
 
 def _evidence_does_without(g: Grounds, i: int) -> str:

@@ -76,6 +76,7 @@ class CauseRow:
         doubts: Why it is likely and not certain, each a clause.
         shown_unit: Unit in which a user reads the size; None: ``unit``.
         shown_times: What a size is multiplied by to be read in it; None: as the units say.
+        shown_power: Power of the size that is read: -1 where it is stated per what is read.
     """
 
     name: str
@@ -95,13 +96,17 @@ class CauseRow:
     doubts: tuple[str, ...] = ()
     shown_unit: str | None = None
     shown_times: float | None = None
+    shown_power: int = 1
 
     @property
     def read_unit(self) -> str:
-        """Unit in which its size is read: ``shown_unit``, else small lengths in mm and so on."""
+        """Unit in which its size is read: ``shown_unit``, else small lengths in mm and so on; one
+        over a size that may be zero has no bound, and is read as it is."""
+        ends = [end for size in self.size.values() for end in (size.low, size.high)]
+        if self.shown_power < 0 and not (ends and min(ends) > 0.0):
+            return self.unit
         if self.shown_unit is not None:
             return self.shown_unit
-        ends = [end for size in self.size.values() for end in (size.low, size.high)]
         return small_scale(self.unit, ends or self.smallest_visible.values())[0]
 
     @property
@@ -115,12 +120,14 @@ class CauseRow:
         if unit == self.unit:
             return self
         times = self.shown_times or factor(self.unit, unit)
-        size = {
-            c: replace(s, value=times * s.value, low=times * s.low, high=times * s.high)
-            for c, s in self.size.items()
-        }
-        visible = {c: times * v for c, v in self.smallest_visible.items()}
-        return replace(self, size=size, smallest_visible=visible, unit=unit, shown_unit=unit)
+        size = {}
+        for c, s in self.size.items():
+            low, value, high = (times * v**self.shown_power for v in (s.low, s.value, s.high))
+            size[c] = Interval(value, *sorted((low, high)))
+        visible = {c: times * v for c, v in self.smallest_visible.items() if self.shown_power > 0}
+        return replace(
+            self, size=size, smallest_visible=visible, unit=unit, shown_unit=unit, shown_power=1
+        )
 
 
 @dataclass(frozen=True)

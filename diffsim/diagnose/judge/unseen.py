@@ -351,10 +351,11 @@ def on_unseen(
         before.append(whitened[0])
         after.append(whitened[1])
         cleaned.append(run)
+    near = (0.0, "")
     gains = {
         run.name: replace(
             compared([run], plain, [b], [a], seed=seed),
-            farthest=max((abs(row.pull) for row in fitted if row.run == run.name), default=0.0),
+            farthest=max((r.farthest for r in fitted if r.run == run.name), default=near),
         )
         for run, b, a in zip(cleaned, before, after, strict=True)
     }
@@ -363,9 +364,8 @@ def on_unseen(
         kinds.setdefault(OF_ONE_RUN.sub("", run.name), []).append(k)
     gain = None  # without the runs that fail it would be one over chosen runs
     if cleaned and not failed:
-        farthest = max((abs(row.pull) for row in fitted), default=0.0)
         whole = compared(cleaned, plain, before, after, seed=seed)
-        gain = replace(whole, farthest=farthest)
+        gain = replace(whole, farthest=max((row.farthest for row in fitted), default=near))
     return Unseen(
         runs=tuple(run.name for run in runs),
         errors=tuple(errors),

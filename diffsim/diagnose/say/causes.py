@@ -159,6 +159,7 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
         note=effect.form,
         shown_unit=effect.shown_unit,
         shown_times=effect.shown_times,
+        shown_power=effect.shown_power,
     )
     if about is None or decision.verdict == "unrepeatable":
         why = "repeats differ more than the noise" if about else "numerical settings come first"

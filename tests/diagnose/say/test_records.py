@@ -41,6 +41,21 @@ def test_small_sizes_without_a_unit_of_the_user_are_read_in_mm_ms_and_g():
     assert unseen.unit == "mm" and unseen.smallest_visible["size"] == pytest.approx(0.01)
 
 
+def test_a_limit_that_is_stored_as_time_per_way_is_read_as_a_speed():
+    size = {"size": Interval(9.1, 8.8, 9.4)}
+    shown = {"shown_unit": "mm/s", "shown_times": 1e3, "shown_power": -1}
+    limit = replace(PLAY, unit="s/command", size=size, **shown)
+    assert size_range(limit) == "106 to 114 mm/s"
+    read = limit.as_read()
+    found = read.size["size"]
+    assert (found.value, found.low) == pytest.approx((1e3 / 9.1, 1e3 / 9.4))
+    assert found.high == pytest.approx(1e3 / 8.8)
+    assert read.as_read() is read and not read.smallest_visible
+    # one over a size that may be zero has no bound
+    open_ended = replace(limit, size={"size": Interval(1.0, 0.0, 2.0)})
+    assert open_ended.as_read() is open_ended
+
+
 def test_a_share_is_read_in_percent():
     scale = replace(PLAY, unit="-", shown_unit="%", size={"size": Interval(-0.02, -0.021, -0.019)})
     assert size_range(scale) == "-2.1 to -1.9 %"
