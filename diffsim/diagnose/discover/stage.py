@@ -81,6 +81,11 @@ class FittedLaw:
     num_pairs: int = 0
 
     @property
+    def beside(self) -> set[str]:
+        """Names of the causes of the library that were fitted with it."""
+        return {e.name for e in self.fit.problem.effects if e.family != "law"}
+
+    @property
     def evidence(self) -> float:
         """Evidence of all that is fitted."""
         return _nats(self.fit)
@@ -114,15 +119,14 @@ class FoundLaws:
     @property
     def beside(self) -> set[str]:
         """Names of causes of the library that laws were fitted beside."""
-        fitted = (e for f in self.fitted for e in f.fit.problem.effects)
-        return {e.name for e in fitted if e.family != "law"}
+        return {name for f in self.fitted for name in f.beside}
 
     @property
     def most_nats(self) -> float:
         """Evidence of the best laws without a form that need no cause of the library beside them,
         less the price of their choice."""
-        alone = (f for f in self.fitted if all(e.family == "law" for e in f.fit.problem.effects))
-        return max((f.evidence for f in alone), default=-np.inf) - _price(self.num_tried)
+        alone = (f.evidence for f in self.fitted if not f.beside)
+        return max(alone, default=-np.inf) - _price(self.num_tried)
 
 
 def at_data_sheet(plain: Fit) -> list[Fit]:
@@ -173,8 +177,7 @@ def find_laws(
     rounds: list[list[FittedLaw]] = []
     for fit in fits:
         every_fit = (f for fitted in rounds for f in fitted)
-        alone = (f for f in every_fit if all(e.family == "law" for e in f.fit.problem.effects))
-        if any(f.evidence > _nats(fit) for f in alone):
+        if any(f.evidence > _nats(fit) for f in every_fit if not f.beside):
             break  # laws explain more than the plain model or the best set of causes does
         if not may_fit():
             break
@@ -194,8 +197,7 @@ def find_laws(
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     fitted = [f for of_round in rounds for f in of_round]
     best = max(fitted, key=lambda f: f.evidence, default=None)
-    is_alone = best is None or all(e.family == "law" for e in best.fit.problem.effects)
-    begins = () if best is None or is_alone else tuple(_begins_of(best, laws))
+    begins = tuple(_begins_of(best, laws)) if best is not None and best.beside else ()
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried, begins)
 
 
