@@ -69,6 +69,7 @@ class FittedLaw:
         left: Nats that the law without a form leaves.
         by_run: Name, variable and law of each run, as this run alone tells it.
         num_pairs: Laws of two variables, or beside a cause, that it was chosen from; 0: none.
+        beside: Names of the causes of the library that were fitted with it.
     """
 
     candidate: Candidate
@@ -79,11 +80,7 @@ class FittedLaw:
     left: float = 0.0
     by_run: tuple[tuple[str, Array, Array], ...] = ()
     num_pairs: int = 0
-
-    @property
-    def beside(self) -> set[str]:
-        """Names of the causes of the library that were fitted with it."""
-        return {e.name for e in self.fit.problem.effects if e.family != "law"}
+    beside: frozenset[str] = frozenset()
 
     @property
     def evidence(self) -> float:
@@ -108,6 +105,7 @@ class FoundLaws:
         num_tried: Entries by variables by bases that were weighed.
         begins: Coordinates by name at which that search begins, of the formulas of the best law and
             of causes of the library beside it; empty where none acts there.
+        beside: Names of the causes of the library that laws were fitted beside.
     """
 
     screened: tuple[Candidate, ...]
@@ -115,11 +113,7 @@ class FoundLaws:
     laws: tuple[Law, ...]
     num_tried: int
     begins: tuple[Mapping[str, float], ...] = ()
-
-    @property
-    def beside(self) -> set[str]:
-        """Names of causes of the library that laws were fitted beside."""
-        return {name for f in self.fitted for name in f.beside}
+    beside: frozenset[str] = frozenset()
 
     @property
     def most_nats(self) -> float:
@@ -198,7 +192,8 @@ def find_laws(
     fitted = [f for of_round in rounds for f in of_round]
     best = max(fitted, key=lambda f: f.evidence, default=None)
     begins = tuple(_begins_of(best, laws)) if best is not None and best.beside else ()
-    return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried, begins)
+    beside = frozenset(name for f in fitted for name in f.beside)
+    return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried, begins, beside)
 
 
 def _begins_of(best: FittedLaw, laws: Sequence[Law]) -> Iterator[Mapping[str, float]]:
@@ -461,14 +456,16 @@ def _fit_law(
     curve = _curve(ended, candidate, u[np.isfinite(u)], len(effect.components))
     nats = _nats(ended) - _nats(before)
     by_run = tuple(_by_run(screen, candidate, every, right, asked))
+    names = frozenset(e.name for e in problem.effects if e.family != "law")
+    law = FittedLaw(candidate, ended, curve, nats, (), 0.0, by_run, beside=names)
     if candidate.basis.wave:
-        return FittedLaw(candidate, ended, curve, nats, (), 0.0, by_run)
+        return law
     told = screen.misfit_of(candidate)
     left = told.left_by(candidate.basis.values(told.u))
     # more than all that the fit leaves: such slopes do not lead there, nor do they know a cause
     if left > 0.5 * ended.chi2 or cause is not None:
         told, left = screen.misfit_at(ended, candidate, curve), 0.0
-    return FittedLaw(candidate, ended, curve, nats, tuple(fit_forms(told)), left, by_run)
+    return replace(law, forms=tuple(fit_forms(told)), left=left)
 
 
 def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
