@@ -23,6 +23,7 @@ from diffsim.data.names import (
     IDLE,
     QUATERNION,
     SENSOR,
+    VOLTAGE,
     is_command,
     is_motion,
     spelled,
@@ -102,9 +103,13 @@ def asked_for(guess: Guess) -> None:
 
 
 def named(guess: Guess) -> None:
-    """Columns that are called commands; others that are called motions are none."""
+    """Columns that are called commands; others that are called motions are none. A voltage may be
+    either: where it is noisy, and another column is held, it answers to that."""
+    drives = [c for c in guess.those("") if not is_motion(c.column) and _rests_or_sweeps(guess, c)]
     for c in guess.those(""):
-        _decide(c, "by its name" if is_command(c.column) else "")
+        is_answer = drives and VOLTAGE.search(c.column.base) and not _is_smooth(guess.samples(c))
+        is_named = is_command(c.column) and (c in drives or not is_answer)
+        _decide(c, "by its name" if is_named else "")
 
 
 def beside_measured(guess: Guess) -> None:
@@ -118,16 +123,10 @@ def beside_measured(guess: Guess) -> None:
 
 
 def held(guess: Guess) -> None:
-    """Where nothing is called a command: what rests, and changes by more than a coarse sensor."""
+    """Where nothing is called a command: what rests in some run, and sweeps without noise in
+    others."""
     for c in _of_no_motion(guess):
-        values = guess.samples(c)
-        repeats = [np.diff(v) == 0.0 for v in values if len(v) > 1]
-        share = float(np.mean(np.concatenate(repeats))) if repeats else 0.0
-        if share > _HELD:
-            steps = np.abs(np.concatenate([np.diff(v[np.isfinite(v)]) for v in values]))
-            size = _LARGE * _range(values)
-            is_large = bool((steps > 0.0).any()) and float(np.median(steps[steps > 0.0])) > size
-            _decide(c, _IS_HELD if is_large else "")
+        _decide(c, _IS_HELD if _rests_or_sweeps(guess, c) else "")
 
 
 def smooth(guess: Guess) -> None:
@@ -253,6 +252,22 @@ def _of_no_motion(guess: Guess) -> list[GuessedColumn]:
     if any(c.why != _IS_HELD for c in guess.those("command")):
         return []
     return [c for c in guess.those("") if not is_motion(c.column)]
+
+
+def _rests_or_sweeps(guess: Guess, c: GuessedColumn) -> bool:
+    """Whether a column rests in some run, and changes by more than a coarse sensor; where it does
+    not rest it has no noise but that of rounding."""
+    sweeps, num_held = [], 0
+    for v in guess.samples(c):
+        steps = np.abs(np.diff(v[np.isfinite(v)]))
+        changes = steps[steps > 0.0]
+        if len(changes) >= (1.0 - _HELD) * len(steps):
+            sweeps.append(v)
+        elif len(changes):
+            num_held += 1
+            if float(np.median(changes)) <= _LARGE * _range(guess.samples(c)):
+                return False
+    return num_held > 0 and (not sweeps or _is_smooth(sweeps))
 
 
 def _decide(c: GuessedColumn, why: str) -> None:

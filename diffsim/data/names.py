@@ -34,6 +34,7 @@ COMMAND = re.compile(
     r"|^u\d*$|^(m|mot|motor|rotor|rpm|servo|rc|out)_?\d+$",
     re.I,
 )
+VOLTAGE = re.compile(r"^u\d*$|(^|_)voltage(_|\d|$)", re.I)  # commanded, or what a current leaves
 _ACTUAL = r"measured|meas|ist|istwert|actual|present|observed|obs|feedback"
 #: Sensors by their names, and motion by names that mean it with a unit of motion.
 SENSOR = re.compile(

@@ -598,3 +598,33 @@ def test_what_is_called_a_command_is_one(tmp_path, name):
     assert init(tmp_path) == 0
     study = load_study(tmp_path)
     assert len(study.commands) == 1 and [c.name for c in study.channels] == ["x"]
+
+
+def test_a_current_that_is_set_drives_and_the_voltage_that_answers_does_not(tmp_path, capsys):
+    """Set in steps in one run and swept in the other; U [V] is also what a command is called."""
+    rng, time = np.random.default_rng(5), np.arange(0.0, 400.0)
+    steps = np.repeat(rng.uniform(-5.0, 20.0, 10), 40)
+    for name, current in (("steps", steps), ("sweep", 8.0 + 6.0 * np.sin(0.02 * time))):
+        voltage = 48.0 - 0.03 * current + rng.normal(0.0, 0.01, len(time))
+        write(tmp_path / f"{name}.csv", "t (s),I (A),U (V)", [time, current, voltage])
+    assert init(tmp_path) == 0
+    said = capsys.readouterr()
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["I"]
+    assert [c.name for c in study.channels] == ["U"]
+    assert "shows no more" not in said.out + said.err
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.2])
+def test_what_was_set_has_no_flat_top_and_headers_without_units_no_slip(tmp_path, capsys, scatter):
+    """With scatter in one run the force is taken for a channel, else for a command."""
+    rng, time = np.random.default_rng(6), np.arange(0.0, 20.0, 0.05)
+    steps = np.repeat(rng.uniform(0.0, 60.0, 10), 40)
+    sweep = 30.0 + 20.0 * np.sin(0.5 * time) + rng.normal(0.0, scatter, len(time))
+    for name, force in (("steps", steps), ("sweep", sweep)):
+        speed = force / 25.4 + rng.normal(0.0, 0.02, len(time))
+        write(tmp_path / f"{name}.csv", "t (s),push,speed", [time, force, speed])
+    assert init(tmp_path) == 0
+    assert "record:" not in capsys.readouterr().out
+    commands = [c.name for c in load_study(tmp_path).commands]
+    assert commands == ([] if scatter else ["push"])

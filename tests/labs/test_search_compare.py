@@ -8,7 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from diffsim.diagnose import diagnose
+from diffsim.systems import setup_of
 from labs.search_compare.__main__ import compared, scored
+from labs.search_compare.cars import CARS
 from labs.search_compare.rigs import RIGS
 
 TRUTH = frozenset({"delay"})
@@ -62,3 +65,14 @@ def test_the_upper_tank_of_the_first_run_never_spills():
     assert study.runs[0].measured.max() < study.runs[2].measured.max()
     assert np.isfinite([run.measured.max() for run in study.runs]).all()
     assert [run.use for run in study.runs] == [*["fit"] * 4, "test"]
+
+
+@pytest.mark.cpu(10)
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_delay_of_several_samples_is_no_lag_with_something_beside(seed):
+    """Slopes at zero promise a lag, of which two further causes make up for the shape."""
+    study = CARS["car_that_grips"].record(seed, False)
+    setup = setup_of(study)
+    report = diagnose(study, setup.model, setup.effects, seed=0)
+    assert report.named == ("delay_of_steer",)
+    assert max(row.after / row.noise for row in report.errors) < 1.2

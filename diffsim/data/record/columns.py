@@ -212,7 +212,7 @@ def _units_of_commands(record: Record) -> Iterator[Finding]:
             continue
         for command in record.commands:
             if (
-                channel.unit is None
+                channel.unit in (None, "-")  # of what has no unit nothing is known
                 or channel.unit != command.unit
                 or not _is_far(channel, command)
             ):

@@ -13,6 +13,7 @@ from diffsim.core.units import factor
 from diffsim.data.command_jumps import Jumps, jumps_of
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
+from diffsim.data.steps import rest_and_jump
 from diffsim.data.study import Command
 
 FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself
@@ -285,6 +286,8 @@ def _flat_at(signal: Signal, end: float) -> tuple[int, list[tuple[Samples, int, 
         at = np.flatnonzero(is_end)
         if not len(at):
             continue
+        if _is_set(samples):  # there each value lasts, those at the ends as well
+            continue
         count += len(at)
         for part in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
             if len(part) < 3:
@@ -306,6 +309,13 @@ def _flat_at(signal: Signal, end: float) -> tuple[int, list[tuple[Samples, int, 
     if not is_noisy and abrupt < 0.8 * parts:
         return None
     return count, stretches, is_noisy
+
+
+def _is_set(samples: Samples) -> bool:
+    """Whether values rest and jump, by far more than a coarse sensor's last digit."""
+    jumps = np.abs(samples.changes[samples.changes != 0.0])
+    is_coarse = not len(jumps) or float(np.median(jumps)) < 4.0 * samples.digit
+    return not is_coarse and rest_and_jump([samples.values])
 
 
 def find_frozen(record: Record) -> Iterator[Finding]:
