@@ -32,6 +32,7 @@ from diffsim.copter.exchange.mjcf_text import whole_scene
 from diffsim.core.arrays import Array, Mask
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
+from diffsim.systems.outside.mjcf_laws import take_own
 from diffsim.systems.outside.mjcf_numbers import Numbers
 from diffsim.systems.outside.mjcf_payloads import carriers_of
 from diffsim.systems.outside.mjcf_steps import Steps
@@ -57,6 +58,7 @@ class _Job:
         controls: Commands over the steps, (num_steps, num_controls).
         at_samples: Commands at the samples, where sensors depend on them; None: they do not.
         readers: Entry of ``sensordata`` for each channel.
+        force: Forces that Python adds; None: none.
         can_roll: Whether MuJoCo's own loop does it.
     """
 
@@ -66,6 +68,7 @@ class _Job:
     controls: Array
     at_samples: Array | None
     readers: Sequence[int]
+    force: PlaceForces | None
     can_roll: bool
 
 
@@ -154,13 +157,15 @@ class Mjcf:
                 out += self._simulate_group(group, threads)
         return out
 
-    def count_steps(self, run: Run, num_forces: int = 0) -> float:
+    def count_steps(self, run: Run, force: PlaceForces | None = None) -> float:
         """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``).
 
         Args:
             run: Run that is simulated.
-            num_forces: Number of places where forces of causes act, asked for at each step.
+            force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
+        _, asked = self._take_own({}, force)
+        num_forces = 0 if asked is None else len(asked.acting)
         of_forces = OF_CALL + OF_FORCE * num_forces if num_forces else 0.0
         of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
         return Steps.count(run.time_s, float(self.plain.opt.timestep)) * of_step
@@ -201,6 +206,12 @@ class Mjcf:
         finally:
             self.mujoco.set_mju_user_warning(before)
 
+    def _take_own(
+        self, parameters: Mapping[str, float], force: PlaceForces | None
+    ) -> tuple[dict[str, float], PlaceForces | None]:
+        """Parameters with the forces that MuJoCo has itself, and the forces that are left."""
+        return take_own(self.mujoco, self.numbers, parameters, force)
+
     def _groups_of(self, calls: Sequence[Call]) -> Iterator[list[tuple[Call, Steps]]]:
         """Calls that are simulated side by side: as many steps each, in bounded memory."""
         longest = float(self.plain.opt.timestep)
@@ -231,7 +242,7 @@ class Mjcf:
                 if job.can_roll:
                     ready.append((k, job))
                 else:
-                    out[k] = self._step_through(job, call.force)
+                    out[k] = self._step_through(job)
             except (ValueError, ArithmeticError, self.mujoco.FatalError) as error:
                 out[k] = error
         rolled = self._roll([job for _, job in ready], threads) if ready else []
@@ -244,7 +255,8 @@ class Mjcf:
         while len(self._models) <= place:
             self._models.append(copy.copy(self.plain))
         model, run = self._models[place], call.run
-        setting = self.numbers.put(model, call.parameters)
+        parameters, force = self._take_own(call.parameters, call.force)
+        setting = self.numbers.put(model, parameters)
         values = self._list_controls(run)
         readers = self._find_readers(run)
         delays = {int(self._ctrl_of(i)): late for i, late in setting.delays.items()}
@@ -256,9 +268,10 @@ class Mjcf:
             controls=steps.controls(values, self.held, delays),
             at_samples=steps.at_samples(values, self.held, delays) if is_exact else None,
             readers=readers,
+            force=force,
             can_roll=steps.is_even
             and not is_exact
-            and (call.force is None or not call.force.acts)
+            and (force is None or not force.acts)
             and self._make_rollout is not None,
         )
 
@@ -283,8 +296,9 @@ class Mjcf:
                 out.append(np.array(sensor[job.steps.samples][:, job.readers]))
         return out
 
-    def _step_through(self, job: _Job, force: PlaceForces | None) -> Array:
+    def _step_through(self, job: _Job) -> Array:
         """One step after the other, for what MuJoCo's own loop does not do."""
+        force = job.force
         if force is None or not force.acts:
             return self._loop(job)
         # called at every stage of an integrator, so that forces are as exact as the step
