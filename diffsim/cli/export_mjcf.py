@@ -14,14 +14,8 @@ from diffsim.core.files import write_bytes_atomic, write_text_atomic
 from diffsim.data.study import Run, Study
 from diffsim.systems.outside.description import MJCF, OutsideDescription
 from diffsim.systems.outside.mjcf import Mjcf
+from diffsim.systems.outside.mjcf_laws import OWN_LAWS, path_of_law
 from diffsim.systems.registry import description_of
-
-#: Causes that an element of MuJoCo is, by the array of the joint's axis that grows by their size
-_AT_JOINTS = {
-    "viscous_friction": "joint.{}.damping",
-    "dry_friction": "joint.{}.frictionloss",
-    "added_spring": "joint.{}.stiffness",
-}
 
 
 def is_mjcf(study: Study) -> bool:
@@ -59,17 +53,26 @@ def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[CarriedCau
     return wrote, carried, [_fly(answer, described, again, run) for run in answer.runs]
 
 
+def _path_of(sim: Mjcf, described: OutsideDescription, cause: str) -> str | None:
+    """The number of the model that a cause adds to; None: there is none."""
+    for body in sim.carriers:
+        if cause == f"payload_at_{spell_plainly(body)}":
+            return f"body.{body}.payload"
+    for law in OWN_LAWS:
+        for place in described.hooks.force:
+            if cause == f"{law}_at_{spell_plainly(place)}":
+                return path_of_law(sim.mujoco, sim.numbers, law, place)
+    return None
+
+
 def _carry(
     sim: Mjcf, described: OutsideDescription, cause: str, size: float, numbers: dict[str, float]
 ) -> str | None:
     """Let a number of the model hold a cause; the path of the number, None: there is none."""
-    for law, path in _AT_JOINTS.items():
-        for place in described.hooks.force:
-            if cause == f"{law}_at_{spell_plainly(place)}":
-                full = path.format(place)
-                numbers[full] = numbers.get(full, sim.value_of(full)) + size
-                return full
-    return None
+    path = _path_of(sim, described, cause)
+    if path is not None:
+        numbers[path] = numbers.get(path, sim.value_of(path)) + size
+    return path
 
 
 def _readings(options: Mapping[str, Any]) -> dict[str, Any]:

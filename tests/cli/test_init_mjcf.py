@@ -11,6 +11,7 @@ import yaml
 from diffsim.cli.diagnose_init import init
 from diffsim.data.study_file import load_study
 from diffsim.identify import Problem, WhiteNoise
+from diffsim.systems.outside.mjcf import Mjcf
 from diffsim.systems.registry import setup_of
 
 mujoco = pytest.importorskip("mujoco", reason="MJCF needs the extra 'robots'")
@@ -153,5 +154,73 @@ def test_a_joint_without_a_sensor_is_told_by_its_path(tmp_path):
         Mjcf(path, channels={"q": "joint.elbw.position"})
     body = "<body><joint name='b' type='ball'/><geom size='1'/></body>"
     ball = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
-    with pytest.raises(ValueError, match="'b' has several axes; add a sensor"):
+    with pytest.raises(ValueError, match=r"with 3 axes is no reading; .* add a sensor"):
         Mjcf(ball, channels={"q": "joint.b.position"})
+
+
+ROVER = """<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody>
+  <geom type="plane" size="5 5 .1"/>
+  <body name="chassis" pos="0 0 .05"><freejoint{name}/>
+    <geom type="box" size=".1 .06 .02" mass="2"/><geom type="sphere" size=".02" pos=".08 0 -.03"/>
+    <body name="wheel" pos="-.04 .08 0"><joint name="left" axis="0 1 0" damping="0.02"/>
+      <geom type="cylinder" size=".05 .01" euler="90 0 0" mass=".1"/></body>
+    <body name="other" pos="-.04 -.08 0"><joint name="right" axis="0 1 0" damping="0.02"/>
+      <geom type="cylinder" size=".05 .01" euler="90 0 0" mass=".1"/></body>
+  </body></worldbody>
+  <actuator><velocity name="lm" joint="left" kv=".5"/><velocity name="rm" joint="right" kv=".5"/>
+  </actuator></mujoco>"""
+
+COMMANDS = {"lm_cmd_rad_s": "lm", "rm_cmd_rad_s": "rm"}
+
+
+def rover_folder(tmp_path: Path, name: str) -> tuple[Path, np.ndarray]:
+    (tmp_path / "rover.xml").write_text(ROVER.format(name=name))
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "rover.xml"))
+    for k, run in enumerate("ab"):
+        data, rows = mujoco.MjData(model), []
+        push = np.c_[3.0 + np.sin((1.0 + k) * TIME), 3.0 + np.cos(TIME)]
+        for control in push:
+            rows.append(data.qpos[:7].copy())
+            data.ctrl[:] = control
+            mujoco.mj_step(model, data, nstep=4)
+        header = "time_s,lm_cmd_rad_s,rm_cmd_rad_s,x_m,pos_y_m,z_m,qw,quat_x,qy,qz"
+        table = np.c_[TIME, push, np.array(rows)]
+        np.savetxt(tmp_path / f"{run}.csv", table, delimiter=",", header=header, comments="")
+    return tmp_path, np.array(rows)
+
+
+def test_the_pose_of_a_body_that_moves_freely_is_that_of_its_columns(tmp_path):
+    folder, pose = rover_folder(tmp_path, ' name="root"')
+    init(folder)
+    stated = yaml.safe_load((folder / "study.yaml").read_text())["model"]
+    entries = [f"joint.root.position[{k}]" for k in range(3)]
+    entries += [f"joint.root.orientation[{k}]" for k in range(4)]
+    assert list(stated["options"]["channels"].values()) == entries
+    assert list(stated["start"]) == [f"joint.root.start[{k}]" for k in range(7)]
+    assert stated["parameters"]["actuator.lm.kv"] == {"value": 0.5, "percent": 20}
+    study = load_study(folder / "study.yaml", strict=False)
+    setup = setup_of(study)
+    run = study.runs[1]
+    starts = {name: float(v) for name, v in zip(stated["start"], pose[0], strict=True)}
+    found = setup.model.predict_run(starts, run)
+    np.testing.assert_allclose(found, pose, atol=1e-9)
+
+
+def test_a_free_joint_without_a_name_is_asked_for_one(tmp_path, capsys):
+    folder, _ = rover_folder(tmp_path, "")
+    init(folder)
+    assert "the free joint needs a name" in (folder / "study.yaml").read_text()
+
+
+@pytest.mark.parametrize("channel", ["position", "velocity", "orientation[4]", "position[3]"])
+def test_what_is_no_entry_of_a_pose_is_refused(tmp_path, channel):
+    folder, _ = rover_folder(tmp_path, ' name="root"')
+    run = load_study(_init(folder), strict=False).runs[0]
+    with pytest.raises(ValueError, match=r"is no reading|has no such entry"):
+        sim = Mjcf(str(folder / "rover.xml"), {"c": f"joint.root.{channel}"}, COMMANDS)
+        sim.predict({}, run)
+
+
+def _init(folder: Path) -> Path:
+    init(folder)
+    return folder / "study.yaml"

@@ -34,10 +34,12 @@ from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulatio
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.linearization import Linearization, linearization_at
+from diffsim.identify.model import has_tangents
 
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
+MAX_MENDED = 3  # fits of the best set, each with better slopes along weak directions
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 
 
@@ -191,13 +193,24 @@ def refit(
 
 def fitted_exactly(search: Search, members: Members) -> Search:
     """The search with a set fitted on from its end, where slopes there are not exact: of a set that
-    was far behind another one they need not be."""
+    was far behind another one they need not be, and differences are not along weak directions."""
     made, fit = search.simulations, search.fit_of(members)
     at = made.fitted[members]
-    if has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0)):
+    is_exact = has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
+    model = search.wide.model
+    by_differences = not (model.batched or has_tangents(model))
+    for _ in range(MAX_MENDED):
+        if not is_exact:
+            fit, end = made.fitted_from(members, at, np.inf)
+            made = made.kept(members, end)
+            at = made.fitted[members]
+        better = made.with_weak_slopes(members) if by_differences else at
+        if better is at:
+            break
+        at, is_exact = better, False
+    if at is search.simulations.fitted[members]:
         return search
-    fit, at = made.fitted_from(members, at, np.inf)
-    return replace(search, simulations=made.kept(members, at)).with_fit(members, fit)
+    return replace(search, simulations=made).with_fit(members, fit)
 
 
 def _starts(search: Search, members: Members, near: Center) -> list[Center]:

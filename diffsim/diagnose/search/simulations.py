@@ -23,6 +23,7 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.located import course_at, scan_located
 from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
 from diffsim.diagnose.search.store import Arrays, Store, gauss_newton_kept, packed, unpacked
+from diffsim.diagnose.search.weak_slopes import mended
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.effort import SearchSettings
@@ -180,6 +181,15 @@ class Simulations:
         if self.store is None:
             return gauss_newton(narrow, at, best_cost=best_cost)
         return gauss_newton_kept(self.store, narrow, at, best_cost)
+
+    def with_weak_slopes(self, members: Members) -> Linearization:
+        """A fitted set's linearization with right slopes along weak directions; the same object
+        where they are right."""
+        here = self.fitted[members]
+        own = np.array(here.idx)
+        at = replace(here, x=here.x[own], idx=tuple(range(len(own))))
+        better = mended(self.narrow(members), at)
+        return here if better is at else replace(here, columns=better.columns)
 
     def near(self, members: Members, x: Array, step: float) -> Linearization | None:
         """A set's linearization beside some unknown cause, no further away in any coordinate.

@@ -71,6 +71,7 @@ class PlaceForces:
 
     Attributes:
         places: Names of the places.
+        terms: Forces by law that act.
         acts: Whether any force is there; if not, a simulator may skip the call.
         key: What the forces depend on.
     """
@@ -79,11 +80,11 @@ class PlaceForces:
         self, places: Sequence[str], terms: Sequence[Term], knots: Sequence[ForceKnots] = ()
     ):
         self.places = tuple(places)
-        self._terms = tuple(t for t in terms if t.size != 0.0)
+        self.terms = tuple(t for t in terms if t.size != 0.0)
         self._knots = tuple(k for k in knots if any(k.values))
-        self.acts = bool(self._terms or self._knots)
-        self.key = (self._terms, self._knots)
-        acting = dict.fromkeys([*(t.place for t in self._terms), *(k.place for k in self._knots)])
+        self.acts = bool(self.terms or self._knots)
+        self.key = (self.terms, self._knots)
+        acting = dict.fromkeys([*(t.place for t in self.terms), *(k.place for k in self._knots)])
         #: Places where a force acts, by their index, with the force by time, position and velocity
         self.acting = tuple((self.places.index(p), self._force_at(p)) for p in acting)
 
@@ -91,7 +92,7 @@ class PlaceForces:
         """The force at a place as a function of time, position and velocity."""
         laws = [
             (t.law.on_floats(*OF_FORCES), t.size, SHARP * t.scale)
-            for t in self._terms
+            for t in self.terms
             if t.place == place
         ]
         knots = [k for k in self._knots if k.place == place]
@@ -106,8 +107,12 @@ class PlaceForces:
 
         return force
 
+    def without(self, terms: Sequence[Term]) -> PlaceForces:
+        """The same but for forces that a simulator has itself."""
+        return PlaceForces(self.places, [t for t in self.terms if t not in terms], self._knots)
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.places, self._terms, self._knots)  # functions stay here
+        return type(self), (self.places, self.terms, self._knots)  # functions stay here
 
     def __call__(
         self,

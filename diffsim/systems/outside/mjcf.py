@@ -32,6 +32,7 @@ from diffsim.copter.exchange.mjcf_text import whole_scene
 from diffsim.core.arrays import Array, Mask
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
+from diffsim.systems.outside.mjcf_laws import take_own
 from diffsim.systems.outside.mjcf_numbers import Numbers
 from diffsim.systems.outside.mjcf_payloads import carriers_of
 from diffsim.systems.outside.mjcf_steps import Steps
@@ -40,7 +41,9 @@ from diffsim.systems.outside.source import Call
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
 #: What a channel may show of a joint without a sensor, by the MJCF's own kind of sensor
 JOINT_SENSORS = {"position": "jointpos", "velocity": "jointvel"}
-JOINT = re.compile(rf"joint\.(.+)\.({'|'.join(JOINT_SENSORS)})")
+#: The same of a joint that moves freely, by its entries: x, y, z and w, x, y, z of its body
+FREE_SENSORS = {"position": "framepos", "orientation": "framequat"}
+JOINT = re.compile(r"joint\.(.+)\.(position|velocity|orientation)(?:\[(\d)\])?")
 MAX_BYTES = 100_000_000  # of the states, and of the models, that are simulated side by side
 MAX_MODELS = 64
 OF_CALL, OF_FORCE = 1.0, 1.5  # weighted steps of calling Python at a stage, and of each force there
@@ -57,6 +60,7 @@ class _Job:
         controls: Commands over the steps, (num_steps, num_controls).
         at_samples: Commands at the samples, where sensors depend on them; None: they do not.
         readers: Entry of ``sensordata`` for each channel.
+        force: Forces that Python adds; None: none.
         can_roll: Whether MuJoCo's own loop does it.
     """
 
@@ -66,6 +70,7 @@ class _Job:
     controls: Array
     at_samples: Array | None
     readers: Sequence[int]
+    force: PlaceForces | None
     can_roll: bool
 
 
@@ -81,8 +86,8 @@ class Mjcf:
     Args:
         model: File of the model, or its text, which names no files.
         channels: Sensor of the MJCF for each channel, "tip[0]" for one entry of a vector, or
-            "joint.elbow.position" or ".velocity" of a joint without a sensor; None: all sensors,
-            in their order.
+            "joint.elbow.position" or ".velocity" of a joint without a sensor, of a free one
+            ".position[0]" and ".orientation[0]"; None: all sensors, in their order.
         commands: Actuator of the MJCF for each command; None: actuators are named as commands are,
             and a single actuator takes a single command.
         held: Commands are held from sample to sample; else straight lines join the samples.
@@ -154,13 +159,15 @@ class Mjcf:
                 out += self._simulate_group(group, threads)
         return out
 
-    def count_steps(self, run: Run, num_forces: int = 0) -> float:
+    def count_steps(self, run: Run, force: PlaceForces | None = None) -> float:
         """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``).
 
         Args:
             run: Run that is simulated.
-            num_forces: Number of places where forces of causes act, asked for at each step.
+            force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
+        _, asked = self._take_own({}, force)
+        num_forces = 0 if asked is None else len(asked.acting)
         of_forces = OF_CALL + OF_FORCE * num_forces if num_forces else 0.0
         of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
         return Steps.count(run.time_s, float(self.plain.opt.timestep)) * of_step
@@ -201,6 +208,12 @@ class Mjcf:
         finally:
             self.mujoco.set_mju_user_warning(before)
 
+    def _take_own(
+        self, parameters: Mapping[str, float], force: PlaceForces | None
+    ) -> tuple[dict[str, float], PlaceForces | None]:
+        """Parameters with the forces that MuJoCo has itself, and the forces that are left."""
+        return take_own(self.mujoco, self.numbers, parameters, force)
+
     def _groups_of(self, calls: Sequence[Call]) -> Iterator[list[tuple[Call, Steps]]]:
         """Calls that are simulated side by side: as many steps each, in bounded memory."""
         longest = float(self.plain.opt.timestep)
@@ -231,7 +244,7 @@ class Mjcf:
                 if job.can_roll:
                     ready.append((k, job))
                 else:
-                    out[k] = self._step_through(job, call.force)
+                    out[k] = self._step_through(job)
             except (ValueError, ArithmeticError, self.mujoco.FatalError) as error:
                 out[k] = error
         rolled = self._roll([job for _, job in ready], threads) if ready else []
@@ -244,7 +257,8 @@ class Mjcf:
         while len(self._models) <= place:
             self._models.append(copy.copy(self.plain))
         model, run = self._models[place], call.run
-        setting = self.numbers.put(model, call.parameters)
+        parameters, force = self._take_own(call.parameters, call.force)
+        setting = self.numbers.put(model, parameters)
         values = self._list_controls(run)
         readers = self._find_readers(run)
         delays = {int(self._ctrl_of(i)): late for i, late in setting.delays.items()}
@@ -256,9 +270,10 @@ class Mjcf:
             controls=steps.controls(values, self.held, delays),
             at_samples=steps.at_samples(values, self.held, delays) if is_exact else None,
             readers=readers,
+            force=force,
             can_roll=steps.is_even
             and not is_exact
-            and (call.force is None or not call.force.acts)
+            and (force is None or not force.acts)
             and self._make_rollout is not None,
         )
 
@@ -283,8 +298,9 @@ class Mjcf:
                 out.append(np.array(sensor[job.steps.samples][:, job.readers]))
         return out
 
-    def _step_through(self, job: _Job, force: PlaceForces | None) -> Array:
+    def _step_through(self, job: _Job) -> Array:
         """One step after the other, for what MuJoCo's own loop does not do."""
+        force = job.force
         if force is None or not force.acts:
             return self._loop(job)
         # called at every stage of an integrator, so that forces are as exact as the step
@@ -387,6 +403,8 @@ class Mjcf:
         for name in self.channels.values():
             entry = _ENTRY.fullmatch(name)
             sensor = self.numbers.find("sensor", entry[1] if entry else name, "options.channels")
+            if entry and int(entry[2]) >= int(self.plain.sensor_dim[sensor]):
+                raise ValueError(f"options.channels: {name!r}: {entry[1]} has no such entry")
             out.append(int(self.plain.sensor_adr[sensor]) + (int(entry[2]) if entry else 0))
         return out
 
@@ -441,34 +459,44 @@ def _alike(job: _Job, is_read: Mask, *, alone: bool) -> Iterator[tuple[int, int]
 
 def _joints_without_sensor(
     mujoco: Any, model: Any, channels: Iterable[str]
-) -> list[tuple[str, str, str]]:
-    """Channels that name a joint, for which there is no sensor: their name, kind of sensor, joint.
+) -> list[tuple[str, dict[str, str]]]:
+    """Sensors that channels name by a joint, and the file lacks: their kind and attributes.
 
     Raises:
-        ValueError: there is no such joint, or it has more than one axis.
+        ValueError: there is no such joint, or nothing of it is so called.
     """
-    numbers, out = Numbers(mujoco, model, ()), []
+    numbers, out = Numbers(mujoco, model, ()), dict[str, tuple[str, dict[str, str]]]()
     for channel in dict.fromkeys(channels):
         found = JOINT.fullmatch(channel)
         is_sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, channel) >= 0
         if found is None or is_sensor:
             continue
-        joint = numbers.find("joint", found[1], "options.channels")
-        if numbers.num_axes(joint) > 1:
+        name, what, entry = found.groups()
+        joint = numbers.find("joint", name, "options.channels")
+        kind = (JOINT_SENSORS if numbers.num_axes(joint) == 1 else {}).get(what)
+        of = {"joint": name}
+        if int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE):
+            kind = FREE_SENSORS.get(what)
+            of = {"objtype": "xbody", "objname": model.body(int(model.jnt_bodyid[joint])).name}
+        if kind is None or (entry is None) != ("joint" in of) or not all(of.values()):
             raise ValueError(
-                f"options.channels: joint {found[1]!r} has several axes; add a sensor of what "
-                "was measured to the MJCF, and name it"
+                f"options.channels: {channel!r} of a joint with "
+                f"{numbers.num_axes(joint)} axes is no reading; of one axis .position and "
+                ".velocity are, of a free joint whose body has a name .position[0] to [2] and "
+                ".orientation[0] to [3]; for others add a sensor of what was measured to the "
+                "MJCF, and name it"
             )
-        out.append((channel, JOINT_SENSORS[found[2]], found[1]))
-    return out
+        label = channel.partition("[")[0] if entry else channel
+        out[label] = kind, {"name": label, **of}
+    return list(out.values())
 
 
-def _with_sensors(text: str, joints: Iterable[tuple[str, str, str]]) -> str:
-    """The text of a model with sensors of joints, by their names, kinds and joints."""
+def _with_sensors(text: str, sensors: Iterable[tuple[str, dict[str, str]]]) -> str:
+    """The text of a model with more sensors, by their kinds and attributes."""
     root = ElementTree.fromstring(text)
     section = ElementTree.SubElement(root, "sensor")
-    for name, kind, joint in joints:
-        ElementTree.SubElement(section, kind, {"name": name, "joint": joint})
+    for kind, attributes in sensors:
+        ElementTree.SubElement(section, kind, attributes)
     return ElementTree.tostring(root, encoding="unicode")
 
 

@@ -25,6 +25,9 @@ SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no s
 SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same without a drive
 SMALLEST_SD = 1e-4  # of a start [rad or m]
 SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
+#: Entries of a free joint's place and orientation by what loggers call them
+_PLACE = re.compile(r"(?:(?:p|pos|position|base|root)_?)?([xyz])(?:_m|_mm|_cm)?")
+_TURN = re.compile(r"(?:(?:q|quat|quaternion|orientation)_?)([wxyz])")
 _VELOCITIES, _PUSHES = ("rad/s", "m/s"), ("N", "N m")
 
 
@@ -188,12 +191,38 @@ def _name_channels(simulator: Any, guess: Guess, made: GuessedModel) -> dict[str
     if all(any(words <= _words(c.name) for words in sensors.values()) for c in columns):
         return _match(columns, sensors, "sensor", made)
     joints = [plain.joint(i).name for i in range(plain.njnt) if simulator.numbers.num_axes(i) == 1]
-    found: dict[str, str] = {}
+    free = _name_pose(simulator, columns, made)
+    found = dict(free)
     for kind in JOINT_SENSORS:
-        own = [c for c in columns if (_unit(c) in _VELOCITIES) == (kind == "velocity")]
+        own = [c for c in columns if c.name not in free]
+        own = [c for c in own if (_unit(c) in _VELOCITIES) == (kind == "velocity")]
         targets = {f"joint.{name}.{kind}": _words(name) for name in joints if name}
         found |= _match(own, targets, "joint", made) if own else {}
     return {c.name: found[c.name] for c in columns if c.name in found}
+
+
+def _name_pose(
+    simulator: Any, columns: Sequence[GuessedColumn], made: GuessedModel
+) -> dict[str, str]:
+    """Entries of the pose of the one body that moves freely, where columns are called so."""
+    plain, free = simulator.plain, int(simulator.mujoco.mjtJoint.mjJNT_FREE)
+    joints = [i for i in range(plain.njnt) if int(plain.jnt_type[i]) == free]
+    if len(joints) != 1 or not plain.body(int(plain.jnt_bodyid[joints[0]])).name:
+        return {}
+    joint = plain.joint(joints[0]).name
+    found: dict[str, str] = {}
+    for column in columns:
+        for pattern, what, letters in ((_PLACE, "position", "xyz"), (_TURN, "orientation", "wxyz")):
+            if entry := pattern.fullmatch(column.name.lower()):
+                target = f"joint.{joint}.{what}[{letters.index(entry[1])}]"
+                if target not in found.values():
+                    found[column.name] = target
+    if found and not joint:
+        made.todo.append("model: the free joint needs a name: <freejoint name='root'/>")
+        return {}
+    if found:
+        made.said.append(f"the pose of the free joint by their names: {_pairs(found)}")
+    return found
 
 
 def _unit(column: GuessedColumn) -> str:
@@ -239,8 +268,11 @@ def _parameters(simulator: Any) -> dict[str, Any]:
             out[f"joint.{name}.damping"] = _quantity(first, DAMPING_PERCENT)
     for i in range(plain.nu):
         gain, bias = plain.actuator_gainprm[i], plain.actuator_biasprm[i]
-        if plain.actuator(i).name and gain[0] > 0.0 and bias[1] == -gain[0]:
-            out[f"actuator.{plain.actuator(i).name}.kp"] = _quantity(float(gain[0]), GAIN_PERCENT)
+        name = plain.actuator(i).name
+        if name and gain[0] > 0.0 and bias[1] == -gain[0]:
+            out[f"actuator.{name}.kp"] = _quantity(float(gain[0]), GAIN_PERCENT)
+        elif name and gain[0] > 0.0 and bias[1] == 0.0 and bias[2] == -gain[0]:
+            out[f"actuator.{name}.kv"] = _quantity(float(gain[0]), GAIN_PERCENT)
     return out
 
 
@@ -251,12 +283,18 @@ def _quantity(value: float, percent: int) -> dict[str, float]:
 def _positions(
     channels: Mapping[str, str], guess: Guess
 ) -> Iterator[tuple[str, list[Array], float]]:
-    """Joints whose position is recorded, its course in each run and the noise, in SI units."""
+    """Joints whose position is recorded, its course in each run and the noise, in SI units; of a
+    free joint its entries, as starts have them."""
     for column in guess.those("channel"):
         found = JOINT.fullmatch(channels.get(column.name, ""))
-        if found and found[2] == "position":
+        if found and found[2] != "velocity":
+            entry = "" if found[3] is None else f"[{int(found[3]) + 3 * (found[2] != 'position')}]"
             times = to_si(column.unit).factor
-            yield found[1], [times * c for c in guess.samples(column)], times * (column.sd or 0.0)
+            yield (
+                found[1] + entry,
+                [times * c for c in guess.samples(column)],
+                times * (column.sd or 0.0),
+            )
 
 
 def _starts(channels: Mapping[str, str], guess: Guess) -> dict[str, Any]:
@@ -266,7 +304,12 @@ def _starts(channels: Mapping[str, str], guess: Guess) -> dict[str, Any]:
         first = np.array([course[np.isfinite(course)][0] for course in courses])
         sd = max(3.0 * noise, 2.0 * float(np.abs(first - first.mean()).max()), SMALLEST_SD)
         value = float(f"{first.mean():.4g}")
-        out[f"joint.{joint}.start"] = {"value": value, "sd": float(f"{sd:.2g}"), "per": "run"}
+        name, bracket, entry = joint.partition("[")
+        out[f"joint.{name}.start{bracket}{entry}"] = {
+            "value": value,
+            "sd": float(f"{sd:.2g}"),
+            "per": "run",
+        }
     return out
 
 
@@ -277,6 +320,8 @@ def _places(
     out: dict[str, Any] = {}
     plain, m = simulator.plain, simulator.mujoco
     for name, courses, _ in _positions(channels, guess):
+        if "[" in name:  # a free body has no axis
+            continue
         joint = simulator.numbers.find("joint", name, "")
         is_slide = int(plain.jnt_type[joint]) == int(m.mjtJoint.mjJNT_SLIDE)
         reach = max(0.5 * float(np.nanmax(c) - np.nanmin(c)) for c in courses)

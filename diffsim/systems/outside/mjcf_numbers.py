@@ -168,12 +168,15 @@ class Numbers:
         return _DOFS[int(self.plain.jnt_type[joint])][1]
 
     def value_of(self, text: str) -> float:
-        """What the file states for damping, armature, friction or stiffness of a joint.
+        """What the file states for damping, armature, friction or stiffness of a joint; a payload
+        of a body is none.
 
         Raises:
             ValueError: there is no such parameter.
         """
         path = Path.of(text)
+        if path.what == "payload":
+            return 0.0
         joint = self.find(path.kind, path.name, "parameters")
         if path.what == "stiffness":
             return float(self.plain.jnt_stiffness[joint])

@@ -257,27 +257,26 @@ class OutsideModel(SimModel):
 
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction; counted where the simulator counts its own."""
-        return self._cost_of(run, numerics or Numerics(), 0)
+        return self._cost_of(run, numerics or Numerics(), None)
 
-    def _cost_of(self, run: Run, numerics: Numerics, num_forces: int) -> float:
+    def _cost_of(self, run: Run, numerics: Numerics, forces: PlaceForces | None) -> float:
         """Weighted steps of a prediction.
 
         Args:
             run: Run that is simulated.
             numerics: Factors on the simulator's own settings.
-            num_forces: Number of places where forces of causes act.
+            forces: Forces of causes, if any.
         """
         if self._count_steps is None:
             return super().cost(run, numerics)
-        return self.run_cost + float(self._count_steps(run, num_forces)) / numerics.time_step
+        return self.run_cost + float(self._count_steps(run, forces)) / numerics.time_step
 
     def note_simulations(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
         """Count nothing: calls are counted where they are made, records are used again."""
 
     def count(self, job: Job) -> None:
         """Count a call of the simulator."""
-        num_forces = 0 if job.forces is None else len(job.forces.acting)
-        self.simulations.add(1, round(self._cost_of(job.run, job.numerics, num_forces)))
+        self.simulations.add(1, round(self._cost_of(job.run, job.numerics, job.forces)))
 
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes, side by side where there are workers."""

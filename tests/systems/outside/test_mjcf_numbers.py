@@ -238,7 +238,8 @@ def test_calls_are_counted_where_they_are_made():
     sim = Mjcf(XML.format(POSITION), CHANNELS, {"moment_Nm": "m"})
     setup = outside_setup(study, sim, {}, places=[Place("elbow", "N m", 0.05, speed=3.0)])
     model, run = setup.model, study.runs[0]
-    (friction,) = [e for e in setup.effects if e.name == "dry_friction_at_elbow"]
+    (friction,) = [e for e in setup.effects if e.name == "square_drag_at_elbow"]
+    (own,) = [e for e in setup.effects if e.name == "dry_friction_at_elbow"]
     (scale,) = [e for e in setup.effects if e.name == "sensor_scale_of_angle"]
     point = torch.stack([model.at_prior()] * 3)
     sizes = {friction: torch.full((3, 1), 0.05), scale: torch.tensor([[0.0], [0.1], [0.2]])}
@@ -249,6 +250,8 @@ def test_calls_are_counted_where_they_are_made():
     assert model.simulations.steps == pytest.approx(250 + (119 * 4 + 1) * 4.9, abs=1)
     model.predict_many(run, point, sizes)
     assert model.simulations.count == 1
+    model.predict_many(run, point[:1], {own: torch.full((1, 1), 0.05).double()})
+    assert model.simulations.steps == pytest.approx(500 + (119 * 4 + 1) * 7.3, abs=1), "MuJoCo's"
 
 
 def test_steps_are_counted_and_bounded():

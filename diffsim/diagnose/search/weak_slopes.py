@@ -1,0 +1,75 @@
+"""Slopes along what the data hardly tell, where differences of simulations claim that they do.
+
+Where friction sticks or a contact opens, a record is smooth in pieces, and a difference is wrong by
+a percent of itself. Along most directions that is nothing. But let all masses, gains and frictions
+be a tenth larger: the record stays as it is, their slopes cancel, and a percent of each is left.
+Read as information, it makes an interval several times too narrow and pulls the fit. So the record
+is moved along such directions themselves, by as far as they are uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg
+
+from diffsim.core.arrays import Array
+from diffsim.identify import Problem
+from diffsim.identify.linearization import Linearization, records_at, whitened
+
+WEAK = 0.05  # of the strongest direction: below it an error of a percent or two is a good part
+CLAIMED = 0.1  # share of a direction's information that its slopes claim, the prior has the rest
+WRONG = 0.25  # noise sd, by which slopes may miss what one posterior sd moves
+ROUNDS = 3  # after the first, weak directions are those of better slopes
+LEAST_STEP = 0.1  # of that step: bounds may leave less, then slopes stay
+
+
+def mended(problem: Problem, at: Linearization) -> Linearization:
+    """A linearization whose slopes along weak directions are those of steps along them.
+
+    Args:
+        problem: Model, runs, noise and effects that are fitted.
+        at: Record with the slopes of all coordinates, ``problem``'s.
+
+    Returns:
+        The same object where its slopes are right already.
+    """
+    for _ in range(ROUNDS):
+        change = _change(problem, at)
+        if not change.any():
+            break
+        at = replace(at, columns=at.columns + change)
+    return at
+
+
+def _change(problem: Problem, at: Linearization) -> Array:
+    """What slopes lack along weak directions, (N, n); those along all others, orthogonal, stay."""
+    stretch = problem.stretch(at.x)
+    _, strength, axes = linalg.svd(whitened(problem, at.columns) * stretch, full_matrices=False)
+    told = strength**2 / (1.0 + strength**2)
+    weak = (told > CLAIMED) & (strength < WEAK * strength.max(initial=0.0))
+    sd = 1.0 / np.sqrt(1.0 + strength[weak] ** 2)
+    steps = stretch * axes[weak] * sd[:, None]  # one posterior sd each, in scaled coordinates
+    share = _within_bounds(problem, at.x, steps)
+    here, moved = problem.scaled(at.x), share[:, None] * steps
+    points = [problem.standardized(u) for u in (*(here + moved), *(here - moved))]
+    out = np.zeros_like(at.columns)
+    if not points:
+        return out
+    ahead, behind = np.split(records_at(problem, np.array(points)), 2)
+    for k, step in enumerate(steps):
+        off = 0.5 * (ahead[k] - behind[k]) / max(share[k], LEAST_STEP) - at.columns @ step
+        is_known = share[k] >= LEAST_STEP and bool(np.isfinite(off).all())
+        if is_known and np.linalg.norm(whitened(problem, off)) > WRONG:
+            out += np.outer(off, axes[weak][k] / (sd[k] * stretch))
+    return out
+
+
+def _within_bounds(problem: Problem, x: Array, steps: Array) -> Array:
+    """Share of each step, (num_steps, n), that bounds allow both ways, (num_steps,)."""
+    low, high = problem.bounds
+    room = np.minimum(x - low, high - x)[None]  # of sizes bounds are the same in both coordinates
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(steps != 0.0, room / np.abs(steps), np.inf)
+    return np.asarray(np.clip(shares.min(axis=1), 0.0, 1.0))

@@ -1,0 +1,85 @@
+"""Forces of causes that MuJoCo has itself: a number of the joint holds them.
+
+A force that Python adds at each step is explicit. Dry friction is then viscous at low speed, where
+a joint creeps that should stick, and only fine steps bear it. MuJoCo's own friction is a
+constraint: it sticks, at the file's own step, and its own loop simulates it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+from diffsim.causes.catalogue import rows
+from diffsim.systems.outside.forces import PlaceForces
+from diffsim.systems.outside.mjcf_numbers import Numbers
+
+#: Numbers of a joint that are a cause at it, by the cause; each grows by the cause's size
+OWN_LAWS = {
+    "viscous_friction": "damping",
+    "dry_friction": "frictionloss",
+    "added_spring": "stiffness",
+}
+#: What a file may switch off, so that the number does nothing, by versions of MuJoCo
+_SWITCHES = {
+    "damping": ("mjDSBL_DAMPER", "mjDSBL_PASSIVE"),
+    "frictionloss": ("mjDSBL_FRICTIONLOSS", "mjDSBL_CONSTRAINT"),
+    "stiffness": ("mjDSBL_SPRING", "mjDSBL_PASSIVE"),
+}
+
+
+@cache
+def _by_formula() -> Mapping[str, str]:
+    """The causes by their formulas."""
+    return {rows("force")[law].said("law"): law for law in OWN_LAWS}
+
+
+def path_of_law(mujoco: Any, numbers: Numbers, law: str, joint: str) -> str | None:
+    """The number that is a cause at a joint; None: MuJoCo has none, or not there.
+
+    Args:
+        mujoco: The module.
+        numbers: Of the model.
+        law: Name of the cause.
+        joint: Name of the joint.
+    """
+    what = OWN_LAWS.get(law)
+    if what is None:
+        return None
+    plain, index = numbers.plain, numbers.find("joint", joint, "hooks.force")
+    flags = (getattr(mujoco.mjtDisableBit, name, 0) for name in _SWITCHES[what])
+    is_off = any(int(plain.opt.disableflags) & int(flag) for flag in flags)
+    # a cause pushes back to position 0, a spring to its own rest
+    is_bent = what == "stiffness" and plain.qpos_spring[plain.jnt_qposadr[index]] != 0.0
+    if is_off or is_bent or numbers.num_axes(index) > 1:
+        return None
+    return f"joint.{joint}.{what}"
+
+
+def take_own(
+    mujoco: Any, numbers: Numbers, parameters: Mapping[str, float], force: PlaceForces | None
+) -> tuple[dict[str, float], PlaceForces | None]:
+    """Parameters with the forces that MuJoCo has itself, and the forces that are left.
+
+    A size that would make a number negative is left to Python.
+
+    Args:
+        mujoco: The module.
+        numbers: Of the model.
+        parameters: Values by path.
+        force: Forces that are asked for.
+    """
+    out = dict(parameters)
+    if force is None or not force.acts:
+        return out, force
+    taken = []
+    for term in force.terms:
+        law = _by_formula().get(getattr(term.law, "text", ""), "")
+        path = path_of_law(mujoco, numbers, law, term.place)
+        if path is not None:
+            value = out.get(path, numbers.value_of(path)) + term.size
+            if value >= 0.0:
+                out[path] = value
+                taken.append(term)
+    return out, force.without(taken) if taken else force

@@ -1,0 +1,67 @@
+"""Intervals along what the data do not tell, from slopes that are wrong by a percent."""
+
+import numpy as np
+import pytest
+import torch
+
+from diffsim.diagnose.search.weak_slopes import mended
+from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise
+from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.linearization import linearization_at, whitened
+from tests.diagnose import linear
+
+STRONG = 1000.0  # noise sd that a prior sd of the difference moves
+EDGE = 0.05  # prior sd from edge to edge, 2.5 times the width of differences
+
+
+def problem_of(edges: float, low: float = -np.inf) -> Problem:
+    """A record of u - v and, weakly, of w; in u it bends elsewhere, at edges, by a share."""
+    run = linear.run("r1", 1)
+    shape = linear.shapes("across", run)[..., 0]
+    other, third = (linear.shapes(name, run)[..., 0] for name in ("along", "bends"))
+    size = STRONG / float(np.linalg.norm(shape.numpy() / [c.sd for c in linear.CHANNELS]))
+
+    def build(values, run, numerics):
+        u, v, w = (values[n] for n in "uvw")
+        bend = (torch.remainder(u, EDGE) - 0.5 * EDGE).abs() - 0.25 * EDGE
+        return linear.LinearScene(
+            size * ((u - v) * shape + edges * bend * third + 0.002 * w * other)
+        )
+
+    base = [Parameter(n, 0.013 * (n == "u"), 1.0, "m", lower=low) for n in "uvw"]
+    return Problem(SimModel(build, base, "edges"), (run,), WhiteNoise(linear.CHANNELS), ())
+
+
+def sd_of(problem, at):
+    slopes = whitened(problem, at.columns) * problem.stretch(at.x)
+    return np.sqrt(np.diag(posterior_covariance(slopes)))
+
+
+def test_what_cancels_in_the_record_is_as_uncertain_as_its_priors_say():
+    problem = problem_of(edges=0.01)
+    at = linearization_at(problem, np.zeros(3))
+    better = mended(problem, at)
+    # u and v are known by their priors alone, which share their difference
+    assert sd_of(problem, at)[:2].max() < 0.2
+    np.testing.assert_allclose(sd_of(problem, better)[:2], np.sqrt(0.5), rtol=0.05)
+    np.testing.assert_array_equal(better.record, at.record)
+    # what the data tell stays told: the difference, and w beside it
+    slopes = whitened(problem, better.columns)
+    correlation = posterior_covariance(slopes)[0, 1] / sd_of(problem, better)[:2].prod()
+    assert correlation == pytest.approx(1.0, abs=1e-4)
+    exact = linearization_at(problem_of(edges=0.0), np.zeros(3))
+    assert sd_of(problem, better)[2] == pytest.approx(sd_of(problem, exact)[2], rel=0.05)
+
+
+def test_slopes_that_are_right_stay_the_same_object():
+    problem = problem_of(edges=0.0)
+    at = linearization_at(problem, np.zeros(3))
+    assert mended(problem, at) is at
+
+
+def test_where_bounds_leave_no_step_slopes_stay():
+    problem = problem_of(edges=0.01, low=0.0)
+    at = linearization_at(problem, np.zeros(3))
+    assert mended(problem, at) is at
+    away = linearization_at(problem, np.full(3, 5.0))  # room on both sides
+    assert mended(problem, away) is not away
