@@ -152,8 +152,7 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
             f"{by_labels:+.1f} from labels of other groups"
         )
     else:
-        least = sorted(verdict.smallest_visible.items(), key=lambda item: item[1])[:4]
-        seen = ", ".join(f"{words_of(c)} {v:.2g}" for c, v in least)
+        seen = ", ".join(f"{words_of(c)} {v:.2g}" for c, v in verdict.least_visible[:4])
         out.append(f"  smallest visible: {seen}")
     if verdict.set_aside:
         out.append(f"  set aside: {'; '.join(verdict.set_aside)}")

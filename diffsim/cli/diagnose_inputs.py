@@ -270,7 +270,9 @@ def _study_hash(study: Study) -> str:
         total.update(path.read_bytes())
     total.update(json.dumps(facts, sort_keys=True).encode())
     for run in study.runs:
-        header = [run.name, run.group, run.order, run.use, sorted(run.setup.items())]
+        # what the system found in the recording, such as a start, is fitted: rounding moves it
+        stated = sorted((k, v) for k, v in run.setup.items() if not k.startswith("_"))
+        header = [run.name, run.group, run.order, run.use, stated]
         total.update(json.dumps(header).encode())
         beside = [(f"column {name}", run.columns[name]) for name in sorted(run.columns)]
         recorded = [("t", run.time_s), ("y", run.measured), *sorted(run.command.items()), *beside]

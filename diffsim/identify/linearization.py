@@ -19,6 +19,8 @@ from diffsim.core.memo import Aside
 from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 
+ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
+
 
 class NoWhitener:
     """Takes every sample as it is, missing ones too."""

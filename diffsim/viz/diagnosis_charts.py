@@ -356,7 +356,8 @@ def _heat_map(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar
 
 def _draw_heat_map(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar: str) -> Any:
     return charts.graph_objects().Heatmap(
-        z=[charts.rounded(row) for row in table],
+        # small beside the scale: not its own digits, which may be rounding
+        z=[charts.rounded(np.round(row / high, charts.DIGITS) * high) for row in table],
         x=list(x),
         y=list(y),
         zmin=-high,

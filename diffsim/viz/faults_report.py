@@ -139,17 +139,13 @@ def _explanations(verdicts: Sequence[FaultVerdict]) -> page.Section:
         caption="Most probable explanations of each group, with the probability of each.",
     )
     unseen = [
-        [v.group, ", ".join(f"{words_of(c)} {figure(s, 2)}" for c, s in _least(v)[:MOST_VISIBLE])]
-        for v in verdicts
+        [v.group, ", ".join(f"{words_of(c)} {figure(s, 2)}" for c, s in seen[:MOST_VISIBLE])]
+        for v, seen in ((v, v.least_visible) for v in verdicts)
         if not v.causes
     ]
     caption = "Smallest size of a cause that would have been seen, in its own unit."
     tables = [page.Table(columns=["group", "would be seen"], rows=unseen, caption=caption)]
     return page.Section(title="What else it may be", content=[sets, *(tables if unseen else [])])
-
-
-def _least(verdict: FaultVerdict) -> list[tuple[str, float]]:
-    return sorted(verdict.smallest_visible.items(), key=lambda item: item[1])
 
 
 def _scatter(report: FaultReport) -> page.Section:

@@ -288,6 +288,12 @@ def test_changed_inputs_are_named():
     runs = (replace(study.runs[0], measured=study.runs[0].measured + 1e-9), *study.runs[1:])
     moved = inputs_of(replace(study, runs=runs), seed=0, setup_file=setup).fingerprint
     assert changed(one.fingerprint, moved) == ["study"]
+    for name, seen in (("load_g", ["study"]), ("_start_x_m", [])):  # stated, or found by a fit
+        told = [
+            inputs_of(replace(study, runs=(run_with, *study.runs[1:])), seed=0, setup_file=setup)
+            for run_with in (replace(study.runs[0], setup={name: v}) for v in (0.1, 0.1 + 1e-16))
+        ]
+        assert changed(told[0].fingerprint, told[1].fingerprint) == seen
     # threads change no answer
     assert not changed(
         one.fingerprint, inputs_of(study, seed=0, setup_file=setup, workers=2).fingerprint

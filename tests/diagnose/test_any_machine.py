@@ -6,12 +6,16 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from diffsim.data.study_save import save_study
+from diffsim.diagnose.say.tables import hypothesis_rows
+from diffsim.diagnose.search.evidence import Hypothesis, SetPosterior
 from tests.cli import test_diagnose
-from tests.diagnose import toy
+from tests.diagnose import linear, toy
 
 BUDGET = "2e4"  # ends before all that could win is fitted
 LYING = """
@@ -65,3 +69,19 @@ def test_beside_a_busy_process_on_two_threads_by_a_lying_clock_every_byte_is_the
     finally:
         busy.kill()
         busy.wait()
+
+
+def test_sets_that_only_rounding_tells_apart_stand_in_the_order_in_which_they_were_weighed():
+    effects = [linear.line("push"), linear.line("pull")]
+    sets = [Hypothesis(frozenset({k})) for k in (0, 1)]
+    for less, more in ((1.0, 1.0 + 1e-12), (1.0 + 1e-12, 1.0)):
+        at = np.zeros(2)
+        weighed = {
+            h: SetPosterior(nats, at, at, chi2=0.0, amplitude=0.0)
+            for h, nats in zip(sets, (less, more), strict=True)
+        }
+        search = SimpleNamespace(posteriors={}, linear=weighed, nats=lambda _: 0.0)
+        assert [row.effects for row in hypothesis_rows(search, effects, [])] == [
+            ("push",),
+            ("pull",),
+        ]

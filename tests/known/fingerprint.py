@@ -40,7 +40,9 @@ def _parts(value: Any) -> list[Any]:
     if isinstance(value, Set):
         return sorted(value, key=str)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return [getattr(value, field.name) for field in dataclasses.fields(value)]
+        parts = [getattr(value, field.name) for field in dataclasses.fields(value)]
+        # of an interval a value near zero counts by the interval's width
+        return [np.array(parts)] if all(isinstance(part, float) for part in parts) else parts
     return list(value) if isinstance(value, (list, tuple)) else []
 
 

@@ -679,6 +679,25 @@ def answers_do_not_depend_on_what_was_asked_before(ready: Ready) -> None:
     assert answers(other, 3) == first, "a model that was used answers otherwise"
 
 
+def clocks_may_begin_at_any_second(ready: Ready) -> None:
+    """A recording whose clock begins at another second shows the same, with every cause."""
+    later = Ready(replace(ready.study, runs=tuple(map(begun_later, ready.study.runs))))
+    assert later.effects.keys() == ready.effects.keys()
+    timed = {"gust"}  # swings by the clock: its two sizes hold any phase
+    for names in [[], *few_at_once(e for n, e in ready.effects.items() if n not in timed)]:
+        for run, same in zip(ready.cut.runs[:2], later.cut.runs[:2], strict=True):
+            found = later.shown(same, sized(later, names, 0.7))
+            wanted = ready.shown(run, sized(ready, names, 0.7))
+            # stamps are rounded otherwise; a flight makes 1e-14 s up to 4e-5 noise sd
+            near = {"rtol": 1e-6, "atol": 1e-3, "equal_nan": True}
+            torch.testing.assert_close(found, wanted, **near, msg=lambda m, of=names: f"{of}: {m}")
+
+
+def begun_later(run: Run) -> Run:
+    """The same recording by a clock that began earlier."""
+    return replace(run, time_s=run.time_s + 64.0)
+
+
 def names_are_spelled_one_way(ready: Ready) -> None:
     """Names, families and units of causes, and the units in which people read sizes."""
     for e in ready.setup.effects:
@@ -716,6 +735,7 @@ STATEMENTS = (
     slopes_are_those_of_differences,
     many_points_are_as_one_by_one,
     answers_do_not_depend_on_what_was_asked_before,
+    clocks_may_begin_at_any_second,
     names_are_spelled_one_way,
     numerical_causes_are_shares_of_finer_settings,
 )

@@ -52,6 +52,7 @@ NOT_KEPT = {
         (name, "priors_are_as_stated"): "a stated resistance holds for the stated viscosity"
         for name in ("flow_in_time", "flow_levels")
     },
+    ("soft_swung", "clocks_may_begin_at_any_second"): "its start says 0 s of the clock",
     ("outside", "slopes_are_those_of_differences"): "a simulator of one's own has no slopes",
     ("multicopter", "slopes_are_those_of_differences"): "its windows begin where its record says",
 }

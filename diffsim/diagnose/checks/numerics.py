@@ -23,14 +23,13 @@ from diffsim.diagnose.checks.gates import GateResult
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.linearization import Linearization, record_at, whitened
+from diffsim.identify.linearization import ROUNDING, Linearization, record_at, whitened
 from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
 NUMERICS_LAMBDA = 2.0
 # Of what a cause does, from which refining a setting once could be the cause: all further
 # refinements of a first-order method change as much again, and near kinks none are in proportion.
 NUMERICS_SHARE = 0.25
-ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
 NUMERICS_GATES = ("time_step", "mesh", "tolerance")
 
 

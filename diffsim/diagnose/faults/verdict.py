@@ -125,6 +125,11 @@ class FaultVerdict:
         return f"{self.group} ({names[0]}{more})"
 
     @property
+    def least_visible(self) -> list[tuple[str, float]]:
+        """Causes by the smallest visible size; in the library's order where two digits agree."""
+        return sorted(self.smallest_visible.items(), key=lambda item: float(f"{item[1]:.1e}"))
+
+    @property
     def next_words(self) -> str:
         """What to do next about the group, in a sentence."""
         if self.status == SILENT:
@@ -339,7 +344,7 @@ def weighted_quantiles(
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     at = np.searchsorted(total, np.array(shares) * total[-1])
-    low, high = values[order][np.minimum(at, len(values) - 1)]
+    low, high = values[order][at]
     return float(low), float(high)
 
 

@@ -14,7 +14,7 @@ from diffsim.diagnose.judge.averaging import MODEL_FORM
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
-from diffsim.diagnose.search.evidence import VISIBLE, Hypothesis, Screen, SetPosterior
+from diffsim.diagnose.search.evidence import TIE_DIGITS, VISIBLE, Hypothesis, Screen, SetPosterior
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates
@@ -160,7 +160,9 @@ def effect_rows(
                 note="worse on unseen runs" if i in judgment.withdrawn else note,
             )
         )
-    return tuple(sorted(rows, key=lambda r: -(r.nats if r.nats is not None else r.z)))
+    shown = [row.z if row.nats is None else row.nats for row in rows]
+    order = sorted(range(len(rows)), key=lambda k: -round(shown[k], TIE_DIGITS))
+    return tuple(rows[k] for k in order)
 
 
 def evidence_for(search: Search, i: int) -> float:
@@ -206,7 +208,7 @@ def hypothesis_rows(
     for members, (words, nats) in (instead or {}).items():
         plain = row(Hypothesis(members), search.posteriors[Hypothesis(members)], True)
         rows.append(replace(plain, unknown=words, nats=nats - base))
-    return tuple(sorted(rows, key=lambda r: (not r.refitted, -r.nats)))
+    return tuple(sorted(rows, key=lambda r: (not r.refitted, -round(r.nats, TIE_DIGITS))))
 
 
 def cannot_see(

@@ -41,6 +41,7 @@ from diffsim.core.memo import Aside, SpilledArray
 from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, precision_at
+from diffsim.identify.linearization import ROUNDING
 from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.unknown import Unknown
 
@@ -56,6 +57,7 @@ FARTHER = 4.0
 NORMAL: Mapping[int, float] = MappingProxyType({})  # every base parameter by its data sheet
 KEEP_NATS = 4.0  # evidence that a member of a set, or an unknown cause, must add
 ALONE_NATS = 3.0  # lead over every rival that a set needs to be named alone
+TIE_DIGITS = 6  # of nats: sets that agree so far rank alike, not as rounding has it
 
 
 @dataclass(frozen=True)
@@ -337,11 +339,12 @@ def screen(linear: LaplaceEvidence) -> Screen:
     # the second part vanishes at the exact optimum; so written, an inexact one does no harm
     score = g.T @ residual - absorbed.T @ (j.T @ residual - linear.x0[:n])
     diagonal = np.clip(np.diag(information), 0.0, None)
-    # a column that the base parameters absorb up to rounding carries no information
-    blind = diagonal <= 1e-12 * np.sum(g**2, axis=0) + 1e-300
+    # a column that the base parameters absorb up to rounding, or that is rounding, tells nothing
+    moved = np.sum(g**2, axis=0)
+    blind = (diagonal <= 1e-12 * moved) | (moved <= ROUNDING**2)
     root = np.where(blind, np.inf, np.sqrt(diagonal))
     unit = problem.size_units  # at sizes of zero, where slopes by size and by coordinate agree
-    tilde = g - j @ absorbed
+    tilde = np.where(blind, 0.0, g - j @ absorbed)
     length = np.linalg.norm(tilde, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         cosine = np.nan_to_num((tilde.T @ tilde) / np.outer(length, length))

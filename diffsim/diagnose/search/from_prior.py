@@ -18,7 +18,7 @@ from scipy import sparse
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo
 from diffsim.data.study import Run
-from diffsim.diagnose.search.evidence import SetPosterior
+from diffsim.diagnose.search.evidence import TIE_DIGITS, SetPosterior
 from diffsim.diagnose.search.fit import HARD_START_CHI2
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.scan import groups, num_points
@@ -125,9 +125,10 @@ def promising_sets(center: Center, max_effects: int) -> list[tuple[Members, SetP
         return alone
     best = [next(iter(members)) for members, _ in alone[:PAIRED]]
     pairs = {frozenset({i, j}) for i in best for j in range(count) if i != j}
-    return sorted([*alone, *_rank_sets(center, pairs)], key=lambda entry: -entry[1].nats)
+    found = [*alone, *_rank_sets(center, pairs)]
+    return sorted(found, key=lambda e: -round(e[1].nats, TIE_DIGITS))
 
 
 def _rank_sets(center: Center, sets: Iterable[Members]) -> list[tuple[Members, SetPosterior]]:
     ranked = [(members, center.weigh(members)) for members in sets]
-    return sorted(ranked, key=lambda entry: (-entry[1].nats, sorted(entry[0])))
+    return sorted(ranked, key=lambda e: (-round(e[1].nats, TIE_DIGITS), sorted(e[0])))

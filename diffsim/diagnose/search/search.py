@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.checks.numerics import check_numerics_of_set
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, families
+from diffsim.diagnose.search.evidence import (
+    ALONE_NATS,
+    KEEP_NATS,
+    TIE_DIGITS,
+    Hypothesis,
+    families,
+)
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.fitted_sets import Search, weigh_unknowns
 from diffsim.diagnose.search.from_prior import (
@@ -300,7 +306,7 @@ def _with_linear(
     """Linear evidence of sets at a center [nats], kept for the table."""
     entries = {s: center.weigh(s) for s in sets}
     new = {Hypothesis(s): w for s, w in entries.items() if Hypothesis(s) not in search.posteriors}
-    nats = {s: w.nats for s, w in entries.items()}
+    nats = {s: round(w.nats, TIE_DIGITS) for s, w in entries.items()}
     return nats, replace(search, linear={**search.linear, **new})
 
 

@@ -106,6 +106,8 @@ def test_sizes_hold_what_was_hidden(judged):
 
 def test_words_say_the_size(judged):
     verdict = judged[0]["first0"]
+    alike = replace(verdict, smallest_visible={"b": 0.05512, "a": 0.05511, "c": 0.03})
+    assert [name for name, _ in alike.least_visible] == ["c", "b", "a"]  # no order of rounding
     assert verdict.status == CERTAIN
     assert verdict.words == f"First by {verdict.sizes[0].interval.value:.2f}."
 
@@ -181,6 +183,8 @@ def test_mistakes_are_said_in_terms_of_the_keys(changes, message):
 def test_quantiles_of_weighted_samples():
     values, weights = np.array([3.0, 1.0, 2.0]), np.array([0.1, 0.8, 0.1])
     assert weighted_quantiles(values, weights, (0.05, 0.95)) == (1.0, 3.0)
+    assert weighted_quantiles(values, weights, (0.0, 1.0)) == (1.0, 3.0)
+    assert weighted_quantiles(values, weights, (0.85, 0.89)) == (2.0, 2.0)
 
 
 def test_new_runs_are_entries_like_those_of_the_file(tmp_path):

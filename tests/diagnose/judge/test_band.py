@@ -195,11 +195,12 @@ def test_correlated_parameters_move_together():
     assert np.sqrt(np.sum(changes**2)) == pytest.approx(3.0 * np.sqrt(0.002), rel=0.1)
 
 
-def test_moves_stay_within_bounds():
+@pytest.mark.parametrize(("room", "share"), [(0.0, -1.0), (0.04, -1.0), (0.06, 0.6), (9.0, 1.0)])
+def test_moves_stay_within_bounds_and_are_told_as_whole_ones(room, share):
     at = type("At", (), {"problem": Growth()})()
-    at.problem.bounds = np.full(2, -np.inf), np.array([0.0, np.inf])
+    at.problem.bounds = np.full(2, -np.inf), np.array([room, np.inf])
     (changes,) = _changes(at, np.zeros(2), np.eye(2) * 0.1, None)
-    assert changes == pytest.approx([1.0 - np.exp(-0.1), np.exp(0.1) - 1.0])
+    assert changes == pytest.approx([(np.exp(0.1 * share) - 1.0) / share, np.exp(0.1) - 1.0])
 
 
 def test_of_a_channel_that_no_part_measured_nothing_is_said():

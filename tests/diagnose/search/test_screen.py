@@ -55,6 +55,15 @@ def test_smallest_visible_size_has_a_score_of_six():
         np.testing.assert_allclose(np.sqrt(left), VISIBLE, rtol=1e-6)
 
 
+def test_slopes_that_are_rounding_tell_nothing():
+    problem, x = linear.problem(EFFECTS), np.zeros(6)
+    residual, slopes = problem.linearize(x)
+    slopes[:, 3] = 1e-10 * np.random.default_rng(0).normal(size=len(slopes))
+    seen = screen(LaplaceEvidence(problem, x, residual, slopes, [], 1))
+    assert seen.smallest_visible[1] == np.inf and seen.z[1] == 0.0
+    assert not seen.confounding[1].any() and seen.confounding[2].any()
+
+
 def test_confounding_is_one_for_twins_and_blind_for_a_base_parameter():
     twins = (linear.line("push"), linear.line("push", typical=4.0))
     problem = linear.problem(twins)
