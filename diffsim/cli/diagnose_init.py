@@ -17,7 +17,7 @@ from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
 from diffsim.data.folder_rules import guess_study
-from diffsim.data.guess import Guess, GuessedColumn, GuessedRun
+from diffsim.data.guess import PIECES, Guess, GuessedColumn, GuessedRun
 from diffsim.data.joined_files import Kind
 from diffsim.data.record import record_findings
 from diffsim.data.study_check import TODO
@@ -219,7 +219,8 @@ def _runs(guess: Guess) -> Iterator[str]:
     if guess.split:
         yield from _split_runs(guess)
     elif len(guess.runs) == 1:
-        entry = {**_entry(guess.runs[0]), "blocks": {"num": 6, "use": {"select": [4], "test": [6]}}}
+        blocks = {"num": PIECES, "use": {"select": [4], "test": [PIECES]}}
+        entry = {**_entry(guess.runs[0]), "blocks": blocks}
         yield f"  - {_write_inline(entry)}    # one long run, cut into six pieces"
     elif entry := _pattern(guess):
         yield f"  - {_write_inline(entry)}    # {{run}}: each of {len(guess.runs)}"

@@ -7,11 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from diffsim.core.arrays import Array, IntArray
 from diffsim.data.folder_tables import FoundTable
 from diffsim.data.joined_files import Kind
 from diffsim.data.table import Table
 from diffsim.data.table_guess import Column
+
+PIECES = 6  # that one long run is cut into
 
 
 @dataclass(eq=False)
@@ -111,6 +115,14 @@ class Guess:
     def samples(self, of: GuessedColumn) -> list[Array]:
         """Samples of a column in each run, (num_samples,) each."""
         return [run.numbers(of) for run in self.runs]
+
+    def pieces(self, of: GuessedColumn) -> list[Array]:
+        """The same of each run as the study will have it: one long run is cut."""
+        whole = self.samples(of)
+        if len(whole) != 1 or self.split:
+            return whole
+        edges = np.linspace(0, len(whole[0]), PIECES + 1).round().astype(int)
+        return np.split(whole[0], edges[1:-1])
 
 
 def listed(what: str, names: Iterable[str], most: int = 10) -> list[str]:

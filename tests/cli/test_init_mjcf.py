@@ -74,7 +74,7 @@ def test_a_folder_with_an_mjcf_is_simulated_without_a_word(tmp_path, capsys):
     problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), ())
     starts = {"joint.elbow.start@fast": 0.1, "joint.elbow.start@slow": 0.0}
     values = [
-        (starts.get(p.name, -0.3 if "start" in p.name else p.value) - p.value) / p.sd
+        (starts.get(p.name, -0.3 if ".start@" in p.name else p.value) - p.value) / p.sd
         for p in problem.model.base
     ]
     shown = problem.records(np.array([values]))[0]
@@ -224,3 +224,34 @@ def test_what_is_no_entry_of_a_pose_is_refused(tmp_path, channel):
 def _init(folder: Path) -> Path:
     init(folder)
     return folder / "study.yaml"
+
+
+def test_pieces_of_one_long_run_begin_where_and_as_fast_as_they_do(tmp_path):
+    folder = arm_folder(tmp_path)
+    (folder / "fast.csv").unlink()
+    init(folder)
+    start = yaml.safe_load((folder / "study.yaml").read_text())["model"]["start"]
+    study = load_study(folder / "study.yaml", strict=False)
+    assert len(study.runs) == 6
+    for joint, place in (("shoulder", 0), ("elbow", 1)):
+        first = np.array([run.measured[0, place] for run in study.runs])
+        stated = start[f"joint.{joint}.start"]
+        assert stated["value"] == pytest.approx(first.mean(), rel=1e-3)
+        assert stated["sd"] == pytest.approx(2.0 * np.abs(first - first.mean()).max(), rel=0.05)
+        rates = [np.gradient(r.measured[:, place], 0.02, edge_order=2)[0] for r in study.runs]
+        rate = start[f"joint.{joint}.start_rate"]
+        assert rate["value"] == 0.0 and rate["per"] == "run"
+        # the elbow turns within few samples: its rate there is known to a third
+        assert rate["sd"] == pytest.approx(2.0 * np.abs(rates).max(), rel=0.4)
+
+
+def test_runs_that_begin_at_rest_have_no_rate_there(tmp_path):
+    folder = arm_folder(tmp_path)
+    for name in ("slow", "fast"):
+        table = np.loadtxt(folder / f"{name}.csv", delimiter=",", skiprows=1)
+        table = np.vstack([table[:1].repeat(6, axis=0), table])
+        table[:, 0] = 0.02 * np.arange(len(table))
+        np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=HEADER, comments="")
+    init(folder)
+    start = yaml.safe_load((folder / "study.yaml").read_text())["model"]["start"]
+    assert list(start) == ["joint.shoulder.start", "joint.elbow.start"]

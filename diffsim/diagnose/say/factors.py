@@ -67,6 +67,7 @@ def sheet_words(rows: Sequence[tuple[CauseRow, float]]) -> list[str]:
         rows: Findings in the unit in which they are read, and what the data sheet says.
     """
     found: dict[str, tuple[float, list[CauseRow]]] = {}
+    others: list[tuple[Interval, CauseRow]] = []
     for row, stated in rows:
         size = next(iter(row.size.values()))
         if stated == 0.0:
@@ -77,7 +78,21 @@ def sheet_words(rows: Sequence[tuple[CauseRow, float]]) -> list[str]:
             alike = (k for k, (f, _) in found.items() if is_same_factor(value, f))
             key = next(alike, words)
             found.setdefault(key, (value, []))[1].append(row)
-    return [_say(words, value, rows) for words, (value, rows) in found.items()]
+        else:
+            others.append((Interval(value, low, high), row))
+    said = [_say(words, value, rows) for words, (value, rows) in found.items()]
+    return [*said, *_say_common(others)] if len(others) > 1 else said
+
+
+def _say_common(found: Sequence[tuple[Interval, CauseRow]]) -> list[str]:
+    """Numbers that one factor would put right, though it is that of no slip, as one finding."""
+    if len({row.unit for _, row in found}) > 1:
+        return []
+    low, high = max(f.low for f, _ in found), min(f.high for f, _ in found)
+    if low > high or high - low > WIDEST * abs(low):
+        return []
+    value = 0.5 * (low + high)
+    return [_say(f"{figure(value)} times their data sheets.", value, [row for _, row in found])]
 
 
 def _say(words: str, value: float, rows: Sequence[CauseRow]) -> str:

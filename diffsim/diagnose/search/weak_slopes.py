@@ -22,7 +22,7 @@ WEAK = 0.05  # of the strongest direction: below it an error of a percent or two
 CLAIMED = 0.1  # share of a direction's information that its slopes claim, the prior has the rest
 WRONG = 0.25  # noise sd, by which slopes may miss what one posterior sd moves
 ROUNDS = 3  # after the first, weak directions are those of better slopes
-LEAST_STEP = 0.1  # of that step: bounds may leave less, then slopes stay
+STEP, LEAST_STEP = 0.3, 0.1  # posterior sd; at one, smooth records bend; below, slopes stay
 
 
 def mended(problem: Problem, at: Linearization) -> Linearization:
@@ -51,7 +51,7 @@ def _change(problem: Problem, at: Linearization) -> Array:
     weak = (told > CLAIMED) & (strength < WEAK * strength.max(initial=0.0))
     sd = 1.0 / np.sqrt(1.0 + strength[weak] ** 2)
     steps = stretch * axes[weak] * sd[:, None]  # one posterior sd each, in scaled coordinates
-    share = _within_bounds(problem, at.x, steps)
+    share = STEP * _within_bounds(problem, at.x, STEP * steps)
     here, moved = problem.scaled(at.x), share[:, None] * steps
     points = [problem.standardized(u) for u in (*(here + moved), *(here - moved))]
     out = np.zeros_like(at.columns)

@@ -24,6 +24,7 @@ MASS_PERCENT, DAMPING_PERCENT, GAIN_PERCENT = 10, 50, 20  # of a file that nobod
 SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no surprise
 SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same without a drive
 SMALLEST_SD = 1e-4  # of a start [rad or m]
+BEGIN, SURE_SD = 8, 5.0  # samples that tell how fast a run begins; sd from which it moves
 SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
 #: Entries of a free joint's place and orientation by what loggers call them
 _PLACE = re.compile(r"(?:(?:p|pos|position|base|root)_?)?([xyz])(?:_m|_mm|_cm)?")
@@ -292,25 +293,48 @@ def _positions(
             times = to_si(column.unit).factor
             yield (
                 found[1] + entry,
-                [times * c for c in guess.samples(column)],
+                [times * c for c in guess.pieces(column)],
                 times * (column.sd or 0.0),
             )
 
 
 def _starts(channels: Mapping[str, str], guess: Guess) -> dict[str, Any]:
-    """Where joints begin, by the first samples of their channels, a value of each run."""
+    """Where joints begin, by the first samples of their channels, a value of each run; and how
+    fast, where a run begins in motion."""
     out: dict[str, Any] = {}
     for joint, courses, noise in _positions(channels, guess):
         first = np.array([course[np.isfinite(course)][0] for course in courses])
         sd = max(3.0 * noise, 2.0 * float(np.abs(first - first.mean()).max()), SMALLEST_SD)
-        value = float(f"{first.mean():.4g}")
         name, bracket, entry = joint.partition("[")
-        out[f"joint.{name}.start{bracket}{entry}"] = {
-            "value": value,
-            "sd": float(f"{sd:.2g}"),
-            "per": "run",
-        }
+        path = f"joint.{name}.start{bracket}{entry}"
+        out[path] = {"value": float(f"{first.mean():.4g}"), "sd": float(f"{sd:.2g}"), "per": "run"}
+        if not bracket and (rate := _first_rate(courses, noise, guess)) > 0.0:
+            out[f"joint.{name}.start_rate"] = {
+                "value": 0.0,
+                "sd": float(f"{2.0 * rate:.2g}"),
+                "per": "run",
+            }
     return out
+
+
+def _first_rate(courses: Sequence[Array], noise: float, guess: Guess) -> float:
+    """Largest speed with which a run begins; 0 where it is no more than noise, or without a
+    clock."""
+    clocks = guess.those("clock")
+    if not clocks:
+        return 0.0
+    seconds = to_si(guess.time[0].get("unit", "s")).factor
+    fastest = 0.0
+    for course, clock in zip(courses, guess.pieces(clocks[0]), strict=True):
+        time, seen = seconds * (clock[:BEGIN] - clock[0]), course[:BEGIN]
+        powers = np.vander(time, 3, increasing=True)  # it may speed up from rest
+        is_told = len(time) == BEGIN and np.isfinite(powers).all() and np.isfinite(seen).all()
+        if is_told and np.linalg.matrix_rank(powers) == powers.shape[1]:
+            inverse = np.linalg.pinv(powers)[1]
+            rate, sd = abs(float(inverse @ seen)), float(np.linalg.norm(inverse))
+            if rate > SURE_SD * sd * max(noise, SMALLEST_SD):
+                fastest = max(fastest, rate)
+    return fastest
 
 
 def _places(
@@ -346,7 +370,7 @@ def _usual_speed(course: Array, k: int, guess: Guess) -> float:
     clocks = guess.those("clock")
     if not clocks:
         return 0.0
-    steps = to_si(guess.time[0].get("unit", "s")).factor * np.diff(guess.runs[k].numbers(clocks[0]))
+    steps = to_si(guess.time[0].get("unit", "s")).factor * np.diff(guess.pieces(clocks[0])[k])
     rates = np.diff(course)[steps > 0.0] / steps[steps > 0.0]
     return float(np.nanquantile(np.abs(rates), 0.9)) if rates.size else 0.0
 

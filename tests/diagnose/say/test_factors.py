@@ -66,3 +66,24 @@ def test_numbers_that_are_off_by_one_factor_are_one_finding_with_its_twin():
     assert said == "Friction is 4 times: is a gear counted twice?"
     assert sheet_words([(inertia("mass", 0.8, 1.0), 1.0), (friction, 0.0)]) == []
     assert stated_of(replace(friction, note="nothing")) is None
+
+
+def test_numbers_that_are_off_by_one_factor_are_one_finding():
+    def gain(words, low, high, unit="N m/rad"):
+        size = {"": Interval(0.5 * (low + high), low, high)}
+        return replace(ROW, name=words, words=words, size=size, unit=unit, shown_unit="")
+
+    rows = [(gain("kp of pan", 25.28, 25.6), 6.0), (gain("kp of lift", 33.64, 34.18), 8.0)]
+    assert sheet_words(rows) == ["Kp of pan and kp of lift are all 4.24 times their data sheets."]
+    apart = [rows[0], (gain("kp of lift", 34.3, 34.8), 8.0)]
+    other = [rows[0], (gain("friction", 33.64, 34.18, "N m"), 8.0)]
+    wide = [(gain("kp of pan", 22.0, 28.0), 6.0), (gain("kp of lift", 31.0, 37.0), 8.0)]
+    for given in (apart, other, wide, rows[:1]):
+        assert sheet_words(given) == []
+    masses = [
+        (gain("mass of a", 0.42, 0.43, "kg"), 1.0),
+        (gain("mass of b", 0.84, 0.87, "kg"), 2.0),
+    ]
+    assert (
+        "The twin of inertias 0.425 times as large is a drive 2.35 times" in sheet_words(masses)[0]
+    )
