@@ -651,14 +651,14 @@ def _without_unsimulable(null: Null) -> Null:
     """Without candidates that cannot be moved at all at the plain fit: the others can be judged.
 
     Their usual sizes come of the plain model's motion at its data sheet, which a fit may have made
-    several times as large.
+    several times as large. Each is moved among all of them, at zero: alone a simulation may take
+    other steps.
     """
-    kept, unmet = [], dict(null.case.unmet)
+    kept, unmet, wide = [], dict(null.case.unmet), null.wide
+    x = np.concatenate([null.at.x, np.zeros(len(wide.names) - len(null.at.x))])
     for effect in null.case.effects:
-        problem = replace(null.fit.problem, effects=(effect,))
-        x = np.concatenate([null.at.x, np.zeros(len(effect.components))])
         try:
-            linearization_at(problem, x, problem.columns_of(effect), screen=True)
+            linearization_at(wide, x, wide.columns_of(effect), screen=True)
             kept.append(effect)
         except PredictionError:
             unmet[effect.name] = "at the plain fit not even a small size of it can be simulated"
