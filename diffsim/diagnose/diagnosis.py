@@ -325,14 +325,15 @@ def _with_laws(
     frozen = again.frozen
     named = frozen.best_names if frozen.verdict in NAMES else ()
     held = named or [effect.name for effect in frozen.best.problem.effects]
-    if names & set(held) and _may_take_over(frozen, answer.frozen, names):
-        return again, again
     if again.found is None:
         return answer, again
     nats, of_law = again.nats_with(names)
     before, now = (one.search.null.noise.whitener for one in (answer, again))
-    if now.is_like(before):  # a search that was cut short may not have come to that set
+    if now.is_like(before):  # that search may not have come to the best set without laws
         nats = max(nats, answer.search.nats(Hypothesis(answer.best)))
+    is_ahead = of_law > nats
+    if is_ahead and names & set(held) and _may_take_over(frozen, answer.frozen, names):
+        return again, again
     return _doubted_beside(answer, nats, of_law), again
 
 
