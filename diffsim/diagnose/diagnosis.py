@@ -325,14 +325,15 @@ def _with_laws(
     frozen = again.frozen
     named = frozen.best_names if frozen.verdict in NAMES else ()
     held = named or [effect.name for effect in frozen.best.problem.effects]
-    if names & set(held) and _may_take_over(frozen, answer.frozen, names):
-        return again, again
     if again.found is None:
         return answer, again
     nats, of_law = again.nats_with(names)
     before, now = (one.search.null.noise.whitener for one in (answer, again))
-    if now.is_like(before):  # a search that was cut short may not have come to that set
+    if now.is_like(before):  # that search may not have come to the best set without laws
         nats = max(nats, answer.search.nats(Hypothesis(answer.best)))
+    is_ahead = of_law > nats
+    if is_ahead and names & set(held) and _may_take_over(frozen, answer.frozen, names):
+        return again, again
     return _doubted_beside(answer, nats, of_law), again
 
 
@@ -651,14 +652,14 @@ def _without_unsimulable(null: Null) -> Null:
     """Without candidates that cannot be moved at all at the plain fit: the others can be judged.
 
     Their usual sizes come of the plain model's motion at its data sheet, which a fit may have made
-    several times as large.
+    several times as large. Each is moved among all of them, at zero: alone a simulation may take
+    other steps.
     """
-    kept, unmet = [], dict(null.case.unmet)
+    kept, unmet, wide = [], dict(null.case.unmet), null.wide
+    x = np.concatenate([null.at.x, np.zeros(len(wide.names) - len(null.at.x))])
     for effect in null.case.effects:
-        problem = replace(null.fit.problem, effects=(effect,))
-        x = np.concatenate([null.at.x, np.zeros(len(effect.components))])
         try:
-            linearization_at(problem, x, problem.columns_of(effect), screen=True)
+            linearization_at(wide, x, wide.columns_of(effect), screen=True)
             kept.append(effect)
         except PredictionError:
             unmet[effect.name] = "at the plain fit not even a small size of it can be simulated"

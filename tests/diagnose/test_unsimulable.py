@@ -23,3 +23,25 @@ def test_a_candidate_that_cannot_be_moved_is_not_judged():
     assert report.named == ("push",)
     row = causes(report)["wild"]
     assert row.status == "not judged" and "not even a small size" in row.note
+
+
+def test_a_candidate_that_cannot_be_moved_beside_others_is_not_judged():
+    """Alone it can be: a scene that another candidate makes, at zero, takes other steps."""
+
+    class Marked(linear.LinearScene):
+        pass
+
+    def mark(scene, size, run):
+        return Marked(PUSH.apply(scene, size, run).record)
+
+    def burst(scene, size, run):
+        factor = 1e300 if isinstance(scene, Marked) else 1.0
+        return replace(scene, record=scene.record + (factor * size) ** 3)
+
+    push, wild = replace(PUSH, apply=mark), replace(linear.line("wild"), apply=burst)
+    runs = tuple(recorded(f"r{k}", k, {PUSH: 3.0}) for k in range(6))
+    study = Study("lines", "copter", linear.CHANNELS, runs)
+    settings = DiagnosisSettings(search=SearchSettings(num_refits=4))
+    report = diagnose(study, linear.model(), (push, wild), seed=0, settings=settings)
+    assert report.named == ("push",)
+    assert causes(report)["wild"].status == "not judged"

@@ -64,6 +64,31 @@ def test_a_law_stands_where_nothing_was_named():
     assert diagnosis._may_take_over(answer_of((LAW,), gain=gaining(0.1)), before, {LAW})
 
 
+@pytest.mark.parametrize("ahead", [1.0, -1.0])
+def test_a_law_is_held_against_the_best_set_that_was_found_before(monkeypatch, ahead):
+    """A hull's square drag left noise; the search with laws never came to it, and told a power."""
+    noise = SimpleNamespace(whitener=SimpleNamespace(is_like=lambda other: True))
+    search = SimpleNamespace(
+        nats=lambda hypothesis: 100.0,
+        null=SimpleNamespace(noise=noise),
+        wide=SimpleNamespace(model=SimpleNamespace(simulations=None)),
+    )
+    before = SimpleNamespace(frozen=BEFORE, search=search, best=frozenset({0}))
+    again = SimpleNamespace(
+        frozen=answer_of((LAW,), gain=gaining(0.91)),
+        found=search,
+        search=search,
+        nats_with=lambda laws: (50.0, 100.0 + ahead),
+    )
+    setup = SimpleNamespace(model=SimpleNamespace(), effects=(), unknowns=())
+    port = SimpleNamespace(setup_with=lambda blocks: setup, block=lambda law: law)
+    laws = SimpleNamespace(laws=(SimpleNamespace(name=LAW),), most_nats=-np.inf, begins=())
+    monkeypatch.setattr(diagnosis, "_answer", lambda *asked: again)
+    monkeypatch.setattr(diagnosis, "_doubted_beside", lambda answer, *nats: answer)
+    given: Any = (None, before, port, laws, diagnosis._LawBudget(1.0, None, is_short=False))
+    assert diagnosis._with_laws(*given)[0] is (again if ahead > 0.0 else before)
+
+
 def spending(share, **settings):
     search = SimpleNamespace(
         steps=5.0 + share * GIVEN, settings=SearchSettings(refit_steps=GIVEN, **settings)
