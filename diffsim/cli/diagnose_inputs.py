@@ -32,7 +32,13 @@ MAX_PATH = 200  # longer texts of a description are no paths
 FIRST_STEPS = 16e6  # weighted, of a first answer
 SEARCH: dict[str, Any] = {"scan_steps": FIRST_STEPS, "refit_steps": FIRST_STEPS, "law_steps": None}
 FULL_TIMES = 5.0  # a full answer may cost as many first ones
-FIRST: dict[str, Any] = {"first_mesh": 2.0, "dear_steps": 0.3e6, "again_steps": 16e6}
+PLAIN_SHARE = 0.5  # of the steps of an answer, that the plain model's fit may take
+FIRST: dict[str, Any] = {
+    "first_mesh": 2.0,
+    "dear_steps": 0.3e6,
+    "plain_steps": PLAIN_SHARE * FIRST_STEPS,
+    "again_steps": 16e6,
+}
 
 
 def read_study(given: str) -> Study:
@@ -193,7 +199,9 @@ def _with_budget(settings: DiagnosisSettings, budget: str | float) -> DiagnosisS
         ends = {name: min(getattr(own, name), most) for name in ("scan_steps", "refit_steps")}
         # laws share them, so that the whole ends there, unless the study asks for its own
         laws = None if own.law_steps is None or not own.law_steps < most else own.law_steps
-        return replace(settings, search=replace(own, **ends, law_steps=laws))
+        plain = min(settings.plain_steps, PLAIN_SHARE * most)
+        search = replace(own, **ends, law_steps=laws)
+        return replace(settings, search=search, plain_steps=plain)
     if budget == QUICK:
         return replace(settings, search=replace(settings.search, **SEARCH), **FIRST)
     if isinstance(budget, str) or not budget > 0.0:

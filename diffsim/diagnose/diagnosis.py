@@ -468,7 +468,8 @@ def _answer(
     select = search.null.case.study.select_runs
     validation = validation_of(search.fit_of(NONE), select)
     num_unscanned = len(search.simulations.scans_late)
-    late = tuple(budget_gates(num_unscanned, search.num_late, search.settings))
+    plain = search.null.fit
+    late = tuple(budget_gates(num_unscanned, search.num_late, search.settings, plain))
     checks, judgment = _judge_search(search, checks.joined(late), validation, seed)
     frozen = report_of(search.null, checks, judgment, screened, seed, bank, validation)
     return _Answer(frozen, judgment.search or search, judgment.decision.best, kept)

@@ -65,6 +65,8 @@ class DiagnosisSettings:
         dear_steps: Weighted steps of a simulation of all fitted runs from which an answer begins
             with ``first_mesh``, and is told once what finer settings change (``Correction``)
             instead of simulating everything with them; infinite: never.
+        plain_steps: Weighted steps after which a fit of the plain model ends where it is; infinite:
+            at its end.
         again_steps: Weighted steps of a search up to which it is repeated where the best set needs
             finer numerical settings; else the page says what these change. Infinite: repeated.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
@@ -79,6 +81,7 @@ class DiagnosisSettings:
     refine_budget: float = 8.0
     first_mesh: float = 1.0
     dear_steps: float = math.inf
+    plain_steps: float = math.inf
     again_steps: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
     noise_rounds: int = 3

@@ -12,6 +12,7 @@ from diffsim import copter
 from diffsim.causes.listing import list_causes
 from diffsim.copter import GRAVITY
 from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.core.errors import ConvergenceError
 from diffsim.core.rotation import matrix_from_rpy
 from diffsim.core.schema import read_part
 from diffsim.data.study import Channel, Run, Study
@@ -21,7 +22,7 @@ from diffsim.systems.multicopter.assembly import assembled
 from diffsim.systems.multicopter.description import MulticopterDescription
 from diffsim.systems.multicopter.motion import FlightMotion
 from diffsim.systems.multicopter.scene import Flyer
-from diffsim.systems.multicopter.shooting import MAX_STEPS, SPREAD, Windows
+from diffsim.systems.multicopter.shooting import MAX_STEPS, SPREAD, FlightShooting, Windows
 from labs.systems.copter import causes
 from tests.diagnose.gate import score_error
 
@@ -532,6 +533,40 @@ def test_a_past_thrust_that_wants_below_zero_is_held_at_zero():
     for start in (0.3, 4.0):
         other = windows.find_starts(lagging, near=tensor([[5.0] * 12 + [start]]))
         np.testing.assert_allclose(other.profile(lagging), first, atol=1e-9)
+
+
+def test_a_past_thrust_that_is_let_go_and_comes_back_stays_at_zero():
+    """A little of it helps and more does harm: let go and held in turn, it went round in a circle
+    of 118 flights."""
+    flown = []
+
+    def kinked(starts):
+        flown.append(len(starts))
+        thrust = starts[..., 12:].clamp(min=0.0)
+        fading = (thrust - 2.0 * thrust.clamp(max=0.1)) * torch.exp(-torch.arange(6.0).double())
+        return (starts[..., :1] + fading)[..., None]
+
+    found = pulled(thrust=-3.0).find_starts(kinked)
+    assert float(found.states[0, 12]) == 0.0
+    assert len(flown) < 20
+
+
+def test_points_too_far_from_the_tangents_have_searches_of_their_own(model, flown, monkeypatch):
+    """One of many columns ended a whole answer: its states did not settle by another's tangents."""
+    run, _ = flown
+    q = torch.stack([model.at_prior(), model.at_prior() + 0.3, model.at_prior() - 0.2])
+    want = torch.stack([model.predict(run, point) for point in q])
+    profile = FlightShooting.profile
+
+    def strict(self, predict):
+        if len(predict(self.states[None])) > 1:
+            raise ConvergenceError("too far", residual_norm=1.0, tolerance=0.0, num_iters=1)
+        return profile(self, predict)
+
+    monkeypatch.setattr(FlightShooting, "profile", strict)
+    found = model.predict_many(run, q)
+    # tangents of another point serve where a step is below a hundredth of the spread
+    assert float(((found - want) / SD).abs().max()) < 1e-2
 
 
 def test_a_past_thrust_at_zero_rises_again_when_the_record_asks_for_it():

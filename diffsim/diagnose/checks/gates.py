@@ -177,6 +177,7 @@ def _goes_on(first: Run, second: Run) -> bool:
 
 CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
+PLAIN = "plain_budget"
 UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"
 LEAST_FREEDOM = 3  # samples beyond the numbers of a model, for a law to be one
@@ -287,7 +288,7 @@ def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]
 
 
 def budget_gates(
-    num_unscanned: int, num_unfitted: int, settings: SearchSettings
+    num_unscanned: int, num_unfitted: int, settings: SearchSettings, plain: Fit
 ) -> Iterator[GateResult]:
     """What budgets left out: a larger one may show more, so it is said.
 
@@ -295,7 +296,14 @@ def budget_gates(
         num_unscanned: Groups of effects with kinks that were not tried over decades.
         num_unfitted: Sets that could be better and that nobody fitted.
         settings: The budgets.
+        plain: Fit of the plain model.
     """
+    if plain.ended == "budget":
+        note = (
+            f"the plain model's fit was cut short after {plain.num_evaluations} steps: its error "
+            "may be smaller than said, and so may what causes remove of it"
+        )
+        yield GateResult(PLAIN, False, 0.0, 0.0, note, applies=False)
     if num_unscanned:
         most = f"{settings.scan_steps:,.0f} steps or {settings.scan_points} sizes"
         note = f"groups of causes not tried over decades: {most} were spent before"

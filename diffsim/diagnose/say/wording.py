@@ -15,6 +15,7 @@ from diffsim.diagnose.checks.gates import (
     CUTS,
     LATE,
     LAWS,
+    PLAIN,
     REPEATED,
     REPEATS,
     SCANS,
@@ -249,7 +250,7 @@ def sentences(
         and not g.name.startswith(REPEATS)
     ]
     out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name in (CUTS, WINDOWS)]
-    first = (COARSE, SCANS, LATE, LAWS)
+    first = (COARSE, PLAIN, SCANS, LATE, LAWS)
     out += [f"A first answer: {g.note}." for g in answer.gates if g.name in first]
     return tuple(out)
 

@@ -51,6 +51,7 @@ Array = NDArray[np.float64]
 AMPLITUDES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 # Slopes say nothing of sizes far beyond those that were simulated, and the prior hardly holds them
 # back: linear evidence reaches to thirty typical sizes, as scans do, or four times the center's.
+NOT_FINITE = "slopes or misfit left the range of numbers: the simulation there means nothing"
 ROWS = 1 << 14  # of a record that are looked at at once
 REACH = 20.0  # scaled sizes
 FARTHER = 4.0
@@ -142,28 +143,18 @@ class LaplaceEvidence:
         self.residual, self.jacobian = residual, jacobian
         slopes = jacobian / problem.stretch(x)
         right = residual + slopes @ problem.scaled(x)
-        powers = [_power(h) for h in responses]
-        edges = np.cumsum([jacobian.shape[1], *(h.shape[1] for h in responses)])
-        gram, self.projection = np.zeros((edges[-1], edges[-1])), np.zeros(edges[-1])
+        n = jacobian.shape[1]
+        gram, self.projection = np.zeros((n, n)), np.zeros(n)
+        parts = _parts(problem)
         with np.errstate(over="ignore", invalid="ignore"):
-            for rows in _parts(len(right)):
-                # N(0, 1) coefficients move a sample by one noise sd, root mean square
-                scaled = (h[rows] / p for h, p in zip(responses, powers, strict=True))
-                stacked = np.hstack([slopes[rows], *scaled])
-                gram += stacked.T @ stacked
-                self.projection += stacked.T @ right[rows]
+            for rows in parts:
+                gram += slopes[rows].T @ slopes[rows]
+                self.projection += slopes[rows].T @ right[rows]
             self.power = float(right @ right)
         if not (np.isfinite(gram).all() and np.isfinite(self.power)):
-            raise PredictionError(
-                "slopes or misfit left the range of numbers: the simulation there means nothing"
-            )
+            raise PredictionError(NOT_FINITE)
         self.gram = kept_definite(gram)
-        self.knots = []
-        for own in (slice(a, b) for a, b in pairwise(edges)):
-            power, axes = linalg.eigh(self.gram[own, own])
-            cross = axes.T @ self.gram[own, : edges[0]]
-            knots = Knots(np.maximum(power, 0.0), cross, axes.T @ self.projection[own])
-            self.knots.append(knots)
+        self.knots = [_turn_knots(h, slopes, right, parts) for h in responses]
         self.columns = [problem.columns_of(e) for e in problem.effects]
         self.bounds = problem.bounds
 
@@ -290,15 +281,51 @@ def _log_share(mean: Array, sd: Array, low: Array, high: Array) -> Array:
         return np.asarray(wide + np.log1p(-np.exp(special.log_ndtr(lower) - wide)))
 
 
-def _parts(count: int) -> list[slice]:
-    """Rows a part at a time: copies of all of a long record's would fill the memory."""
-    return [slice(start, start + ROWS) for start in range(0, count, ROWS)]
+def _parts(problem: Problem) -> list[slice]:
+    """Rows of one run, a part at a time: copies of all of a long record's would fill the memory."""
+    edges = np.cumsum([0, *problem.num_valid]).tolist()
+    return [
+        slice(start, min(start + ROWS, stop))
+        for first, stop in pairwise(edges)
+        for start in range(first, stop, ROWS)
+    ]
 
 
-def _power(responses: Array | SpilledArray) -> float:
-    """Root mean square by which N(0, 1) coefficients move a sample; 1 where they move none."""
-    total = sum(float(np.sum(responses[rows] ** 2)) for rows in _parts(len(responses)))
-    return float(np.sqrt(total / len(responses))) or 1.0
+def _turn_knots(
+    responses: Array | SpilledArray, slopes: Array, right: Array, parts: Sequence[slice]
+) -> Knots:
+    """Knots of an unknown cause along their principal axes; those of one command act in its runs
+    only, and have nothing in common with others.
+
+    Raises:
+        PredictionError: responses are not of finite numbers.
+    """
+    m = responses.shape[1]
+    alone, cross, acting = np.zeros((m, m)), np.zeros((m, slopes.shape[1] + 1)), list[slice]()
+    for rows in parts:
+        own = responses[rows]
+        used = np.flatnonzero(own.any(0))
+        if len(used):
+            at = slice(int(used[0]), int(used[-1]) + 1)
+            own = own[:, at]
+            alone[at, at] += own.T @ own
+            cross[at, :-1] += own.T @ slopes[rows]
+            cross[at, -1] += own.T @ right[rows]
+            acting.append(at)
+    if not (np.isfinite(alone).all() and np.isfinite(cross).all()):
+        raise PredictionError(NOT_FINITE)
+    groups = list[slice]()
+    for at in sorted(acting, key=lambda at: at.start):
+        if groups and at.start < groups[-1].stop:
+            at = slice(groups[-1].start, max(at.stop, groups.pop().stop))
+        groups.append(at)
+    # N(0, 1) coefficients move a sample by one noise sd, root mean square
+    square = float(np.trace(alone)) / len(right) or 1.0
+    turned = [linalg.eigh(kept_definite(alone[at, at] / square)) for at in groups]
+    power = np.concatenate([np.zeros(0), *(values for values, _ in turned)])
+    rows_along = [axes.T @ cross[at] for at, (_, axes) in zip(groups, turned, strict=True)]
+    along = np.concatenate([cross[:0], *rows_along]) / np.sqrt(square)
+    return Knots(np.maximum(power, 0.0), along[:, :-1], along[:, -1])
 
 
 VISIBLE = 6.0

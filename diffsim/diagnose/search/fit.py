@@ -9,6 +9,7 @@ Numerical settings are checked at the fit and refined, as long as the budget all
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -54,7 +55,7 @@ HARD_START_CHI2 = 25.0  # chi2 per sample, from which a fit needs an easier star
 Ended = tuple[Fit, Linearization]
 
 
-def first_fit(problem: Problem, windows: Sequence[float]) -> Ended:
+def first_fit(problem: Problem, windows: Sequence[float], until: float = math.inf) -> Ended:
     """Fit of the plain model from its prior; through growing windows where that fails.
 
     A model that cannot be simulated over its own windows (multiple shooting) is asked for shorter
@@ -63,6 +64,7 @@ def first_fit(problem: Problem, windows: Sequence[float]) -> Ended:
     Args:
         problem: The plain model on the runs to be fitted.
         windows: Shares of each run that are fitted first, ascending; (): only whole runs.
+        until: Count of weighted steps of the model after which fits end where they are.
 
     Raises:
         DiffsimError: neither whole runs nor windows can be simulated and fitted.
@@ -71,7 +73,7 @@ def first_fit(problem: Problem, windows: Sequence[float]) -> Ended:
     while True:  # until windows are as short as they may be
         problem = replace(problem, model=model)
         try:
-            return _fit_growing(problem, windows)
+            return _fit_growing(problem, windows, until)
         except DiffsimError:
             shorter = model.shortened(problem.runs)
             if shorter is None:
@@ -92,39 +94,41 @@ def cut(run: Run, share: float) -> Run:
     return run.part(slice(keep))
 
 
-def _fit_growing(problem: Problem, windows: Sequence[float]) -> Ended:
+def _fit_growing(problem: Problem, windows: Sequence[float], until: float) -> Ended:
     start = np.zeros(problem.num_base)
     try:
-        whole = gauss_newton(problem, linearization_at(problem, start))
+        whole = gauss_newton(problem, linearization_at(problem, start), until=until)
     except DiffsimError as error:
         if not windows:
             raise
-        found = _through(problem, start, windows)
+        found = _through(problem, start, windows, until)
         if found is None:
             raise error
         return found
-    if not windows or (
-        whole[0].converged and whole[0].chi2 < HARD_START_CHI2 * whole[0].num_samples
+    if (
+        not windows
+        or whole[0].ended == "budget"
+        or (whole[0].converged and whole[0].chi2 < HARD_START_CHI2 * whole[0].num_samples)
     ):
         return whole
-    through = _through(problem, start, windows)
+    through = _through(problem, start, windows, until)
     ends = [whole] if through is None else [whole, through]
     return min(ends, key=lambda end: end[0].chi2 + end[0].prior)
 
 
-def _through(problem: Problem, x: Array, windows: Sequence[float]) -> Ended | None:
+def _through(problem: Problem, x: Array, windows: Sequence[float], until: float) -> Ended | None:
     """Fits to growing parts of the runs; None where whole runs cannot be fitted from there."""
     for share in windows:
         part = replace(problem, runs=tuple(cut(run, share) for run in problem.runs))
         if not any(np.isfinite(run.measured).any() for run in part.runs):
             continue  # a run-up, of which nothing was measured
         try:
-            short, _ = gauss_newton(part, linearization_at(part, x))
+            short, _ = gauss_newton(part, linearization_at(part, x), until=until)
         except (DiffsimError, ValueError):  # too hard still, or a model of whole runs only
             continue
         x = short.x
     try:
-        return gauss_newton(problem, linearization_at(problem, x))
+        return gauss_newton(problem, linearization_at(problem, x), until=until)
     except DiffsimError:
         return None
 
@@ -285,9 +289,10 @@ def null_fit(case: Case) -> Null:
         for i, c in enumerate(study.channels)
     ]
     problem = case.problem(WhiteNoise(channels))
-    fit, at = first_fit(problem, case.settings.windows)
+    until = case.begun.steps + case.settings.plain_steps
+    fit, at = first_fit(problem, case.settings.windows, until)
     case = replace(case, model=fit.problem.model)
-    case, (fit, at) = _prepare(case, WhiteNoise(channels), (fit, at))
+    case, (fit, at) = _prepare(case, WhiteNoise(channels), (fit, at), until)
     rough = np.array([c.sd for c in channels], dtype=np.float64)
     chosen = [
         choose_commands(r, study.commands, partial(residual_of, fit), rough) for r in recorded
@@ -304,7 +309,8 @@ def null_fit(case: Case) -> Null:
     # a model that fits initial states to the record predicts otherwise without spikes
     if num_spikes or num_misread != num_jumps:
         at = linearization_at(problem, fit.x)
-    return Null(case, noise, *gauss_newton(problem, at), num_spikes, num_misread)
+    ended = gauss_newton(problem, at, until=until)
+    return Null(case, noise, *ended, num_spikes, num_misread)
 
 
 def _without_jumps(case: Case) -> tuple[Case, int]:
@@ -314,7 +320,7 @@ def _without_jumps(case: Case) -> tuple[Case, int]:
     return replace(case, study=replace(case.study, runs=runs)), sum(counts)
 
 
-def _prepare(case: Case, whitener: Whitener, ended: Ended) -> tuple[Case, Ended]:
+def _prepare(case: Case, whitener: Whitener, ended: Ended, until: float) -> tuple[Case, Ended]:
     """The case with its model prepared where the plain model's fit ended, fitted again there.
 
     Windows that are longer than those of the prior are kept where the fit converges in them.
@@ -330,7 +336,7 @@ def _prepare(case: Case, whitener: Whitener, ended: Ended) -> tuple[Case, Ended]
     new = replace(case, model=prepared)
     problem = new.problem(whitener)
     try:
-        again = gauss_newton(problem, linearization_at(problem, fit.x))
+        again = gauss_newton(problem, linearization_at(problem, fit.x), until=until)
     except DiffsimError:
         if not has_windows:
             raise

@@ -64,10 +64,11 @@ class Search:
 
     @property
     def is_cut_short(self) -> bool:
-        """Whether a budget ended it, or coarse simulations stand for finer ones: what it names is
-        likely at most."""
+        """Whether a budget ended it or the plain model's fit, or coarse simulations stand for finer
+        ones: what it names is likely at most."""
         is_coarse = self.null.case.correction is not None
-        return self.num_late > 0 or bool(self.simulations.scans_late) or is_coarse
+        is_late = self.num_late > 0 or self.null.fit.ended == "budget"
+        return is_late or bool(self.simulations.scans_late) or is_coarse
 
     @property
     def steps(self) -> int:

@@ -152,7 +152,11 @@ def has_exact_slopes(at: Linearization, misfit: float) -> bool:
 
 
 def gauss_newton(
-    problem: Problem, start: Linearization, *, best_cost: float | None = None
+    problem: Problem,
+    start: Linearization,
+    *,
+    best_cost: float | None = None,
+    until: float = np.inf,
 ) -> tuple[Fit, Linearization]:
     """The minimum of |W (y - S(x))|^2 + |x|^2 within the bounds.
 
@@ -161,6 +165,7 @@ def gauss_newton(
         start: Start point, with the slopes of all coordinates.
         best_cost: Half the cost of the best set so far [nats]: the further behind it, the larger
             the tolerance; None: nothing to compare with.
+        until: Count of weighted steps of the model after which no further step is taken.
 
     Returns:
         The fit, and the linearization where it ended.
@@ -173,6 +178,9 @@ def gauss_newton(
     ended: Ended = "budget"
     evaluations, message = 0, f"no end after {MAX_STEPS} steps"
     for _ in range(MAX_STEPS):
+        if problem.model.simulations.steps > until:
+            message = "its share of the budget was spent"
+            break
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
         step = _step(s, low, high)
         promised = s.promised(step)

@@ -130,7 +130,7 @@ class Cutter:
         while self.window_s is None and length > MIN_WINDOW_SAMPLES:
             try:
                 # steps in which initial states settle where windows are not too long
-                scene(windows).find_starts(6)
+                scene(windows.with_thrusts_held()).find_starts(6)
                 break
             except DiffsimError:  # the model leaves the record within a window
                 length = max(MIN_WINDOW_SAMPLES, length // 2)

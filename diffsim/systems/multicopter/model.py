@@ -12,6 +12,7 @@ from scipy import sparse
 from torch import Tensor
 
 from diffsim.causes.scales import SCALES, Scales
+from diffsim.core.errors import ConvergenceError
 from diffsim.core.layer import may_be_differentiated
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
@@ -26,7 +27,7 @@ from diffsim.systems.multicopter.cutting import (
 )
 from diffsim.systems.multicopter.figure import figure_of
 from diffsim.systems.multicopter.scene import CopterScene
-from diffsim.systems.multicopter.shooting import RIGID
+from diffsim.systems.multicopter.shooting import RIGID, FlightShooting
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -161,8 +162,8 @@ class CopterModel(SimModel):
         for k, row in enumerate(kinds[:, 1:]):
             mine = torch.nonzero(kind == k)[:, 0]
             mine_only = {e: s[mine] for e, s in sizes.items()}
-            scene = self._build_scene(run, q[mine], mine_only, row, numerics)
-            out[mine] = scene.simulate_many(len(mine), shooting)
+            scenes = partial(self._build_scene, run, present=row, numerics=numerics)
+            out[mine] = _simulate_near(scenes, q[mine], mine_only, shooting)
         return out
 
     def _build_scene(
@@ -177,6 +178,26 @@ class CopterModel(SimModel):
         scene = self.scene(run, q, {e: s[: len(q)] for e, s in there.items()}, numerics)
         assert isinstance(scene, CopterScene)
         return scene
+
+
+def _simulate_near(
+    scenes: Callable[[Tensor, Mapping[Effect, Tensor]], CopterScene],
+    q: Tensor,
+    sizes: Mapping[Effect, Tensor],
+    shooting: FlightShooting,
+) -> Tensor:
+    """Predictions at points near that of the tangents, (K, num_samples, num_channels); a point that
+    is too far from it has a search of its own."""
+    scene = scenes(q, sizes)
+    try:
+        return scene.simulate_many(len(q), shooting)
+    except ConvergenceError:
+        if len(q) == 1:
+            return scene.simulate()[None]
+    middle = len(q) // 2
+    halves = (slice(middle), slice(middle, None))
+    parts = [(q[half], {e: s[half] for e, s in sizes.items()}) for half in halves]
+    return torch.cat([_simulate_near(scenes, *part, shooting) for part in parts])
 
 
 def _round_values(values: Tensor) -> Tensor:

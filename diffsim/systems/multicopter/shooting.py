@@ -161,15 +161,23 @@ class Windows:
             near = self.start if near is None else near
             if near is not None:
                 starts.insert(0, self._hold_at_zero(near, near[0, RIGID:] == 0.0))
+            settled = None
             for windows, states in starts:
-                for _ in range(4):  # times that thrusts held at zero are let go
+                let_go = torch.zeros_like(self.held)
+                while True:
                     shooting, size, states = windows._take_bounded_steps(predict, states, max_steps)
                     if size >= _SETTLED:
                         break
                     wanted = shooting.windows._wants_thrust(predict, states)
                     if not wanted.any():
                         return shooting
+                    if not (wanted & ~let_go).any():  # it came back to zero, and would again
+                        settled = settled or shooting
+                        break
+                    let_go = let_go | wanted
                     windows = self._hold_at_zero(self.guess, shooting.windows.held & ~wanted)[0]
+            if settled is not None:
+                return settled
             if max_steps >= MAX_STEPS:
                 shooting, size = self._creep(predict, starts[0][1] - self.guess)
                 if size < _LINEAR:

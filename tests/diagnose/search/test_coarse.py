@@ -125,8 +125,24 @@ def test_rivals_for_which_the_budget_is_spent_are_said():
     settings = DiagnosisSettings(search=search)
     report = diagnose(study, toy.model(study.runs), effects, seed=0, settings=settings)
     late = [g for g in report.gates if g.name == "refit_budget"]
-    assert late == list(budget_gates(0, int(late[0].value), search)) and late[0].value >= 1
+    assert (
+        late == list(budget_gates(0, int(late[0].value), search, report.null))
+        and late[0].value >= 1
+    )
     assert any("rival sets were not refitted" in s for s in report.sentences)
+
+
+def test_a_plain_fit_cut_short_is_said_and_makes_nothing_certain():
+    study = noisy({"bias": 0.3})
+    cut, whole = (
+        diagnose(study, toy.model(study.runs), (toy.BIAS,), seed=0, settings=settings)
+        for settings in (DiagnosisSettings(plain_steps=1.0), DiagnosisSettings())
+    )
+    assert whole.named == cut.named == ("bias",)
+    assert "this is a first answer" in cut.headline
+    assert "this is a first answer" not in whole.headline
+    assert any("the plain model's fit was cut short" in s for s in cut.sentences)
+    assert not any("cut short" in s for s in whole.sentences)
 
 
 def test_a_rival_that_promises_more_is_refitted_though_the_budget_is_spent():

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import integrate, optimize
+from scipy import integrate, linalg, optimize
 
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import noise_floor
@@ -405,3 +405,24 @@ def test_linear_evidence_reaches_to_thirty_typical_sizes(beside):
         assert posterior.nats < -0.5 * posterior.chi2
     further = linearized(problem, posterior.x, unknown, 1).weigh(key)
     assert 0.6 * problem.scaled(further.x)[2] == pytest.approx(120.0 * effect.typical)
+
+
+def test_knots_of_two_commands_are_turned_apart_and_weigh_as_one_block(monkeypatch):
+    """Those of one command act in its runs only; a trace of all in every run makes one block."""
+    problem = linear.problem((linear.line("push"),), (linear.run("r1", 1), linear.run("r2", 2)))
+    x, sizes, eigh = np.zeros(len(problem.names)), [], linalg.eigh
+
+    def counted(gram):
+        sizes.append(len(gram))
+        return eigh(gram)
+
+    monkeypatch.setattr(linalg, "eigh", counted)
+    apart = UnknownDrift(0, "drift").responses(problem, x)
+    sizes.clear()
+    found = []
+    for responses in (apart, apart + 1e-12 * np.abs(apart).max()):
+        evidence = LaplaceEvidence(problem, x, *problem.linearize(x), [responses], 1)
+        found.append(evidence.weigh(Hypothesis(frozenset({0}), 0)))
+    assert sizes == [apart.shape[1] // 2, apart.shape[1] // 2, apart.shape[1]]
+    assert found[0].nats == pytest.approx(found[1].nats, abs=1e-6)
+    np.testing.assert_allclose(found[0].x, found[1].x, atol=1e-6)

@@ -75,6 +75,19 @@ def test_a_curved_valley_is_followed_to_its_end():
     assert abs(found.chi2 + found.prior - best.chi2 - best.prior) < 0.1
 
 
+def test_a_fit_ends_where_its_budget_is_spent(study):
+    problem = problem_of(study)
+    start = linearization_at(problem, np.zeros(len(problem.names)))
+    most = problem.model.simulations.steps
+    found, end = gauss_newton(problem, start, until=most)
+    assert found.ended == "budget" and "budget" in found.message
+    # it ends with the step that passes the count
+    assert 0 < found.num_evaluations < gauss_newton(problem, start)[0].num_evaluations
+    before = problem.model.simulations.count
+    again, _ = gauss_newton(problem, end, until=most)
+    assert again.num_evaluations == 0 and problem.model.simulations.count == before
+
+
 def test_slopes_from_elsewhere_find_the_same_place(study):
     problem = problem_of(study)
     there, _ = gauss_newton(problem, linearization_at(problem, np.zeros(len(problem.names))))

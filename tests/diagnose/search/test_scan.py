@@ -247,9 +247,9 @@ def test_scans_end_when_their_budget_is_spent():
     short = DiagnosisSettings(search=SearchSettings(scan_steps=-1.0))
     search = searched(effects, {pair.slack: 6.0, pair.rate_limit: 2.0}, short)
     assert not search.simulations.scans
-    (said,) = budget_gates(len(search.simulations.scans_late), 0, search.settings)
+    (said,) = budget_gates(len(search.simulations.scans_late), 0, search.settings, search.null.fit)
     assert said.value > 0.0 and not said.passed and "were spent before" in said.note
-    assert not tuple(budget_gates(0, 0, search.settings))
+    assert not tuple(budget_gates(0, 0, search.settings, search.null.fit))
 
 
 def test_an_interrupted_diagnosis_does_not_scan_again(tmp_path, monkeypatch):
