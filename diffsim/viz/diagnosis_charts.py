@@ -355,9 +355,10 @@ def _heat_map(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar
 
 
 def _draw_heat_map(table: Array, x: Sequence[str], y: Sequence[str], high: float, bar: str) -> Any:
+    # what is small beside the scale has not digits of its own, which may be rounding
+    places = charts.DIGITS - 1 - int(np.floor(np.log10(high)))
     return charts.graph_objects().Heatmap(
-        # small beside the scale: not its own digits, which may be rounding
-        z=[charts.rounded(np.round(row / high, charts.DIGITS) * high) for row in table],
+        z=[charts.rounded(np.round(row, places)) for row in table],
         x=list(x),
         y=list(y),
         zmin=-high,

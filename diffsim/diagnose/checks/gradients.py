@@ -32,7 +32,7 @@ from diffsim.identify.linearization import ROUNDING
 from diffsim.identify.model import has_tangents
 
 GRADIENT_RTOL = 1e-4
-EXACT = 1e-5 * GRADIENT_RTOL  # an error below it is rounding, another one on each machine: none
+EXACT = 1e-9  # an error below it is rounding, another one on each machine: none
 # of the work that null fit and screening took; a diagnosis takes some times that
 GRADIENT_SHARE = 0.25
 ADJOINT_SHARE = 0.5  # of the work of the check; the rest is for differences

@@ -329,10 +329,14 @@ def _fit_pairs(
     standing: Sequence[FittedLaw],
 ) -> tuple[Screen, list[FittedLaw]]:
     """Laws multiplied by another variable, where fitted laws enter, if two explain more than any of
-    these by the price of the choice."""
+    these by the price of the choice; none where one leaves noise: a line times a constant is a
+    line, too, which bumps over the other variable may follow closer than those over its own."""
+    best = max(fitted, key=lambda f: f.nats)
+    if 0.5 * (best.fit.chi2 - best.fit.num_samples) < KEEP_NATS:
+        return screen, []
     entries = dict.fromkeys(f.candidate.entry for f in fitted)
     screen, pairs, count = screen.with_pairs(entries)
-    least = max(f.nats for f in fitted) + KEEP_NATS + _price(count)
+    least = best.nats + KEEP_NATS + _price(count)
     promised = max(f.candidate.nats for f in fitted) + KEEP_NATS
     better = [c for c in pairs if c.nats > promised and c.gained > KEEP_NATS]
     made = [_fit_law(screen, fit, c, port, standing) for c in better[:NUM_PAIRS]]

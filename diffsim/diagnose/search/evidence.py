@@ -49,10 +49,10 @@ Array = NDArray[np.float64]
 # root mean square of the unknown's part of the record, in noise standard deviations; of a force on
 # a free mass its slowest course has most, one of 4 Hz over 6 s a hundredth
 AMPLITUDES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-# Slopes say nothing of sizes far beyond those that were simulated, and the prior hardly holds them
-# back: linear evidence reaches to thirty typical sizes, as scans do, or four times the center's.
 NOT_FINITE = "slopes or misfit left the range of numbers: the simulation there means nothing"
 ROWS = 1 << 14  # of a record that are looked at at once
+# Slopes say nothing of sizes far beyond those that were simulated, and the prior hardly holds them
+# back: linear evidence reaches to thirty typical sizes, as scans do, or four times the center's.
 REACH = 20.0  # scaled sizes
 FARTHER = 4.0
 NORMAL: Mapping[int, float] = MappingProxyType({})  # every base parameter by its data sheet

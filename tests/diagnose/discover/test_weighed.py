@@ -145,7 +145,8 @@ def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
     """Friction that grows at rest was fitted, kept 278 nats, and was dropped for the budget."""
     entry = Entry("number", "friction", "-", 1.0)
     candidate = Candidate(entry, Variable("rest", "r"), bumps(0.0, 1.0), 283.0, 432.0, 0.85, 1.0)
-    law = SimpleNamespace(nats=278.0, candidate=candidate, fit=None)
+    noisy = SimpleNamespace(chi2=300.0, num_samples=100)
+    law = SimpleNamespace(nats=278.0, candidate=candidate, fit=noisy)
     after = SimpleNamespace(found=())
     screen = SimpleNamespace(
         found=(candidate,), with_pairs=lambda _: (screen, [], 1), beside=lambda _: after
@@ -153,6 +154,10 @@ def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
     screened = stage._ScreenWithFit(screen, candidate, law, 1)  # type: ignore[arg-type]
     rounds = stage._rounds(screened, None, None, lambda: False)  # type: ignore[arg-type]
     assert next(rounds) == [law]
+    # where it leaves noise, no law of two variables can explain more
+    quiet = SimpleNamespace(**{**vars(law), "fit": SimpleNamespace(chi2=99.0, num_samples=100)})
+    unasked = SimpleNamespace()
+    assert stage._fit_pairs(unasked, None, [quiet], None, ()) == (unasked, [])  # type: ignore
 
 
 def test_a_hidden_mass_is_tried_within_its_resonance():
