@@ -34,9 +34,8 @@ from diffsim.copter.codesign import (
     SearchOptions,
     codesign,
 )
-from diffsim.copter.codesign.alternating import Alternation, alternate, judge
+from diffsim.copter.codesign.alternating import Alternation, alternate, judge, most_controllable
 from diffsim.copter.codesign.joint import FEASIBLE, random_point
-from diffsim.copter.codesign.spin_condition import most_controllable
 from diffsim.copter.codesign.steps import thrust_step
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.core import interruptible

@@ -20,8 +20,7 @@ import numpy as np
 
 from diffsim.cli.diagnose_inputs import described, own_setup
 from diffsim.data.study import Run, Study
-from diffsim.data.study_file import load_study
-from diffsim.data.study_like import READY
+from diffsim.data.study_file import READY, load_study
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems import registry
 

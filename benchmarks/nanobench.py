@@ -26,7 +26,7 @@ from diffsim.core import interruptible
 from diffsim.data.study import Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.identify.extended import ExtendedModel
-from diffsim.systems.multicopter.sampling import evenly_sampled
+from diffsim.systems.multicopter.cutting import evenly_sampled
 from diffsim.systems.registry import load_extended, setup_of
 
 STUDY = Path(__file__).parents[1] / "diffsim/systems/published/nanobench.yaml"

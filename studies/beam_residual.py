@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from diffsim.core import interruptible
 from diffsim.data.beam import BASE_MARKERS, BeamTrial, load_beam_study, rigid_rotation_deg
 from diffsim.data.importers import import_study
-from diffsim.data.datasets import find_dataset
+from diffsim.data.study_file import find_dataset
 from diffsim.data.study import Run
 from diffsim.systems.published.silicone_beam import HEIGHT, tip_window
 

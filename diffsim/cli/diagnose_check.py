@@ -20,7 +20,7 @@ from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.shown import resolution_words, shown, shown_change
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
-from diffsim.data.study_like import read_whole
+from diffsim.data.study_file import read_whole
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
 from diffsim.diagnose.checks.whole_record import model_problems

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diffsim.copter.design.design import Design
+    from diffsim.copter.simulator.controllers import Pilot
     from diffsim.copter.simulator.flight_simulator import FlightSimulator, Observer
     from diffsim.copter.simulator.pacing import Pacer
-    from diffsim.copter.simulator.setpoint import Pilot
     from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 
 HELP = "fly a multicopter in simulation"

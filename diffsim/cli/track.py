@@ -41,8 +41,14 @@ def command(args: argparse.Namespace) -> None:
     import numpy as np
 
     from diffsim.data.study_save import save_study
-    from diffsim.data.track import noise_px, tracks_study, without_merged
-    from diffsim.data.video import TENNIS_BALL, ColorBounds, track_video
+    from diffsim.data.video import (
+        TENNIS_BALL,
+        ColorBounds,
+        noise_px,
+        track_video,
+        tracks_study,
+        without_merged,
+    )
 
     low, high = args.low or TENNIS_BALL.low, args.high or TENNIS_BALL.high
     tracks = track_video(

@@ -37,8 +37,7 @@ from diffsim.copter.exchange.vehicle_file import load_vehicle
 from diffsim.copter.vehicle.battery import Battery
 from diffsim.copter.vehicle.clearance import disc_clearances, min_clearance
 from diffsim.copter.vehicle.effects import BodyDrag, FlightEffects, MotorLag
-from diffsim.copter.vehicle.fleet import Fleet
-from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
+from diffsim.copter.vehicle.multicopter import GRAVITY, Fleet, Multicopter
 from diffsim.copter.vehicle.rotor import RotorModel, motor_lag, rotor_model, rotor_names
 from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 

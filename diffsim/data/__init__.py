@@ -4,10 +4,9 @@ A *study* is the recordings of one system with what is known about them: ``load_
 ``save_study``, ``check_study``.
 """
 
-from diffsim.data.datasets import find_dataset
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import Problem, check_study
-from diffsim.data.study_file import load_study
+from diffsim.data.study_file import find_dataset, load_study
 from diffsim.data.study_save import save_study
 
 __all__ = [

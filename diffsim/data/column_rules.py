@@ -29,8 +29,7 @@ from diffsim.data.names import (
     spelled,
     without_role,
 )
-from diffsim.data.signal import scatter
-from diffsim.data.steps import rest_and_jump, step_of
+from diffsim.data.signal import rest_and_jump, scatter, step_of
 from diffsim.data.table_guess import Column
 
 _SET_UNITS = ("N", "Nm", "Pa", "V", "A", "Hz")  # what drives, rather than what moves

@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.numbers import SD_OVER_MAD
-from diffsim.data.steps import GAP, rest_and_jump
+from diffsim.data.signal import GAP, rest_and_jump
 
 WIDTH = 5  # samples whose median is compared with: what lasts longer than two is no outlier
 JUMP_SD = 6.0  # robust sd of what others are off by, and usual changes from sample to sample

@@ -21,8 +21,7 @@ from diffsim.data.folder_tables import FoundTable, find_tables
 from diffsim.data.formats import SUFFIXES
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
 from diffsim.data.joined_files import Kind, join_files
-from diffsim.data.log_columns import BESIDE, log_column
-from diffsim.data.names import DRIVES, STATE, is_asked
+from diffsim.data.names import BESIDE, DRIVES, STATE, is_asked, log_column
 from diffsim.data.table import MAKER, Table
 
 Rule: TypeAlias = Callable[[Guess], Iterable[str] | None]

@@ -9,7 +9,7 @@ from pathlib import Path
 from diffsim.core.units import factor, to_si
 from diffsim.data.names import COUNTER, unit_of_clock
 from diffsim.data.study_check import Problem
-from diffsim.data.study_like import read_whole
+from diffsim.data.study_file import read_whole
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
 from diffsim.data.table_guess import column_of
 

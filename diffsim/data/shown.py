@@ -8,7 +8,7 @@ import torch
 from diffsim.core.arrays import Array
 from diffsim.core.expression import parse_expression
 from diffsim.core.units import factor
-from diffsim.data.steps import step_of
+from diffsim.data.signal import step_of
 from diffsim.data.study import Channel, Command, Study
 
 MOST_STEPS = 3  # of channels that are said

@@ -15,8 +15,7 @@ from diffsim.core.units import factor, to_si
 from diffsim.data.record import record_findings
 from diffsim.data.shared_rows import SHARED_BITS, bits_of, shared_stretches
 from diffsim.data.shown import shown_step
-from diffsim.data.signal import scatter
-from diffsim.data.steps import GAP, step_of
+from diffsim.data.signal import GAP, scatter, step_of
 from diffsim.data.study import USES, Channel, Run, Study
 
 NO_FIT_RUN = (

@@ -5,12 +5,14 @@ value lie within bounds; pixels that touch are one region, whose center is the m
 Balls that touch in the picture make one region, which is cut in two by k-means, started from where
 the balls were going: right for discs side by side, off where one hides part of the other. Tracks
 are joined by least total distance from the places that constant velocity predicts.
+
+As a study, tracks are without merged frames, and have the noise of the tracker.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,8 @@ from diffsim.core.check import require_number
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_text_atomic
 from diffsim.core.optional import optional
+from diffsim.data.signal import scatter
+from diffsim.data.study import Channel, Run, Study
 
 _FULL = 0.6  # of a ball's usual area: below it, a region is noise or a ball that leaves
 
@@ -251,3 +255,44 @@ def opencv() -> Any:
         ImportError: OpenCV is not installed.
     """
     return optional("cv2", purpose="reading a video")
+
+
+def without_merged(tracks: Tracks) -> Tracks:
+    """The same track with NaN where balls touch in the picture, and their centers are biased."""
+    centers = np.where(tracks.merged[:, None, None], np.nan, tracks.centers)
+    return replace(tracks, centers=centers)
+
+
+def noise_px(tracks: Tracks) -> np.ndarray:
+    """Noise of every ball's u and v, (num_balls, 2) [px]: median third difference over sqrt(20).
+
+    Smooth motion leaves little in a third difference; the median passes over the impacts. NaN
+    where fewer than four frames in a row were seen.
+    """
+    third = np.diff(tracks.centers, n=3, axis=0)
+    out = np.full(tracks.centers.shape[1:], np.nan)
+    seen = np.isfinite(third).any(0) if len(third) else np.zeros_like(out, dtype=bool)
+    out[seen] = scatter(third[:, seen], 3)
+    return out
+
+
+def tracks_study(tracks: Tracks, name: str) -> Study:
+    """A study of one run, channels ball0_u_px, ball0_v_px, ... with the noise of ``noise_px``."""
+    count = tracks.centers.shape[1]
+    noise = noise_px(tracks)
+    channels = tuple(
+        Channel(f"ball{k}_{c}_px", "px", "image", float(sd) if sd > 0.0 else None)
+        for k in range(count)
+        for c, sd in zip("uv", noise[k], strict=True)
+    )
+    run = Run(
+        name="tracks",
+        time_s=tracks.time_s,
+        measured=tracks.centers.reshape(len(tracks.frames), -1),
+        command={},
+        group="tracks",
+        setup={"first_frame": float(tracks.frames[0])},
+    )
+    merged = tracks.frames[tracks.merged].tolist()
+    metadata = {"source": f"video {name}", "frames_in_which_balls_touch": merged}
+    return Study(name, "rigid_body", channels, (run,), metadata)

@@ -16,14 +16,15 @@ from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.calibration import calibrate
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.table import read_numbers
-from diffsim.data.track import noise_px, without_merged
 from diffsim.data.video import (
     TENNIS_BALL,
     ColorBounds,
     TrackingError,
     Tracks,
+    noise_px,
     opencv,
     track_video,
+    without_merged,
 )
 
 Array = NDArray[np.float64]

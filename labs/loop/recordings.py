@@ -8,8 +8,8 @@ import numpy as np
 
 from diffsim.core.inside import inside
 from diffsim.core.yaml_text import read_yaml_file
-from diffsim.data.datasets import find_dataset
 from diffsim.data.study import Channel, Run, Study
+from diffsim.data.study_file import find_dataset
 from diffsim.data.table import read_numbers
 
 MARKERS = ("m1", "m2", "m3", "m4")

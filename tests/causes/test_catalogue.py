@@ -35,7 +35,6 @@ NO_ROWS = {
     "systems/ode/own_effects.py",
     "systems/ode/unknown.py",
     "systems/outside/effects.py",
-    "systems/soft_body/pulling.py",
     "systems/soft_body/unknown.py",
 }
 

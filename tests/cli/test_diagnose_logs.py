@@ -11,7 +11,7 @@ import pytest
 
 from diffsim.cli.main import main
 from diffsim.data import load_study
-from diffsim.data.log_columns import log_column
+from diffsim.data.names import log_column
 from tests.data.flight_logs import write_rosbag, write_ulog
 from tests.systems import small_copter
 from tests.systems.small_copter import Causes

@@ -14,7 +14,7 @@ from diffsim.data import load_study, save_study
 from diffsim.data.bank import generated_bank
 from diffsim.data.study import Column
 from diffsim.diagnose.search.fit import cut
-from diffsim.systems.multicopter.sampling import evenly_sampled
+from diffsim.systems.multicopter.cutting import evenly_sampled
 
 COUNT = 40
 TIME = 0.01 * np.arange(COUNT)

@@ -2,8 +2,7 @@
 
 import pytest
 
-from diffsim.data.study_file import load_study
-from diffsim.data.study_like import READY, joined, read_whole, ready_rigs
+from diffsim.data.study_file import READY, joined, load_study, read_whole, ready_rigs
 from diffsim.systems.registry import setup_of
 
 STUDY = """

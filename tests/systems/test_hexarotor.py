@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.data.study import Channel, Run, Study
 from diffsim.systems.multicopter.cutting import idle_thrusts
 from diffsim.systems.registry import setup_of

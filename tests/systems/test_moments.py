@@ -11,7 +11,7 @@ import torch
 
 from diffsim.causes.scene import Commands
 from diffsim.copter.dynamics import flight
-from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.systems.multicopter import readings
 from diffsim.systems.multicopter.motion import FlightMotion
 from diffsim.systems.multicopter.scene import CopterScene, Flyer, flight_grid, rotor_names

@@ -11,7 +11,7 @@ import torch
 from diffsim import copter
 from diffsim.causes.listing import list_causes
 from diffsim.copter import GRAVITY
-from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.rotation import matrix_from_rpy
 from diffsim.core.schema import read_part

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from diffsim.causes.signals import Grid
 from diffsim.data.study import Channel, Run, Study
+from diffsim.systems.multicopter.effects import _swing_pendulum
 from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.lag import speed_lagged
-from diffsim.systems.multicopter.loads import _swing_pendulum
 from diffsim.systems.registry import description_of, setup_of
 from tests.diagnose.discover.answers import answer
 from tests.systems import small_copter

@@ -13,7 +13,7 @@ import yaml
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from diffsim.data.steps import looks_held
+from diffsim.data.signal import looks_held
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.identify import Numerics
 from diffsim.systems.ode import mends, reading

@@ -9,10 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from diffsim.data.study import Run
-from diffsim.systems.rigid_body.impact import impulse
 from diffsim.systems.rigid_body.layout import PoseLayout
-from diffsim.systems.rigid_body.toss import Mass, Tosses
-from diffsim.systems.rigid_body.turning import turned
+from diffsim.systems.rigid_body.toss import Mass, Tosses, impulse, turned
 from diffsim.systems.rigid_body.windows import (
     CORNERS,
     TURN,

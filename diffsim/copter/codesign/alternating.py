@@ -3,26 +3,30 @@
 In relative units the energy (eq. 3.9) is
 E(u, s) + eta |M_f u + m g gamma|^2 / (m g)^2 + mu |M_t u|^2 / (m g L)^2, gamma level, m fixed at
 the start's unless mass is a metric.
+
+Spins are chosen by the condition of the controllability matrix (eq. 3.8).
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import torch
 
-from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL
 from diffsim.copter.codesign.options import AlternatingOptions
 from diffsim.copter.codesign.program import Program
-from diffsim.copter.codesign.result import StartRecord
+from diffsim.copter.codesign.result import CoDesignError, StartRecord
 from diffsim.copter.codesign.solve import LocalSolution
-from diffsim.copter.codesign.spin_condition import condition_number, most_controllable
 from diffsim.copter.codesign.steps import direction_step, shape_step, soft_energy, thrust_step
 from diffsim.copter.codesign.task import Point, Task
+from diffsim.copter.dynamics.control_metrics import controllability
+from diffsim.copter.dynamics.linearize import linearize
 from diffsim.core.arrays import Array
 from diffsim.core.runs import run_each
 
@@ -143,3 +147,44 @@ def judge(task: Task, alternation: Alternation) -> tuple[float, float, LocalSolu
     tried = [task.solve(alternation.point, free=free) for free in (("attitude",), ())]
     ends = [(s.value if s.violation < 1e-7 else np.inf, s.violation, s, p) for s, p in tried]
     return min(ends, key=lambda end: (end[0], end[1]))
+
+
+def condition_number(task: Task, point: Point, u: Array) -> float:
+    """Condition number of [B, A B, ..., A^11 B] in level hover with u; inf: uncontrollable."""
+    attitude = torch.zeros(2, dtype=torch.float64)
+    A, B = linearize(task.vehicle(point), torch.tensor(u), attitude)
+    return float(controllability(A, B).condition)
+
+
+def least_norm_thrusts(task: Task, point: Point) -> Array:
+    """Level hover of least norm, no bounds, (n_rotors,) [N]: the thesis's fixed point."""
+    vehicle = task.vehicle(point)
+    rows = torch.cat([vehicle.force_matrix, vehicle.torque_matrix]).numpy()
+    weight = float(vehicle.weight)
+    return np.linalg.lstsq(rows, np.array([0.0, 0.0, -weight, 0.0, 0.0, 0.0]), rcond=None)[0]
+
+
+def spin_conditions(task: Task, point: Point) -> list[tuple[Array, float]]:
+    """Condition number of all 2^n assignments, best first (ties: in binary order)."""
+    conditions = []
+    for signs in itertools.product((1.0, -1.0), repeat=task.model.num_rotors):
+        trial = replace(point, spins=np.array(signs))
+        u = least_norm_thrusts(task, trial)
+        conditions.append((trial.spins, condition_number(task, trial, u)))
+    return sorted(conditions, key=lambda pair: pair[1])
+
+
+def most_controllable(task: Task, point: Point) -> Array:
+    """The assignment of the smallest condition number.
+
+    Raises:
+        CoDesignError: none is controllable.
+    """
+    spins, condition = spin_conditions(task, point)[0]
+    if not np.isfinite(condition):
+        raise CoDesignError(
+            f"none of {2 ** len(spins)} spin assignments makes the start controllable, and the "
+            "alternation has no way on from there; use method 'joint', which moves the start",
+            residual=float("inf"),
+        )
+    return spins

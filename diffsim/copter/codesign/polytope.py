@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linprog
 
-from diffsim.copter.codesign.errors import CoDesignError
+from diffsim.copter.codesign.result import CoDesignError
 from diffsim.core.arrays import Array
 
 _TOLERANCE = 1e-9  # of A s - b [unit of b], above the rounding of LP solvers

@@ -1,4 +1,4 @@
-"""What a co-design run hands back."""
+"""What a co-design run hands back, and what it could not do."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.arrays import Array
+from diffsim.core.errors import DiffsimError
 
 
 @dataclass(frozen=True)
@@ -113,3 +114,16 @@ def attitude_of(gamma: Array) -> Array:
     """Roll and pitch of gravity's direction in the body frame, gamma = R' (0, 0, 1)."""
     pitch = -np.arcsin(np.clip(gamma[0], -1.0, 1.0))
     return np.array([np.arctan2(gamma[1], gamma[2]), pitch])
+
+
+class CoDesignError(DiffsimError):
+    """No design, or none that hovers, lies in the space searched.
+
+    Attributes:
+        residual: Distance of the best candidate from feasibility, in the unit that the message
+            names.
+    """
+
+    def __init__(self, message: str, *, residual: float):
+        super().__init__(message)
+        self.residual = residual

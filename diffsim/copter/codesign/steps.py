@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from diffsim.copter.codesign.errors import CoDesignError
 from diffsim.copter.codesign.hover import LEVEL
 from diffsim.copter.codesign.metrics import require_cvxpy
 from diffsim.copter.codesign.options import AlternatingOptions
+from diffsim.copter.codesign.result import CoDesignError
 from diffsim.copter.codesign.task import Point, Task
 from diffsim.copter.codesign.wrench import skew
 from diffsim.copter.vehicle.multicopter import GRAVITY

@@ -83,7 +83,7 @@ class DesignSpec:
         parts: Parts in the order in which parts join.
         connections: Connections in the order in which they are made.
         rigid: Pairs of placed parts that keep their distance vector.
-        constraints: Linear relations, see ``diffsim.copter.design.expressions``.
+        constraints: Linear relations, see ``diffsim.copter.design.constraints``.
         values: Parameters to start from [m], before those of the parts.
         folder: Folder of the files that parts name.
     """

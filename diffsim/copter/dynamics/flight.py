@@ -10,17 +10,16 @@ from torch import Tensor
 
 from diffsim.copter.dynamics import _ops_flight
 from diffsim.copter.dynamics._ops_flight import FlightInputs, FlightSettings
-from diffsim.copter.dynamics.flight_rows import (
+from diffsim.copter.dynamics.flight_state import (
+    FlightState,
     common_size,
     fleet_of,
     parameter_rows,
     start_rows,
     with_batch_and_steps,
 )
-from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.copter.vehicle.effects import FlightEffects, require_wind
-from diffsim.copter.vehicle.fleet import Fleet
-from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
+from diffsim.copter.vehicle.multicopter import GRAVITY, Fleet, Multicopter
 from diffsim.core.check import (
     all_finite,
     require,

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.copter.exchange.mjcf_text import refuse_too_much, whole_mjcf
-from diffsim.copter.exchange.stated_inertia import refuse_impossible_inertia
+from diffsim.copter.exchange.mjcf_text import refuse_impossible_inertia, refuse_too_much, whole_mjcf
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.copter.vehicle.battery import LIPO_NOMINAL
 from diffsim.copter.vehicle.multicopter import GRAVITY

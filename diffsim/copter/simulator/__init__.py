@@ -1,8 +1,13 @@
 """Simulated flights in closed loop with sensors, pulses, battery and a pilot (thesis 3.5, 3.7)."""
 
-from diffsim.copter.simulator.controllers import Controller, LqrController, PidFlightController
-from diffsim.copter.simulator.flight_simulator import CONTROLLERS, FlightSimulator
-from diffsim.copter.simulator.ground import Ground
+from diffsim.copter.simulator.controllers import (
+    Controller,
+    LqrController,
+    PidFlightController,
+    Pilot,
+    Setpoint,
+)
+from diffsim.copter.simulator.flight_simulator import CONTROLLERS, FlightSimulator, Ground
 from diffsim.copter.simulator.log import FlightLog, FlightSample
 from diffsim.copter.simulator.mission import (
     Leg,
@@ -15,7 +20,6 @@ from diffsim.copter.simulator.outputs import SAFE_PWM, MotorOutputs, flight_roto
 from diffsim.copter.simulator.pacing import Pacer
 from diffsim.copter.simulator.payload import PayloadError, payload_limit, with_payload
 from diffsim.copter.simulator.sensing import FlightSensors
-from diffsim.copter.simulator.setpoint import Pilot, Setpoint
 from diffsim.copter.simulator.sticks import (
     RecordedSticks,
     StickPilot,

@@ -1,9 +1,13 @@
-"""Flight controllers: LQR about the hover (thesis 3.3.3) and the PID baseline, one vehicle each."""
+"""Flight controllers: LQR about the hover (thesis 3.3.3) and the PID baseline, one vehicle each.
+
+What a controller is asked for at one time is a ``Setpoint``.
+"""
 
 from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import dataclass
 from typing import Protocol
 
 import torch
@@ -15,7 +19,6 @@ from diffsim.copter.dynamics.hover_result import HoverError, HoverResult, HoverW
 from diffsim.copter.dynamics.linearize import linearize
 from diffsim.copter.dynamics.lqr import lqr
 from diffsim.copter.dynamics.pid import PidController, PidGains
-from diffsim.copter.simulator.setpoint import Setpoint
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion, quaternion_from_rpy
@@ -164,3 +167,44 @@ def flyable_hover(vehicle: Multicopter) -> HoverResult:
 def _about_z(yaw: Tensor) -> Tensor:
     zero = torch.zeros_like(yaw)
     return matrix_from_quaternion(quaternion_from_rpy(torch.stack([zero, zero, yaw])))
+
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setpoint:
+    """Targets of a controller, NED.
+
+    Attributes:
+        position: Position of the center of mass, (3,) [m]; with ``hold_attitude`` only its z
+            counts.
+        velocity: World frame, (3,) [m/s]; with ``hold_attitude`` only its z counts.
+        acceleration: World frame, (3,) [m/s^2]; 0 where it is not known ahead, or holding attitude.
+        yaw: Yaw angle that is asked for [rad].
+        yaw_rate: Yaw rate [rad/s].
+        roll, pitch: Beyond those of the hover [rad]; with ``hold_attitude`` only.
+        hold_attitude: Hold roll and pitch instead of the place.
+        motors_on: False: all motors stand.
+    """
+
+    position: Vector
+    velocity: Vector = (0.0, 0.0, 0.0)
+    acceleration: Vector = (0.0, 0.0, 0.0)
+    yaw: float = 0.0
+    yaw_rate: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+    hold_attitude: bool = False
+    motors_on: bool = True
+
+
+class Pilot(Protocol):
+    """A mission, or somebody at the sticks."""
+
+    @property
+    def duration(self) -> float | None:
+        """Duration of the flight [s]; None: endless."""
+
+    def setpoint(self, time: float) -> Setpoint:
+        """Targets at a time since the start [s]; times do not go back."""

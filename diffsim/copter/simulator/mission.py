@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.copter._shipped import read_named, shipped
-from diffsim.copter.simulator.setpoint import Setpoint
+from diffsim.copter.simulator.controllers import Setpoint
 from diffsim.core.arrays import Array
 from diffsim.core.yaml_text import load_yaml
 

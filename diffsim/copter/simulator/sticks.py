@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from diffsim.copter.simulator.setpoint import Setpoint
+from diffsim.copter.simulator.controllers import Setpoint
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
 

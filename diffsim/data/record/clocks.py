@@ -10,8 +10,8 @@ import numpy as np
 
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
+from diffsim.data.signal import GAP
 from diffsim.data.stamps import JUMP
-from diffsim.data.steps import GAP
 from diffsim.data.study import Run
 
 NEVER = 1e7  # usual steps: no run pauses that long

@@ -13,7 +13,7 @@ from diffsim.core.units import factor
 from diffsim.data.command_jumps import Jumps, jumps_of
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
-from diffsim.data.steps import rest_and_jump
+from diffsim.data.signal import rest_and_jump
 from diffsim.data.study import Command
 
 FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself

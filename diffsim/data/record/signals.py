@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
-from diffsim.data.signal import scatter
-from diffsim.data.steps import step_of
+from diffsim.data.signal import scatter, step_of
 from diffsim.data.study import Channel, Command, Run, Study
 
 DIGITS = 1e-9  # of the range: numbers that close are equal

@@ -13,8 +13,7 @@ from scipy.ndimage import median_filter
 from diffsim.core.arrays import Array, Mask
 from diffsim.core.memo import Memo
 from diffsim.core.numbers import SD_OVER_MAD
-from diffsim.data.signal import noise_std, scatter
-from diffsim.data.steps import rounding_sd
+from diffsim.data.signal import noise_std, rounding_sd, scatter
 from diffsim.data.study import Channel, Run
 from diffsim.identify import Fit
 

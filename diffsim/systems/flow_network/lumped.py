@@ -16,8 +16,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
-from diffsim.systems.flow_network.steady import SteadyScene, balanced
+from diffsim.systems.flow_network.steady import (
+    SteadyScene,
+    balanced,
+    invert_linearized,
+    linearize_pressure,
+)
 
 RTOL = 1e-11
 THROAT = 0.5  # share of a channel's length over which something may lodge in it, a raised cosine

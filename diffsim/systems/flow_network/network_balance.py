@@ -19,8 +19,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from diffsim.systems.flow_network.soft_walls import invert_linearized, linearize_pressure
-from diffsim.systems.flow_network.steady import SteadyScene, balanced
+from diffsim.systems.flow_network.steady import (
+    SteadyScene,
+    balanced,
+    invert_linearized,
+    linearize_pressure,
+)
 from diffsim.systems.flow_network.unit_flows import ChannelShape, UnitFlowTable
 
 RTOL = 1e-10

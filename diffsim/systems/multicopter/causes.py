@@ -20,13 +20,13 @@ from diffsim.causes.scales import Scales
 from diffsim.copter import GRAVITY
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
-from diffsim.systems.multicopter import effects, loads, moments, rotors
+from diffsim.systems.multicopter import effects
 from diffsim.systems.multicopter.assembly import VEHICLE
 from diffsim.systems.multicopter.cutting import Cutter
 from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.frames import AXES, SENSORS
+from diffsim.systems.multicopter.keys import MulticopterKeys
 from diffsim.systems.multicopter.lag import speed_lagged
-from diffsim.systems.multicopter.model_keys import MulticopterKeys
 from diffsim.systems.multicopter.scene import NUMBERS, CopterScene, rotor_names
 
 SYSTEM = "multicopter"  # the kind of system, and its table
@@ -51,24 +51,24 @@ def _act_on_rotor(act: Callable[..., Any], rotor: str, name: str) -> Apply:
 FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
     {
         "parasitic_drag": effects.drag_by_square,
-        "rotor_speed_drag": rotors.drag_by_rotor_speed,
-        "gust": loads.push_in_gusts,
+        "rotor_speed_drag": effects.drag_by_rotor_speed,
+        "gust": effects.push_in_gusts,
         "body_tilt": effects.tilt_rotors,
-        "slung_load": loads.hang_load,
+        "slung_load": effects.hang_load,
         "voltage_exponent": effects.follow_voltage,
         "thrust_curvature": effects.curve_thrust,
         "ground_effect": effects.push_near_ground,
         "inflow": effects.lose_thrust_in_climb,
         "wake": effects.lose_thrust_in_wake,
         "gyroscopic": effects.turn_with_spin,
-        "spin_up": moments.turn_with_rotor_speed,
-        "flow_moment": moments.pitch_in_flow,
-        "climb_moment": moments.pitch_less_in_climb,
-        "rate_damping": moments.damp_rates,
+        "spin_up": effects.turn_with_rotor_speed,
+        "flow_moment": effects.pitch_in_flow,
+        "climb_moment": effects.pitch_less_in_climb,
+        "rate_damping": effects.damp_rates,
         "blind_estimator": effects.estimate_without_drag,
-        "thrust_loss": partial(_act_on_rotor, rotors.lose_thrust),
-        "torque_loss": partial(_act_on_rotor, rotors.lose_torque),
-        "rotor_tilt": partial(_act_on_rotor, rotors.tilt_rotor),
+        "thrust_loss": partial(_act_on_rotor, effects.lose_thrust),
+        "torque_loss": partial(_act_on_rotor, effects.lose_torque),
+        "rotor_tilt": partial(_act_on_rotor, effects.tilt_rotor),
         "lag": _lag_speeds,  # in place of the port's where the rotors' speed lags
     }
 )

@@ -13,7 +13,7 @@ from torch import Tensor
 from diffsim.causes.scene import Commands
 from diffsim.causes.signals import held_delayed, held_lagged
 from diffsim.copter import Multicopter
-from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics

@@ -25,10 +25,10 @@ from diffsim.systems.multicopter.assembly import (
 )
 from diffsim.systems.multicopter.bank import flights_to_record
 from diffsim.systems.multicopter.causes import acting_in, plant_of
+from diffsim.systems.multicopter.cutting import evenly_sampled
 from diffsim.systems.multicopter.frames import FRAMES
+from diffsim.systems.multicopter.keys import MulticopterKeys
 from diffsim.systems.multicopter.model import CopterModel
-from diffsim.systems.multicopter.model_keys import MulticopterKeys
-from diffsim.systems.multicopter.sampling import evenly_sampled
 from diffsim.systems.multicopter.sensing import are_means, sensor_problems
 from diffsim.systems.multicopter.unknown import wrench_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from torch import Tensor
 
-from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy
 from diffsim.identify.shape import MovingShape

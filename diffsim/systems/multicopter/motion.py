@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
 from torch import Tensor
 
-from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import Fleet
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,3 +65,14 @@ def by_rotor(vectors: Tensor, rotors: Tensor) -> Tensor:
     lead = np.broadcast_shapes(vectors.shape[:1], rotors.shape[:1])
     rows = vectors.expand(*lead, *vectors.shape[1:]).flatten(1, -2)
     return (rows @ rotors.mT).unflatten(1, vectors.shape[1:-1])
+
+
+def stack_points(numbers: Iterable[Tensor]) -> Tensor:
+    """Some numbers, () or (points,) each, beside each other, (points, number of them)."""
+    return torch.stack(torch.broadcast_tensors(*(n.reshape(-1) for n in numbers)), -1)
+
+
+def vector_of(values: Mapping[str, Tensor], name: str) -> Tensor:
+    """(points, 3) of the numbers name_x, name_y, name_z; 0 where there are none."""
+    zero = torch.zeros(1, dtype=torch.float64)
+    return stack_points(values.get(f"{name}_{axis}", zero) for axis in "xyz")

@@ -13,8 +13,7 @@ from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.ports import SignalChange
 from diffsim.causes.scene import Scene
 from diffsim.causes.signals import Grid, SignalMap, change_rows, lagged
-from diffsim.copter.vehicle.fleet import Fleet
-from diffsim.copter.vehicle.multicopter import GRAVITY
+from diffsim.copter.vehicle.multicopter import GRAVITY, Fleet
 from diffsim.core.rotation import (
     matrix_from_quaternion,
     quaternion_from_rotation_vector,
@@ -24,9 +23,8 @@ from diffsim.core.rotation import (
 from diffsim.systems.multicopter.estimator import BlindEstimator
 from diffsim.systems.multicopter.frames import SENSORS, RecordingFrames
 from diffsim.systems.multicopter.lag import lagged_in_windows
-from diffsim.systems.multicopter.motion import FlightMotion, turned, turned_back
+from diffsim.systems.multicopter.motion import FlightMotion, turned, turned_back, vector_of
 from diffsim.systems.multicopter.shooting import Windows
-from diffsim.systems.multicopter.vectors import vector_of
 
 _CIRCLE = 2.0 * torch.pi
 #: Numbers that are one until a cause changes them: shown over true [-].

@@ -14,7 +14,7 @@ from diffsim.causes.scene import ForceLaw
 from diffsim.causes.signals import Grid
 from diffsim.copter import FlightEffects, FlightError, prepare_flight
 from diffsim.copter.vehicle.effects import BodyDrag, RotorDrag
-from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.layer import may_be_differentiated
 from diffsim.systems.multicopter.estimator import force_of

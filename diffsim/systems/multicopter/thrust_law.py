@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from diffsim.copter import Multicopter
-from diffsim.copter.vehicle.fleet import Fleet
+from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.data.study import Run
 from diffsim.systems.commands import command_of, interpolated
 from diffsim.systems.multicopter.frames import RecordingFrames
 from diffsim.systems.multicopter.keys import CommandKeys, RotorKeys, ThrustKeys
-from diffsim.systems.multicopter.vectors import stack_points
+from diffsim.systems.multicopter.motion import stack_points
 
 Values = Mapping[str, Tensor]
 

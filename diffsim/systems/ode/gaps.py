@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.signals import Grid
-from diffsim.data.steps import GAP
+from diffsim.data.signal import GAP
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter
 

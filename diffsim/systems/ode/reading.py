@@ -12,8 +12,7 @@ from diffsim.causes.scales import HELD
 from diffsim.causes.scene import PLAY_START
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.data.signal import scatter
-from diffsim.data.steps import looks_held, moves_on
+from diffsim.data.signal import looks_held, moves_on, scatter
 from diffsim.data.study import Study
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.ode.described import DescribedMotion, FormulaSystem

@@ -20,8 +20,7 @@ from diffsim.causes.scales import HELD
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.memo import Memo
 from diffsim.data.command_jumps import WIDTH
-from diffsim.data.signal import scatter
-from diffsim.data.steps import moves_on, rest_and_jump
+from diffsim.data.signal import moves_on, rest_and_jump, scatter
 from diffsim.data.study import Channel, Run, Study
 from diffsim.systems.ode.keys import Input
 from diffsim.systems.ode.reading import is_held, list_commands_of

@@ -19,7 +19,7 @@ from diffsim.core.inside import inside
 from diffsim.core.schema import Part
 from diffsim.core.schema_paths import CODE, INSIDE, PathWords
 from diffsim.core.units import in_si, in_unit
-from diffsim.data.steps import looks_held
+from diffsim.data.signal import looks_held
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.setup import DiagnosisSetup

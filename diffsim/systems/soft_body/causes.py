@@ -19,11 +19,10 @@ from diffsim.identify.effect import Apply
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
 from diffsim.systems.soft_body import forces, loads, material, sensor
 from diffsim.systems.soft_body.hanging import hang_slack
-from diffsim.systems.soft_body.pulling import unknown_pull
 from diffsim.systems.soft_body.readings import main_axis
 from diffsim.systems.soft_body.scene import CLOCK_RATE, NUMBERS
 from diffsim.systems.soft_body.support import support_of
-from diffsim.systems.soft_body.unknown import unknown_force
+from diffsim.systems.soft_body.unknown import unknown_force, unknown_pull
 
 if TYPE_CHECKING:
     from diffsim.data.study import Study

@@ -1,22 +1,27 @@
-"""Soft-body models: derivatives of predictions by tangents of the simulation."""
+"""Soft-body models: derivatives of predictions by tangents of the simulation, moving surfaces."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes.scene import Instruments
+from diffsim.core.memo import Memo
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import NumericalEffect, Numerics
+from diffsim.identify.shape import MovingShape
+from diffsim.mesh import surface_triangles
 from diffsim.systems.soft_body.hanging import SlackScene, slack_tangents
-from diffsim.systems.soft_body.line import OwnedScene, SceneLine
+from diffsim.systems.soft_body.line import OwnedScene, SceneLine, simulate_together
+from diffsim.systems.soft_body.quasi_static import PosedScene
 from diffsim.systems.soft_body.scene import SoftScene
-from diffsim.systems.soft_body.surface import surface_of
 from diffsim.systems.soft_body.tangents import scene_tangents
-from diffsim.systems.soft_body.together import simulate_together
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
@@ -164,3 +169,29 @@ def _build_owned_scene(
             scene = effect.act(scene, size, plain.run, plain.values.at(at.q))
             owners += [effect] * (len(scene.makers) - len(owners))
     return OwnedScene(scene, tuple(owners))
+
+
+def surface_of(scene: SoftScene) -> MovingShape:
+    """One more simulation of the scene, in which the nodes of the surface are observed.
+
+    Args:
+        scene: A run with its effects; what they change in cameras and channels is left out.
+    """
+    faces = surface_triangles(scene.body.mesh).faces
+    used, local = torch.unique(faces, return_inverse=True)
+
+    def observe(x: Tensor) -> Tensor:
+        return x[..., used, :].flatten(-2)
+
+    clocks = Instruments(scene.instruments.clocks)
+    bare = scene.changed(
+        observe=observe, place_maps=(), output_maps=(), rest_places=None, instruments=clocks
+    )
+    if isinstance(bare, PosedScene):
+        bare = replace(bare, kept=Memo(1))  # what is kept shows markers
+    places = bare.simulate().detach().numpy()
+    return MovingShape(
+        triangles=local.reshape(-1, 3).numpy(),
+        nodes_m=np.ascontiguousarray(places.reshape(len(places), -1, 3)),
+        closed=True,
+    )

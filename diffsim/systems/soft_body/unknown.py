@@ -1,4 +1,4 @@
-"""A generic smooth force on a soft body: a cause without a form."""
+"""Causes without a form: a generic smooth force on a soft body, a pull that nothing explains."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.interpolation import straight
+from diffsim.causes.signals import Grid
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.soft_body.kept import OfTime, ratio
@@ -106,4 +107,24 @@ def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
         also_looks_like=("anything",),
         apply=partial(_push_volume, num_knots=num_knots, spacing=spacing, axes=idx),
         components=tuple(f"{a}_{s}_{k}" for a in axes for s in _SHAPES for k in range(num_knots)),
+    )
+
+
+def _pull_more(scene: SoftScene, size: Tensor, run: Run, *, spacing: float) -> SoftScene:
+    def add(u: Tensor, grid: Grid) -> Tensor:
+        return u + straight(size[:, None], spacing, grid.times).mT
+
+    return scene.with_command((), add)
+
+
+def unknown_pull(num_knots: int, spacing: float) -> Effect:
+    """A change of the command that nothing explains, knots in time every ``spacing`` [s]."""
+    return Effect(
+        name="unknown_pull",
+        family="unknown",
+        kind="actuator",
+        unit="command",
+        typical=0.01,
+        apply=partial(_pull_more, spacing=spacing),
+        components=tuple(f"knot_{k}" for k in range(num_knots)),
     )

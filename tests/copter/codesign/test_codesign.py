@@ -18,10 +18,9 @@ from diffsim.copter.codesign import (
     codesign,
     pareto_front,
 )
-from diffsim.copter.codesign.alternating import alternate, judge
+from diffsim.copter.codesign.alternating import alternate, judge, spin_conditions
 from diffsim.copter.codesign.hover import rank_spins
 from diffsim.copter.codesign.joint import random_point
-from diffsim.copter.codesign.spin_condition import spin_conditions
 from diffsim.copter.codesign.task import Task
 from diffsim.core import open_executor
 from tests.copter.codesign_designs import arm_copter, reference_design

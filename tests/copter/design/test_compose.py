@@ -19,9 +19,8 @@ from diffsim.copter import (
     shipped_designs,
 )
 from diffsim.copter.design.adapters import RULES, adapters_for
-from diffsim.copter.design.constraints import Constraint, irreducible_conflict
+from diffsim.copter.design.constraints import Constraint, irreducible_conflict, parse_constraint
 from diffsim.copter.design.contact import _complement
-from diffsim.copter.design.expressions import parse_constraint
 from diffsim.copter.vehicle.parts import PART_KINDS, make_part
 
 TILT = (0.1, -0.15, -0.9)

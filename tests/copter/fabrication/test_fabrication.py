@@ -22,8 +22,13 @@ from diffsim.copter.fabrication import (
 from diffsim.copter.fabrication.files import summary
 from diffsim.copter.fabrication.materials import bill
 from diffsim.copter.fabrication.print_check import check_print, thinnest_wall
-from diffsim.copter.fabrication.printable import has_screw_holes
-from diffsim.copter.fabrication.prism import circle, inside, perforated_prism, refined
+from diffsim.copter.fabrication.printable import (
+    circle,
+    has_screw_holes,
+    inside,
+    perforated_prism,
+    refined,
+)
 from diffsim.copter.fabrication.rods import RodCut, pack
 from diffsim.core.errors import MeshError
 from diffsim.viz import fabrication_page

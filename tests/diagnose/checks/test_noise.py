@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from diffsim.data.steps import step_of
+from diffsim.data.signal import step_of
 from diffsim.data.study import Channel, Run
 from diffsim.diagnose.checks.noise import (
     COLORED,

@@ -11,8 +11,7 @@ import pytest
 
 from diffsim import cli
 from diffsim.data import load_study
-from diffsim.data.track import noise_px, tracks_study, without_merged
-from diffsim.data.video import Tracks, track_video
+from diffsim.data.video import Tracks, noise_px, track_video, tracks_study, without_merged
 
 WORST_APART, TYPICAL_APART, WORST_TOUCHING = 0.6, 0.25, 1.5  # [px], as in tests/data/test_video.py
 
