@@ -92,7 +92,7 @@ VOLUME_DRAG = replace(
     form="Force per volume -size v.",
     unit="N s/m^4",
     typical=1e3,
-    apply=forces.drag(_volumes, quadratic=False),
+    apply=partial(forces.drag_nodes, shares=_volumes, quadratic=False),
 )
 QUADRATIC_VOLUME_DRAG = replace(
     body_cause("quadratic_drag"),
@@ -100,7 +100,7 @@ QUADRATIC_VOLUME_DRAG = replace(
     form="Force per volume -size |v| v.",
     unit="N s^2/m^5",
     typical=1.5e4,
-    apply=forces.drag(_volumes, quadratic=True),
+    apply=partial(forces.drag_nodes, shares=_volumes, quadratic=True),
 )
 STIFFENING = replace(
     body_cause("stiffening"),
@@ -122,7 +122,7 @@ DRY_FRICTION = replace(
     body_cause("dry_friction"),
     form="Coulomb friction -size tanh(v / v_s) at the tip.",
     typical=5e-4,
-    apply=forces.dry_friction(SLIP_SPEED),
+    apply=partial(forces.rub_nodes, slip_speed=SLIP_SPEED),
 )
 ADDED_MASS = replace(
     body_cause("added_mass"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ from diffsim.systems.soft_body import forces, loads, material, sensor
 from diffsim.systems.soft_body.hanging import hang_slack
 from diffsim.systems.soft_body.readings import main_axis
 from diffsim.systems.soft_body.scene import CLOCK_RATE, NUMBERS
-from diffsim.systems.soft_body.support import support_of
+from diffsim.systems.soft_body.support import move_support
 from diffsim.systems.soft_body.unknown import unknown_force, unknown_pull
 
 if TYPE_CHECKING:
@@ -45,9 +46,9 @@ FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
         "stiffness_loss": material.lose_stiffness,
         "temperature_drift": material.drift_with_order,
         "body_scale": loads.enlarge_body,
-        "dry_friction": forces.dry_friction(SLIP_SPEED),
-        "linear_drag": forces.drag(forces.areas_of, quadratic=False),
-        "quadratic_drag": forces.drag(forces.areas_of, quadratic=True),
+        "dry_friction": partial(forces.rub_nodes, slip_speed=SLIP_SPEED),
+        "linear_drag": partial(forces.drag_nodes, shares=forces.areas_of, quadratic=False),
+        "quadratic_drag": partial(forces.drag_nodes, shares=forces.areas_of, quadratic=True),
         "added_mass": forces.add_fluid_mass,
         "current": forces.move_fluid,
         "weight": forces.change_weight,
@@ -157,14 +158,15 @@ def _list_functions(given: SoftBodyKeys, *, moves: bool) -> dict[str, Apply]:
     found: dict[str, Apply] = {}
     if given.support is not None:
         at = given.support
-        found["support_motion"] = support_of((at.x, at.z), at.faster_than)
+        found["support_motion"] = partial(
+            move_support, names=(at.x, at.z), faster_hz=at.faster_than
+        )
     if given.vibration is not None and moves:
-        shaken = given.vibration
-        found["base_vibration"] = loads.shaking_of(shaken.frequency, shaken.axes)
+        found["base_vibration"] = partial(loads.shake_base, shaken=given.vibration)
     if len(given.stops) > 1:
         raise ValueError(f"stops: one stop can be judged, got {len(given.stops)}; name one")
     for stop in given.stops:
-        found["one_sided_stop"] = loads.stop_of(stop.where, stop.direction, stop.gap)
+        found["one_sided_stop"] = partial(loads.stop_nodes, stop=stop)
     return found
 
 

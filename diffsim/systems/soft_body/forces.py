@@ -3,30 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import torch
 from torch import Tensor
 
 from diffsim.data.study import Run
-from diffsim.identify.effect import Apply
 from diffsim.mesh import HexMesh, TetMesh, surface_triangles
 from diffsim.soft import added_mass
 from diffsim.systems.soft_body.kept import OfScene, ratio
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
 
-def drag(shares: Callable[[SoftScene], Tensor], *, quadratic: bool) -> Apply:
-    """An effect's ``apply`` that drags every node by its share of the body.
-
-    Args:
-        shares: Area or volume of each node of a scene, (num_nodes,) [m^2] or [m^3].
-        quadratic: Whether drag grows with the square of the speed.
-    """
-    return partial(_drag_nodes, shares=shares, quadratic=quadratic)
-
-
-def _drag_nodes(
+def drag_nodes(
     scene: SoftScene,
     size: Tensor,
     run: Run,
@@ -34,6 +22,12 @@ def _drag_nodes(
     shares: Callable[[SoftScene], Tensor],
     quadratic: bool,
 ) -> SoftScene:
+    """Drag every node by its share of the body.
+
+    Args:
+        shares: Area or volume of each node of a scene, (num_nodes,) [m^2] or [m^3].
+        quadratic: Whether drag grows with the square of the speed.
+    """
     own = shares(scene)
     return scene.with_hook(lambda: _Drag(own, size[0], quadratic=quadratic))
 
@@ -117,16 +111,8 @@ def move_fluid(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
     return scene.changed(current=scene.current + size)
 
 
-def dry_friction(slip_speed: float) -> Apply:
-    """An effect's ``apply`` with Coulomb friction -size tanh(v / slip_speed) per axis.
-
-    Args:
-        slip_speed: Speed of slip below which friction grows linearly [m/s].
-    """
-    return partial(_rub_nodes, slip_speed=slip_speed)
-
-
-def _rub_nodes(scene: SoftScene, size: Tensor, run: Run, *, slip_speed: float) -> SoftScene:
+def rub_nodes(scene: SoftScene, size: Tensor, run: Run, *, slip_speed: float) -> SoftScene:
+    """Coulomb friction -size tanh(v / slip_speed) per axis, slip_speed in [m/s]."""
     return scene.with_hook(lambda: _DryFriction(size[0], slip_speed))
 
 

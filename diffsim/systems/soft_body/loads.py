@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import partial
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from diffsim.data.study import Run
-from diffsim.identify.effect import Apply
 from diffsim.systems.soft_body.kept import OfScene, OfTime
-from diffsim.systems.soft_body.places import Region, spread_evenly
+from diffsim.systems.soft_body.places import spread_evenly
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
+
+if TYPE_CHECKING:
+    from diffsim.systems.soft_body.keys import Stop, Vibration
 
 
 class HungWeight(Force):
@@ -62,30 +63,12 @@ def free_end(scene: SoftScene) -> Tensor:
     return volume / volume.sum()
 
 
-def stop_of(where: Region, direction: Sequence[float], gap_m: float) -> Apply:
-    """How a stop in the way of some nodes acts.
-
-    Args:
-        where: Nodes whose mean place meets it.
-        direction: In which it stops them, (3,).
-        gap_m: How far they move freely [m].
-    """
-    return partial(_stop_node, where=where, direction=tuple(direction), gap_m=gap_m)
-
-
-def _stop_node(
-    scene: SoftScene,
-    size: Tensor,
-    run: Run,
-    *,
-    where: Region,
-    direction: tuple[float, ...],
-    gap_m: float,
-) -> SoftScene:
-    shares = spread_evenly(scene.body.nodal_volume, where.nodes(scene.body.mesh))
-    unit = torch.tensor(direction, dtype=torch.float64)
+def stop_nodes(scene: SoftScene, size: Tensor, run: Run, *, stop: Stop) -> SoftScene:
+    """A stop in the way of some nodes, which their mean place meets after a gap."""
+    shares = spread_evenly(scene.body.nodal_volume, stop.where.nodes(scene.body.mesh))
+    unit = torch.tensor(stop.direction, dtype=torch.float64)
     unit = unit / unit.norm()
-    return scene.with_hook(lambda: _StopForce(size[0], shares, unit, gap_m))
+    return scene.with_hook(lambda: _StopForce(size[0], shares, unit, stop.gap))
 
 
 class _StopForce(Force):
@@ -102,20 +85,9 @@ class _StopForce(Force):
         return force[..., None] * self._direction
 
 
-def shaking_of(frequency_hz: float, axes: str) -> Apply:
-    """How a base acts that shakes at one frequency: its acceleration, cosine and sine.
-
-    Args:
-        frequency_hz: Its frequency [Hz].
-        axes: Along which axes it shakes.
-    """
-    return partial(_shake_body, frequency_hz=frequency_hz, axes=axes)
-
-
-def _shake_body(
-    scene: SoftScene, size: Tensor, run: Run, *, frequency_hz: float, axes: str
-) -> SoftScene:
-    return scene.with_hook(lambda: _Shaking(size, frequency_hz, axes))
+def shake_base(scene: SoftScene, size: Tensor, run: Run, *, shaken: Vibration) -> SoftScene:
+    """A base that shakes along axes at one frequency: its acceleration, cosine and sine."""
+    return scene.with_hook(lambda: _Shaking(size, shaken.frequency, shaken.axes))
 
 
 class _Shaking(Force):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +9,6 @@ import torch
 from scipy.interpolate import make_interp_spline
 from torch import Tensor
 
-from diffsim.identify.effect import Apply
 from diffsim.systems.soft_body.kept import OfScene, OfTime
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
 
@@ -18,8 +16,13 @@ if TYPE_CHECKING:
     from diffsim.data.study import Run
 
 
-def _move_support(
-    scene: SoftScene, size: Tensor, run: Run, *, names: tuple[str, str], faster_hz: float | None
+def move_support(
+    scene: SoftScene,
+    size: Tensor,
+    run: Run,
+    *,
+    names: tuple[str, str],
+    faster_hz: float | None = None,
 ) -> SoftScene:
     """Move the support: shift times what its markers show, and turn.
 
@@ -28,7 +31,8 @@ def _move_support(
     near the clamp much. The body is simulated in the support's frame, with its inertia as a force,
     and seen from the room. Left out is that gravity turns with that frame: it acts along the bar.
 
-    The record of the support is an input, as a command is: on runs held out, too.
+    The record of the support is an input, as a command is: on runs held out, too. ``names`` are
+    commands with its places along the body and up [m]; what is faster than ``faster_hz`` is noise.
     """
     path = _Path(_smooth_places(run, names, faster_hz), run, scene, size)
     if not path.moves:
@@ -55,16 +59,6 @@ def _smooth_places(run: Run, names: tuple[str, str], faster_hz: float | None) ->
     if faster_hz is None or 2.0 * faster_hz >= rate_hz:
         return places
     return np.asarray(filtfilt(*butter(4, faster_hz, fs=rate_hz), places, axis=0))
-
-
-def support_of(names: tuple[str, str], faster_hz: float | None = None) -> Apply:
-    """How a support acts that moves as its markers show.
-
-    Args:
-        names: Commands with its places along the body and up [m].
-        faster_hz: What is faster is noise [Hz]; None: nothing is.
-    """
-    return partial(_move_support, names=names, faster_hz=faster_hz)
 
 
 class _Path:

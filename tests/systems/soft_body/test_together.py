@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from diffsim.systems.soft_body import together
+from diffsim.systems.soft_body import line
 from labs.systems.beam import lab_beam
 from labs.systems.beam_causes import (
     TENSION_BACKLASH,
@@ -25,13 +25,13 @@ def bar():
 def rollouts(monkeypatch):
     """Bodies in every rollout that was asked for."""
     seen = []
-    true = together.soft.rollout
+    true = line.soft.rollout
 
     def counted(body, state, *args, **kwargs):
         seen.append(state.x.shape[:-2].numel())
         return true(body, state, *args, **kwargs)
 
-    monkeypatch.setattr(together.soft, "rollout", counted)
+    monkeypatch.setattr(line.soft, "rollout", counted)
     return seen
 
 
