@@ -85,6 +85,21 @@ def test_far_values_stop_where_the_diagnosis_would_not_leave_them_out(tmp_path, 
     assert ("far", stops) in [(rule, is_stop) for rule, _, is_stop in found], found
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_range_of_a_flat_top_is_in_si_units_where_signs_are_turned(tmp_path, sign):
+    sound = joint(np.random.default_rng(8))
+    column = sound.study["channels"][0]["column"]
+    high = 0.7 * max(t[column].max() for t in sound.tables.values())
+    tables = {r: {**t, column: np.minimum(t[column], high)} for r, t in sound.tables.items()}
+    first, *rest = sound.study["channels"]
+    turned = [{**first, "scale": sign * first.get("scale", 1.0)}, *rest]
+    (said,) = (t for rule, t, _ in told(sound.changed(tables, channels=turned), tmp_path / "rig")
+               if rule == "flat")  # fmt: skip
+    low, top = (float(end) for end in re.search(r": \[(\S+), (\S+)\]", said).groups())
+    end = sign * np.deg2rad(high)
+    assert (low, top) == pytest.approx((-1e9, end) if sign > 0.0 else (end, 1e9), rel=1e-4)
+
+
 def test_a_folded_angle_gets_its_sign_back(tmp_path):
     sound = pendulum(np.random.default_rng(5))
     true = sound.tables["a"]["angle_rad"]

@@ -6,6 +6,8 @@ which rows and values, and which keys of study.yaml mend it.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from diffsim.core.memo import Memo
 from diffsim.core.progress import say_stage
 from diffsim.data.record.clocks import find_drift, find_gaps, find_stamps, find_unstamped
@@ -104,7 +106,7 @@ def _find(study: Study) -> tuple[Finding, ...]:
         if rule.name in silent:
             continue
         say_stage(f"record: looking for {rule.sees}")
-        found = list(rule.find(record))
+        found = [replace(finding, rule=rule.name) for finding in rule.find(record)]
         out += found
         if found:
             silent |= set(_EXPLAINS.get(rule.name, ()))

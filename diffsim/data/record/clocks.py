@@ -30,7 +30,7 @@ BETTER = 0.7  # share of the squares that are left with a drift
 def find_stamps(record: Record) -> Iterator[Finding]:
     """Stamps that are missing, equal or go back: rows with them were not read."""
     for run, says in record.study.stamps:
-        yield Finding("stamps", f"run {run}", says, "", True)
+        yield Finding(f"run {run}", says, "", True)
 
 
 def find_gaps(record: Record) -> Iterator[Finding]:
@@ -46,7 +46,6 @@ def find_gaps(record: Record) -> Iterator[Finding]:
         if was_set:
             times = [float(run.time_s[k]) for k in was_set]
             yield Finding(
-                "gaps",
                 f"run {run.name}",
                 f"its clock jumps by {steps[was_set[0]]:.6g} s, {rows_shown(times)}: it was set "
                 "there, as all goes on",
@@ -60,7 +59,6 @@ def find_gaps(record: Record) -> Iterator[Finding]:
             lost = round(float(steps[k] / usual)) - 1
             times = [float(run.time_s[j]) for j, _ in moved]
             yield Finding(
-                "gaps",
                 f"run {run.name}",
                 f"rows are lost while command {command} moves, {lost} of them at "
                 f"{run.time_s[k]:.6g} s ({len(moved)} gap{'s' if len(moved) > 1 else ''}, "
@@ -132,7 +130,6 @@ def find_unstamped(record: Record) -> Iterator[Finding]:
             continue
         k, count, names = found
         yield Finding(
-            "unstamped",
             f"run {run.name}",
             f"{', '.join(names)} jump together after row {k + 1} ({run.time_s[k]:.6g} s), and "
             f"nowhere else: about {count} rows are lost there",
@@ -208,7 +205,6 @@ def find_drift(record: Record) -> Iterator[Finding]:
     if abs(middle) < LEAST_DRIFT or np.mean(np.abs(drifts - middle) < 0.3 * abs(middle)) < 0.6:
         return
     yield Finding(
-        "drift",
         "study",
         f"clocks of the files of a run run apart, by {middle:.3g} parts per million in "
         f"{len(drifts)} places: the lag grows along the run",

@@ -52,7 +52,6 @@ def _copy(
     what = "equal to" if times == 1.0 else f"{times:.6g} times"
     late = f", {rows} row{'s' if rows > 1 else ''} late" if rows else ""
     return Finding(
-        "copies",
         channel.where,
         f"its column {channel.column} is {what} column {other.column} of {other.where} in all "
         f"rows{late}: nothing was measured by it",
@@ -105,7 +104,6 @@ def find_laws(record: Record) -> Iterator[Finding]:
         names = ", ".join(s.name for s in others)
         is_effort = channel.unit in EFFORTS
         yield Finding(
-            "laws",
             channel.where,
             f"its column {channel.column} follows from {names} in the same rows, noise included: "
             "it is the controller's law and was not measured; nothing of the plant can be learned "
@@ -176,7 +174,6 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
         if not is_sharp and beside > abs(off_noise):
             continue  # where runs differ anyway, noise nearer to unchanged than to the factor
         yield Finding(
-            "units",
             f"run {samples.run}",
             f"channel {channel.name} is about {np.exp(off):.3g} times what it is in other runs, "
             f"its noise too: another unit, by {words}",
@@ -231,7 +228,6 @@ def _units_of_commands(record: Record) -> Iterator[Finding]:
             if factor is None or not (factor[0] > BIG or factor[0] < 1.0 / BIG):
                 continue
             yield Finding(
-                "units",
                 channel.where,
                 f"it follows command {command.name}, of the same unit, {times:.4g} times as far: "
                 f"another unit, by {factor[1]}",
@@ -281,7 +277,6 @@ def find_unit_changes(record: Record) -> Iterator[Finding]:
             time = float(samples.times[k])
             column = channel.column if channel.column.isidentifier() else f"`{channel.column}`"
             yield Finding(
-                "unit_changes",
                 f"run {samples.run}",
                 f"channel {channel.name} is {times:.3g} times as large from {time:.6g} s on, its "
                 f"noise too: its unit changes there, by {words}",
@@ -366,7 +361,6 @@ def find_shifted(record: Record) -> Iterator[Finding]:
             continue
         time = float(of[0][1].times[k])
         yield Finding(
-            "shifted",
             f"run {run.name}",
             f"from row {int(of[0][1].at[k]) + 1} ({time:.6g} s) on, columns go on where others "
             f"ended ({', '.join(s.column for s, _ in of[:4])}): cells are shifted",

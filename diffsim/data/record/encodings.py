@@ -51,7 +51,6 @@ def find_signs(record: Record) -> Iterator[Finding]:
             says = f"words whose bit {number} is the sign"
         high = f"{signal.high:.6g}"
         yield Finding(
-            "signs",
             signal.where,
             f"column {signal.column} holds {says}: it goes to {high}, and jumps where it should "
             f"pass 0 (down to {least:.4g})",
@@ -109,7 +108,6 @@ def find_wraps(record: Record) -> Iterator[Finding]:
         period, times = found
         shown = f"{period:g}" if period != 2.0 * np.pi else "6.283185307"
         yield Finding(
-            "wraps",
             signal.where,
             f"column {signal.column} counts modulo {shown}: it jumps from one end to the other "
             f"{len(times)} times, {rows_shown(times)}, and goes on in its direction",
@@ -183,7 +181,6 @@ def find_folded(record: Record) -> Iterator[Finding]:
         if len(touches) >= 3:
             name = two_sided[0].name
             yield Finding(
-                "folded",
                 signal.where,
                 f"column {signal.column} is never negative, though command {name} has both signs: "
                 f"it touches 0 with a cusp {len(touches)} times, {rows_shown(touches)}; its sign "
@@ -291,7 +288,6 @@ def _code(signal: Signal, code: float) -> Finding | None:
     if jumps < max(needed, 0.8 * stretches):
         return None
     return Finding(
-        "codes",
         signal.where,
         f"column {signal.column} is {code:g} in {count} samples ({share:.2g} of all), far from "
         f"those around, {rows_shown(times)}: a number for nothing measured",

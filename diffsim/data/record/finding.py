@@ -15,18 +15,18 @@ class Finding:
     """One fault of a record.
 
     Attributes:
-        rule: Name of the rule that saw it.
         where: "run a", "channel angle", "command goal".
         says: What is wrong, with rows and values.
         remedy: What mends it, as keys of study.yaml.
         stops: Whether no physics may be asked before it is mended.
+        rule: Name of the rule that saw it.
     """
 
-    rule: str
     where: str
     says: str
     remedy: str
     stops: bool
+    rule: str = ""
 
     def __str__(self) -> str:
         return f"{self.says}: {self.remedy}" if self.remedy else self.says

@@ -64,7 +64,6 @@ def find_far(record: Record) -> Iterator[Finding]:
             continue
         margin = 0.5 * least
         yield Finding(
-            "far",
             signal.where,
             f"column {signal.column} is far outside of all other values in {count} samples "
             f"(up to {share:.2g} of a run), by up to {worst:.4g}, {rows_shown(times)}",
@@ -116,7 +115,6 @@ def find_misread(record: Record) -> Iterator[Finding]:
             rows = np.array([k for k in rows if not _is_commanded(record, samples, int(k))], int)
             if len(rows):
                 yield Finding(
-                    "misread",
                     f"run {samples.run}",
                     f"channel {signal.name} is misread at {len(rows)} "
                     f"sample{'s' if len(rows) > 1 else ''}, "
@@ -144,7 +142,6 @@ def find_jumps(record: Record) -> Iterator[Finding]:
             for rows, how in ((jumps.back, "jumps off and back"), (jumps.lasting, _STAYS)):
                 if rows:
                     yield Finding(
-                        "jumps",
                         f"run {samples.run}",
                         f"command {signal.name} {how} at {len(rows)} "
                         f"sample{'s' if len(rows) > 1 else ''}, {by}, first at "
@@ -251,11 +248,9 @@ def find_flat(record: Record) -> Iterator[Finding]:
             times = [float(samples.times[first]) for samples, first, _ in stretches]
             scale = signal.scale or 1.0
             value = _si_at(record, signal, end)
-            low, high = ("-1e9", f"{value:.6g}") if name == "largest" else (f"{value:.6g}", "1e9")
-            if scale < 0.0:
-                low, high = high.replace("1e9", "1e9"), low
+            is_top = (name == "largest") == (scale > 0.0)  # in SI units
+            low, high = ("-1e9", f"{value:.6g}") if is_top else (f"{value:.6g}", "1e9")
             yield Finding(
-                "flat",
                 signal.where,
                 f"its {name} reading, {end:.6g}, comes {count} times in stretches, "
                 f"{rows_shown(times)}: it shows no more",
@@ -324,7 +319,6 @@ def find_frozen(record: Record) -> Iterator[Finding]:
         for samples in signal.runs:
             if _is_stuck(signal, samples):
                 yield Finding(
-                    "frozen",
                     f"run {samples.run}",
                     f"channel {signal.name} shows {samples.low:.6g} in all {len(samples)} samples, "
                     "where its readings differ from row to row in other runs: it was stuck",
@@ -347,7 +341,6 @@ def find_frozen(record: Record) -> Iterator[Finding]:
                 continue
             beside = "" if moving is None else f" while {moving.where} moves"
             yield Finding(
-                "frozen",
                 f"run {samples.run}",
                 f"channel {signal.name} stands still from {start:.6g} to {end:.6g} s, "
                 f"{last - first + 1} equal samples{beside}",
@@ -431,7 +424,6 @@ def find_lines(record: Record) -> Iterator[Finding]:
         are = f"channel{'s' if len(names) > 1 else ''} {', '.join(names[:6])}"
         what = "on straight lines between others" if how == "line" else "equal to the one before"
         yield Finding(
-            "lines",
             f"channel {names[0]}" if len(names) == 1 else "study",
             f"{are}: {n - 1} of {n} rows lie {what}, so that only each {n}th was measured",
             f"`defaults: {{every: {n}}}` uses those alone",
@@ -446,7 +438,6 @@ def find_repeats(record: Record) -> Iterator[Finding]:
         rates = [rate for rate in found if rate is not None]
         if rates and len(rates) >= 0.6 * len(found):
             yield Finding(
-                "repeats",
                 signal.where,
                 f"its readings are new in one of {float(np.median(rates)):.3g} rows, and repeated "
                 "in between, while others change from row to row: one stamp for several sensors",
@@ -513,7 +504,6 @@ def find_lasting(record: Record) -> Iterator[Finding]:
             times = [float(samples.times[j + 1]) for j in rows]
             column = signal.column if signal.column.isidentifier() else f"`{signal.column}`"
             yield Finding(
-                "lasting",
                 f"run {samples.run}",
                 f"channel {signal.name} jumps by {jump:.4g} and stays, {rows_shown(times)}, while "
                 "nothing else does: a marker that slipped, or was taken for another",
