@@ -49,10 +49,14 @@ class Part(BaseModel):
 
     Attributes:
         names_differ: Whether two parts of one name in a list of it are an error.
+        one_of: Keys of which one must be given, and no more.
+        at_most_one: Keys of which no two may be given.
     """
 
     model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
     names_differ: ClassVar[bool] = False
+    one_of: ClassVar[tuple[str, ...]] = ()
+    at_most_one: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="before")
     @classmethod
@@ -66,6 +70,15 @@ class Part(BaseModel):
                         f"known: {', '.join(known)}"
                     )
         return given
+
+    @model_validator(mode="after")
+    def _check_choices(self) -> Part:
+        for names in filter(None, (self.one_of, self.at_most_one)):
+            given = [name for name in names if getattr(self, name) not in (None, ())]
+            if len(given) > 1 or (not given and names is self.one_of):
+                said = " and ".join(given) or "none"
+                raise ValueError(f"give one of {', '.join(names)}, got {said}")
+        return self
 
     @model_validator(mode="after")
     def _check_values(self) -> Part:

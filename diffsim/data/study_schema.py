@@ -6,7 +6,7 @@ Every key is told once, in its description; docs/study_keys.md is written from t
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -147,11 +147,7 @@ class Source(Part):
         "as 360 of an angle in deg: last of all",
     )
 
-    @model_validator(mode="after")
-    def _column_or_formula(self) -> Source:
-        if self.column is not None and self.formula is not None:
-            raise ValueError("give column or formula, not both")
-        return self
+    at_most_one: ClassVar = ("column", "formula")
 
 
 class BoundedSource(Source):
@@ -283,11 +279,7 @@ class Blocks(Part):
         "own samples are compared: then all pieces share one start",
     )
 
-    @model_validator(mode="after")
-    def _one_length(self) -> Blocks:
-        if (self.num is None) == (self.length_s is None):
-            raise ValueError("give num or length_s, one of them")
-        return self
+    one_of: ClassVar = ("num", "length_s")
 
 
 class OtherSource(Source):
@@ -409,10 +401,10 @@ class RunEntry(RunKeys):
     )
     blocks: Blocks | None = Field(None, description="Cut the run into pieces")
 
+    at_most_one: ClassVar = ("group", "repeat_of")
+
     @model_validator(mode="after")
-    def _one_group(self) -> RunEntry:
-        if self.repeat_of is not None and self.group is not None:
-            raise ValueError("give group or repeat_of, not both")
+    def _has_a_file(self) -> RunEntry:
         if not self.file and self.name is None and self.table is None:
             raise ValueError("has neither file nor name")
         return self

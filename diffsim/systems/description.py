@@ -61,10 +61,10 @@ class Quantity(Part):
         "that move with it",
     )
 
+    at_most_one: ClassVar = ("sd", "percent")
+
     @model_validator(mode="after")
     def _check_one_width(self) -> Quantity:
-        if self.sd is not None and self.percent is not None:
-            raise ValueError("give sd or percent, not both")
         if self.percent is not None and self.value <= 0.0:
             raise ValueError(f"percent needs a value above 0, got {self.value:g}; give sd")
         if self.per is not None and not self.is_fitted:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -71,11 +71,7 @@ class RotorPlace(FinitePart):
     )
     rotor: RotorFacts | None = Field(None, description="Of its own; default: that of the file")
 
-    @model_validator(mode="after")
-    def _one_place(self) -> RotorPlace:
-        if (self.at is None) == (self.body is None):
-            raise ValueError("give at or body (one of them)")
-        return self
+    one_of: ClassVar = ("at", "body")
 
 
 class BatteryFacts(FinitePart):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import ClassVar
 
 from pydantic import model_validator
 
@@ -25,10 +26,10 @@ from diffsim.systems.flow_network.steady import counted, plant_of
 class FlowDeviceDescription(FlowDeviceKeys):
     """A planar device whose flow is solved on a grid: a manifold, or a network of channels."""
 
+    one_of: ClassVar = ("manifold", "network")
+
     @model_validator(mode="after")
     def _check_one_device(self) -> FlowDeviceDescription:
-        if (self.manifold is None) == (self.network is None):
-            raise ValueError("give manifold or network (one of them)")
         if any(q.per is not None for q in (self.viscosity, self.wall_offset)):
             raise ValueError("viscosity and wall_offset have one value for all runs; leave per out")
         device = self.device

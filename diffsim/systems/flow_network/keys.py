@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -80,11 +80,7 @@ class SourceKeys(Part):
         None, description="Command that is the pressure, or a number: 0 is the atmosphere [Pa]"
     )
 
-    @model_validator(mode="after")
-    def _check_one_kind(self) -> SourceKeys:
-        if (self.flow is None) == (self.pressure is None):
-            raise ValueError(f"source at {self.node}: give flow or pressure (one of them)")
-        return self
+    one_of: ClassVar = ("flow", "pressure")
 
 
 class MeterKeys(Part):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -131,10 +131,10 @@ class ThrustKeys(Part):
             return {**given, "coefficient": {"value": float(given["coefficient"])}}
         return given
 
+    one_of: ClassVar = ("coefficient", "curve")
+
     @model_validator(mode="after")
-    def _check_one_law(self) -> ThrustKeys:
-        if (self.coefficient is None) == (not self.curve):
-            raise ValueError("give either coefficient or curve")
+    def _check_rising(self) -> ThrustKeys:
         if self.curve and any(b[0] <= a[0] for a, b in pairwise(self.curve)):
             raise ValueError("the first column of curve must rise from row to row")
         return self

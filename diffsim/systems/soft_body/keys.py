@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -70,11 +70,7 @@ class MaterialRegion(Part):
     poissons_ratio: Plain | None = Field(None, description="Poisson's ratio")
     density: Density | None = Field(None, description="Density [kg/m^3]")
 
-    @model_validator(mode="after")
-    def _check_one_place(self) -> MaterialRegion:
-        if (self.where is None) == (self.group is None):
-            raise ValueError("give either where, or group, the name of a region of the mesh file")
-        return self
+    one_of: ClassVar = ("where", "group")
 
 
 class Clamp(Region):
@@ -111,11 +107,7 @@ class Load(Part):
         "that hangs by a long soft spring; its inertia is then a cause to be found, load_inertia",
     )
 
-    @model_validator(mode="after")
-    def _check_one_mass(self) -> Load:
-        if (self.mass is None) == (self.mass_from is None):
-            raise ValueError("give mass, or mass_from with a fact of the runs' setup")
-        return self
+    one_of: ClassVar = ("mass", "mass_from")
 
 
 class Drive(Part):

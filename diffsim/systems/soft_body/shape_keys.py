@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -49,10 +49,10 @@ class Bar(Part):
         "along the middle of the cells that they pass",
     )
 
+    one_of: ClassVar = ("size", "sections")
+
     @model_validator(mode="after")
     def _check_one_shape(self) -> Bar:
-        if (self.size is None) == (not self.sections):
-            raise ValueError("give either size or sections")
         if len(self.sections) == 1:
             raise ValueError("sections: two or more, the first and the last are the ends")
         if min(self.cells) < 1:
@@ -195,11 +195,7 @@ class BodyShape(Part):
     )
     shift: Point = Field((0.0, 0.0, 0.0), description="Moved by, after the rotation [m]")
 
-    @model_validator(mode="after")
-    def _check_one_form(self) -> BodyShape:
-        if sum(s is not None for s in (self.bar, self.rod, self.file)) != 1:
-            raise ValueError("give one of bar, rod and file")
-        return self
+    one_of: ClassVar = ("bar", "rod", "file")
 
     @property
     def can_refine(self) -> bool:

@@ -162,8 +162,8 @@ def test_regions_follow_the_cells_that_are_kept(tmp_path):
         ({"group": "2"}, {}, r"regions\[0\].group: name of a region must be one of"),
         ({"group": "1"}, {"groups": None}, r"regions\[0\].group: .*several cell data"),
         ({"group": "1"}, {"keep": {"x": [None, 0.05]}}, "none of the cells that are kept"),
-        ({"group": "1", "where": {"x": 0.0}}, {}, "give either where, or group"),
-        ({}, {}, "give either where, or group"),
+        ({"group": "1", "where": {"x": 0.0}}, {}, "give one of where, group"),
+        ({}, {}, "give one of where, group"),
     ],
 )
 def test_groups_that_are_not_there(tmp_path, place, file, message):
