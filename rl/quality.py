@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from diffsim.envs.rollout import Controller, rollout_task
 from diffsim.envs.task import Task
-from diffsim.learn.members import steer_members
+from diffsim.learn.cma_es import steer_members
 
 Parameters = dict[str, Tensor]
 

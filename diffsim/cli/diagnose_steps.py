@@ -22,10 +22,10 @@ from diffsim.cli.diagnose_files import (
     REPORT_FILE,
     is_drawn,
     lacking,
+    write_judged,
 )
 from diffsim.cli.diagnose_init import init
 from diffsim.cli.diagnose_inputs import FIRST_STEPS, changed, inputs_of, read_study
-from diffsim.cli.diagnose_judged import write_judged
 from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
 from diffsim.cli.diagnose_task import command, worth

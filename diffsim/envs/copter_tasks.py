@@ -28,8 +28,14 @@ from diffsim.copter._shipped import beside_or_shipped
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag
 from diffsim.core.check import require_number
 from diffsim.core.rotation import matrix_from_quaternion
-from diffsim.envs.copter_delay import delayed, queue_length
-from diffsim.envs.copter_random import PACKED, randomizable, sag_of, with_factors
+from diffsim.envs.copter_random import (
+    PACKED,
+    delayed,
+    queue_length,
+    randomizable,
+    sag_of,
+    with_factors,
+)
 from diffsim.envs.kept import ValueOfTensors
 from diffsim.envs.pictures import copter_picture
 from diffsim.envs.task import Entry, Randomizing, Task, TaskState

@@ -1,12 +1,15 @@
 """CMA-ES (package ``cma``) for controllers with few parameters: sinusoids and knots.
 
 Hansen, "The CMA evolution strategy: a tutorial", 2016.
+
+Of a batch of episodes, every member is steered by parameters of its own.
 """
 
 from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,12 +17,12 @@ import cma
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.func import functional_call, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from diffsim.core.arrays import Array
-from diffsim.envs.rollout import rollout_task
+from diffsim.envs.rollout import Controller, rollout_task
 from diffsim.envs.task import Task
-from diffsim.learn.members import steer_members
 from diffsim.learn.open_loop import make_open_loop
 from diffsim.learn.run import Update, rng_state, set_rng_state
 from diffsim.learn.setup import Setup, broke_down
@@ -121,3 +124,23 @@ class CmaLearner:
         self.search = self._begin()
         for values in self.values:
             self.search.tell(self.search.ask(), values)
+
+
+def steer_members(controller: nn.Module, parameters: Mapping[str, Tensor]) -> Controller:
+    """A controller whose member k of the batch has parameters[k].
+
+    Args:
+        controller: Whose call it is, and whose buffers and other parameters all members share.
+        parameters: By name, (batch, ...) each; differentiable.
+    """
+    buffers = dict(controller.named_buffers())
+
+    def steer(observation: Tensor, step: int) -> Tensor:
+        def one(weights: Mapping[str, Tensor], seen: Tensor) -> Tensor:
+            out: Tensor = functional_call(controller, {**buffers, **weights}, (seen, step))
+            return out
+
+        actions: Tensor = vmap(one)(dict(parameters), observation)
+        return actions
+
+    return steer

@@ -1,15 +1,22 @@
-"""Laws that nobody listed, as the page shows them: pictures, formulas, what else was weighed."""
+"""Laws that nobody listed, as the page shows them: pictures, formulas, what else was weighed.
+
+Formulas are as readers see them: numbers put in, as text and as LaTeX.
+"""
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 import torch
 
 from diffsim.core.arrays import Array, Mask
-from diffsim.core.expression import parse_expression
+from diffsim.core.expression import Name, Node, NumberNode, parse_expression
 from diffsim.core.figures import figure, unit_of, with_interval
+from diffsim.core.optional import optional
 from diffsim.data.study import Study
 from diffsim.diagnose.judge.records import HALF_LEVEL
 from diffsim.diagnose.say.law_records import DescribedLaw, LawAnswer, LawCurve, Number, ScreenRow
@@ -20,7 +27,6 @@ from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.charts import EXTENDED
 from diffsim.viz.figures import INK, LINE
-from diffsim.viz.formulas import write_formula
 
 MOST_ROWS = 15  # of the table of all that was weighed
 PERIODS = 3.0  # of a law that repeats, in its picture: more of them are a grey wall
@@ -260,3 +266,78 @@ def _screen_row(row: ScreenRow) -> list[str]:
         figure(row.nats),
         figure(row.wave_number) if row.wave_number else "–",
     ]
+
+
+DIGITS = 4  # of numbers in a formula; files have all of them
+_ARITHMETIC: dict[str, Callable[..., Any]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "pow": operator.pow,
+    "neg": operator.neg,
+}
+_CALLED = {"abs": "Abs", "min": "Min", "max": "Max"}  # where sympy has another name
+
+
+@dataclass(frozen=True)
+class WrittenFormula:
+    """A formula with its numbers put in.
+
+    Attributes:
+        text: As text.
+        latex: As LaTeX.
+    """
+
+    text: str
+    latex: str
+
+
+def write_formula(
+    formula: str, values: Mapping[str, float], words: Mapping[str, str]
+) -> WrittenFormula | None:
+    """A formula with numbers in place of some names, and other names in words.
+
+    Args:
+        formula: Such as ``"size*sin(k*u)"``.
+        values: Numbers by name.
+        words: What other names are called, such as "heat of current^2".
+
+    Returns:
+        None where sympy is not installed, or has no word for an operation.
+    """
+    try:
+        sympy = optional("sympy", purpose="formulas as LaTeX")
+    except ImportError:
+        return None
+    symbols = {name: sympy.Symbol(_in_brackets(text)) for name, text in words.items()}
+    known = {**symbols, **{name: sympy.Float(v, DIGITS) for name, v in values.items()}}
+    made = _build(sympy, parse_expression(formula).root, known)
+    if made is None:
+        return None
+    upright = {symbols[name]: _upright(text) for name, text in words.items()}
+    text = str(made)
+    for name, called in _CALLED.items():
+        text = text.replace(f"{called}(", f"{name}(")
+    return WrittenFormula(text, sympy.latex(made, symbol_names=upright))
+
+
+def _build(sympy: Any, node: Node, known: Mapping[str, Any]) -> Any | None:
+    if isinstance(node, NumberNode):
+        is_whole = node.value.is_integer()
+        return sympy.Integer(int(node.value)) if is_whole else sympy.Float(node.value, DIGITS)
+    if isinstance(node, Name):
+        return known.get(node.name, sympy.Symbol(node.name))
+    parts = [_build(sympy, part, known) for part in node.parts]
+    name = _CALLED.get(node.operation, node.operation)
+    join = _ARITHMETIC.get(node.operation) or getattr(sympy, name, None)
+    return None if join is None or None in parts else join(*parts)
+
+
+def _in_brackets(words: str) -> str:
+    return words if words.isidentifier() else f"({words})"
+
+
+def _upright(words: str) -> str:
+    escaped = words.replace("_", r"\_").replace(" ", r"\ ")
+    return rf"\mathrm{{{escaped}}}"

@@ -12,8 +12,8 @@ import torch
 import yaml
 
 from diffsim import cli
+from diffsim.cli.diagnose_files import file_name, write_judged
 from diffsim.cli.diagnose_inputs import inputs_of
-from diffsim.cli.diagnose_judged import file_name, write_judged
 from diffsim.data import save_study
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_file import load_study

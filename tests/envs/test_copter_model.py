@@ -13,7 +13,7 @@ pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
 
 from diffsim.copter import BodyDrag, FlightEffects, FlightState, MotorLag, fly
 from diffsim.envs import make_task, make_vector
-from diffsim.envs.copter_delay import delayed
+from diffsim.envs.copter_random import delayed
 from diffsim.systems.multicopter.extended import CopterSizes
 
 COMMAND = torch.tensor([0.2, -0.1, 0.3, 0.1], dtype=torch.float64)

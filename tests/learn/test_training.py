@@ -20,9 +20,9 @@ pytest.importorskip("gymnasium", reason="environments need gymnasium: pip instal
 from diffsim.core.errors import DiffsimError
 from diffsim.learn import gradient, open_loop
 from diffsim.learn.checkpoint import CHECKPOINT
+from diffsim.learn.cma_es import steer_members
 from diffsim.learn.critics import Critic, td_lambda_targets
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions, NanGuard
-from diffsim.learn.members import steer_members
 from diffsim.learn.methods import make_learner
 from diffsim.learn.open_loop import fit_open_loop, make_open_loop
 from diffsim.learn.run import (

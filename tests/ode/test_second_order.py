@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.func import grad, jacfwd, jacrev
 
-from diffsim.ode import Ode, in_torch
+from diffsim.ode import Ode, _ops
 from tests.ode.test_integrate import EVERY_OPERATION, given
 
 pytestmark = pytest.mark.grad
@@ -78,5 +78,5 @@ def test_steps_in_torch_are_those_of_the_kernel(shared):
     expected = EVERY_OPERATION.solve(times, start, inputs, parameters, num_steps=3)
     problem = EVERY_OPERATION.problem(times, 3, 1)
     one_more = inputs if inputs.ndim == 3 else inputs[None]
-    found = in_torch.solve(problem, 3, start.expand(3, -1), one_more, parameters.expand(3, -1))
+    found = _ops.solve(problem, 3, start.expand(3, -1), one_more, parameters.expand(3, -1))
     torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-13)

@@ -17,10 +17,9 @@ from diffsim.diagnose.say.law_records import (
     RunCurve,
     ScreenRow,
 )
+from diffsim.viz import diagnosis_laws
 from diffsim.viz import diagnosis_report as dr
-from diffsim.viz import formulas
-from diffsim.viz.diagnosis_laws import MOST_ROWS, laws_section
-from diffsim.viz.formulas import write_formula
+from diffsim.viz.diagnosis_laws import MOST_ROWS, laws_section, write_formula
 from tests.optional import needs
 from tests.viz.test_diagnosis_report import CAUSES, example, series
 
@@ -215,7 +214,7 @@ def test_without_sympy_the_formula_stays_as_it_is(monkeypatch):
     def missing(module, purpose):
         raise ImportError(module)
 
-    monkeypatch.setattr(formulas, "optional", missing)
+    monkeypatch.setattr(diagnosis_laws, "optional", missing)
     assert write_formula("size*u", {"size": 2.0}, {"u": "x"}) is None
     table = laws_section(described())[0].content[1]
     assert "formula" in [row[0] for row in table.rows]

@@ -1,6 +1,13 @@
-"""Walls in the plane: signed distance to Bezier curves, phi > 0 in the fluid, < 0 in the solid."""
+"""Walls in the plane: signed distance to Bezier curves, phi > 0 in the fluid, < 0 in the solid.
+
+Polynomials are in Bernstein form on [0, 1]: coefficients on the last axis unless said otherwise.
+"""
 
 from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -9,10 +16,9 @@ from diffsim.core.check import require, require_choice, require_constants, requi
 from diffsim.core.checked import checked
 from diffsim.core.numbers import require_unmapped
 from diffsim.core.record import warn
+from diffsim.core.torch_names import on_constants
+from diffsim.stokes import _ops_curve
 from diffsim.stokes.shapes.base import Shape
-from diffsim.stokes.shapes.bernstein import basis
-from diffsim.stokes.shapes.closest_curve import Chain
-from diffsim.stokes.shapes.crossing import crossing
 from diffsim.stokes.shapes.envelope import signed_distance
 
 _DRAWN = 32  # chords per curve where the chain is drawn
@@ -174,3 +180,106 @@ class BezierCurve2d(Shape):
         if abs(area) < 1e-12 * chain.size**2:
             raise ValueError("the loop encloses no area: inside and outside are not defined")
         return 1.0 if (area > 0) == (self.fluid == "inside") else -1.0
+
+
+@functools.cache
+@on_constants()
+def binomials(degree: int) -> Tensor:
+    """C(n, 0), ..., C(n, n); shared, not to be written to."""
+    return torch.tensor([math.comb(degree, k) for k in range(degree + 1)], dtype=torch.float64)
+
+
+def basis(t: Tensor, degree: int) -> Tensor:
+    """C(n, k) t^k (1 - t)^(n - k), (..., n + 1)."""
+    s = 1.0 - t
+    rising, falling = [torch.ones_like(t)], [torch.ones_like(t)]
+    for _ in range(degree):
+        rising.append(rising[-1] * t)
+        falling.append(falling[-1] * s)
+    products = [up * down for up, down in zip(rising, reversed(falling), strict=True)]
+    return binomials(degree) * torch.stack(products, -1)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Rational Bezier curves end to end, without gradient; the parameter is curve + t in [0, 1].
+
+    Attributes:
+        homogeneous: (num_curves, degree + 1, 3), columns w x, w y, w.
+        closed: Whether the last one ends where the first one starts.
+        size: Length scale [m].
+    """
+
+    homogeneous: Tensor
+    closed: bool
+    size: float
+
+    @property
+    def num_curves(self) -> int:
+        return len(self.homogeneous)
+
+    def split(self, tau: Tensor) -> tuple[Tensor, Tensor]:
+        """Curve (N,) int64 and t (N,) in [0, 1]; ends clamped, or wrapped if closed."""
+        if self.closed:
+            tau = torch.remainder(tau, self.num_curves)
+        curve = tau.floor().long().clamp(0, self.num_curves - 1)
+        return curve, (tau - curve).clamp(0.0, 1.0)
+
+    def point(self, tau: Tensor) -> Tensor:
+        """Points (N, 2) within the ends."""
+        curve, t = self.split(tau)
+        h = (basis(t, self.homogeneous.shape[1] - 1)[:, :, None] * self.homogeneous[curve]).sum(1)
+        return h[:, :2] / h[:, 2:]
+
+    def closest(self, p: Tensor, rays: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Points closest to p (N, 2), without gradient.
+
+        Args:
+            p: Points.
+            rays: Unit directions in which the chain goes on straight before its start and after
+                its end, (2, 2); None if it does not.
+
+        Returns:
+            Parameters (N,), the smallest one of those equally near (to 1e-13 of the chain's size),
+            on the rays -s and num_curves + s, s [m]; unit normals (N, 2) on the left side, such
+            that normal.(p - closest point) is the signed distance.
+        """
+        return _ops_curve.closest_on_curves(
+            points=p,
+            homogeneous=self.homogeneous,
+            rays=p.new_zeros(0) if rays is None else rays,
+            closed=self.closed,
+            size=self.size,
+        )
+
+
+def crossing(polyline: Tensor) -> tuple[float, float] | None:
+    """A point where two chords that are not neighbors cross, or None.
+
+    Args:
+        polyline: (N + 1, 2) [m]; first and last point may coincide (then their chords are
+            neighbors).
+    """
+    a, b = polyline[:-1], polyline[1:]
+    d = b - a
+    start = _cross(d[:, None], a[None] - a[:, None])  # which side of chord i chord j starts on
+    end = _cross(d[:, None], b[None] - a[:, None])
+    parts = start * end < 0
+    hit = parts & parts.T
+    num = len(a)
+    i = torch.arange(num)
+    apart = (i[:, None] - i[None]).abs()
+    hit &= apart > 1
+    if bool((polyline[0] == polyline[-1]).all()):
+        hit &= apart < num - 1
+    crossings = torch.nonzero(hit)
+    if len(crossings) == 0:
+        return None
+    first, second = crossings[0].tolist()
+    s = start[first, second] / (start[first, second] - end[first, second])
+    x, y = (a[second] + s * d[second]).tolist()
+    return x, y
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
