@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import os
-from difflib import get_close_matches
 from pathlib import Path
 
-from diffsim.cli.arguments import DIAGNOSES, FULL, QUICK, described, fact, names, positive
+from diffsim.cli.arguments import (
+    DIAGNOSES,
+    FULL,
+    NO_STUDY,
+    QUICK,
+    fact,
+    names,
+    positive,
+    study_file,
+)
 
 HELP = "what a simulation gets wrong against recorded runs"
 STEPS = {
@@ -232,23 +239,12 @@ def _refuse_early(args: argparse.Namespace) -> None:
         from diffsim.cli.init_target import require_target
 
         require_target(args.folder, args.out, force=args.force)
-    given = getattr(args, "study", None)
-    if given is None:
+    if not hasattr(args, "study"):
         return
-    path = Path(given)
-    if os.sep in given or given.endswith((".yaml", ".yml")):
-        file = path / "study.yaml" if path.is_dir() else path
-        if not file.is_file():
-            raise FileNotFoundError(
-                f"{file}: no such study; give study.yaml or the folder that has it"
-            )
-    elif not path.exists() and given not in (known := [path.stem for path in described()]):
-        close = get_close_matches(given, known, n=2)
-        hint = f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
-        raise FileNotFoundError(
-            f"{given} is no file or folder of a study, and STUDY must be one of {known}, got "
-            f"{given!r}{hint}"
-        )
+    path = study_file(args.study)
+    file = path / "study.yaml" if path.is_dir() else path
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: {NO_STUDY}")
     for file in (file for files in getattr(args, "new", ()) for file in files):
         if not file.is_file():
             raise FileNotFoundError(f"{file}: no such file of a new run")

@@ -13,6 +13,7 @@ import numpy as np
 from diffsim.causes.scene import PLAY_START
 from diffsim.cli.diagnose_trial import trial_problems
 from diffsim.core.errors import DiffsimError
+from diffsim.core.figures import list_first
 from diffsim.data.columns_beside import outputs_of
 from diffsim.data.header_units import header_units
 from diffsim.data.record.clocks import TIMELESS
@@ -128,7 +129,7 @@ def _merge_alike_problems(problems: Sequence[Problem]) -> Iterator[str]:
     for first, *others in alike.values():
         names = list(dict.fromkeys(p.where for p in others if p.where != first.where))
         names = [name.removeprefix("run ") for name in names]
-        yield f"{first}" + (f" (likewise {_list_first(names)})" if names else "")
+        yield f"{first}" + (f" (likewise {list_first(names)})" if names else "")
 
 
 def problems_of(study: Study) -> list[Problem]:
@@ -145,7 +146,7 @@ def problems_of(study: Study) -> list[Problem]:
                 Problem(
                     "warning",
                     f"run {second.name}",
-                    f"{_list_first(names)} {are} equal to the last digit to run {first.name} (use: "
+                    f"{list_first(names)} {are} equal to the last digit to run {first.name} (use: "
                     f"{first.use}): if that is one recording in two frames, give both the same use",
                 )
             )
@@ -256,8 +257,8 @@ def _of_setup(study: Study) -> tuple[list[Problem], str]:
     told = [f"{line}\n" for line in done_by_setup(study, setup.study or study)]
     problems = [*trial_problems(study, setup), *model_problems(study, setup)]
     return problems, "".join(told) + (
-        f"model: {len(shown)} base parameters ({_list_first(shown)}{starts}), "
-        f"{len(causes)} candidate causes ({_list_first(causes)})"
+        f"model: {len(shown)} base parameters ({list_first(shown)}{starts}), "
+        f"{len(causes)} candidate causes ({list_first(causes)})"
     )
 
 
@@ -286,13 +287,13 @@ def _summary(study: Study) -> Iterator[str]:
     yield from _describe_uses(study)
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
     if repeats:
-        yield f"repeats: {_list_first([f'{n} runs of {g}' for g, n in repeats.items()])}"
+        yield f"repeats: {list_first([f'{n} runs of {g}' for g, n in repeats.items()])}"
     outputs = outputs_of(study)
     if beside := [c for c in study.columns if c.name not in outputs]:
         shown = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in beside]
-        yield f"recorded beside: {_list_first(shown)}; what is left may depend on them"
+        yield f"recorded beside: {list_first(shown)}; what is left may depend on them"
     if outputs:
-        yield f"outputs, told by channels: {_list_first(sorted(outputs))}; no cause acts by them"
+        yield f"outputs, told by channels: {list_first(sorted(outputs))}; no cause acts by them"
     yield from done_by_setup(replace(study, mended=(), left_out=()), study)
 
 
@@ -317,12 +318,12 @@ def _describe_uses(study: Study) -> Iterator[str]:
     fit, select, test = (study.runs_for(use) for use in ("fit", "select", "test"))
     yield f"fit: {_count(fit, 'run')}; parameters are fitted to these"
     yield (
-        f"select: {_list_first([r.name for r in select])}; these choose between causes"
+        f"select: {list_first([r.name for r in select])}; these choose between causes"
         if select
         else "select: none; causes are chosen by leaving out one fit run (or block) at a time"
     )
     yield (
-        f"test: {_list_first([r.name for r in test])}; touched once, when the answer is frozen"
+        f"test: {list_first([r.name for r in test])}; touched once, when the answer is frozen"
         if test
         else "test: none; nothing will show what the causes found are worth on unseen runs"
     )
@@ -361,7 +362,7 @@ def _run_row(run: Run) -> list[str]:
     facts = [f"{k}={v:.4g}" if isinstance(v, float) else f"{k}={v}" for k, v in run.setup.items()]
     group = run.group if run.group != run.name else "-"
     ends = f"{_format_time(t[0])} .. {_format_time(t[-1])} s" if len(t) else "-"
-    return [run.name, run.use, group, str(len(t)), step, ends, _list_first(facts, MAX_FACTS)]
+    return [run.name, run.use, group, str(len(t)), step, ends, list_first(facts, MAX_FACTS)]
 
 
 def _format_time(time_s: float) -> str:
@@ -380,8 +381,3 @@ def _table(header: list[str], rows: list[list[str]]) -> Iterator[str]:
 
 def _count(of: Sequence[Any], what: str) -> str:
     return f"{len(of)} {what}{'' if len(of) == 1 else 's'}"
-
-
-def _list_first(names: Sequence[str], most: int = 8) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more

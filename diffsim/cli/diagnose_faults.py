@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from diffsim.cli.diagnose_inputs import study_file
+from diffsim.cli.arguments import study_file
 from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.core.check import require_choice
+from diffsim.core.figures import list_first
 from diffsim.core.files import write_json_atomic
 from diffsim.core.units import after_number
 from diffsim.data.study import Study
@@ -33,7 +34,7 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
             "b.csv:vehicle" one of the group with this file.
 
     Raises:
-        FileNotFoundError: no such study or file.
+        FileNotFoundError: no such study.
         ValueError: the study has no ``faults``, a fact is of no new group, or the new runs cannot
             be read.
     """
@@ -41,9 +42,6 @@ def with_new(given: str, new: Sequence[Sequence[Path]], facts: Mapping[str, str]
     study = load_study(path, strict=False)
     if study.faults is None:
         raise ValueError(f"{path}: has no `faults`; see `faults` in docs/study_keys.md")
-    for file in (f for files in new for f in files):
-        if not file.is_file():
-            raise FileNotFoundError(f"{file}: no such file of a new run")
     if not new:
         return study
     keys = study.faults
@@ -162,6 +160,5 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
 def _of_what(verdict: FaultVerdict) -> str:
     """Runs of a group, by their files where they are new, and what is known of them."""
     names = [run.removeprefix(f"{verdict.group} ") for run in verdict.runs]
-    more = f" and {len(names) - MAX_RUNS} more" if len(names) > MAX_RUNS else ""
     facts = "".join(f"; {name} {value}" for name, value in verdict.facts.items())
-    return f"{'runs' if len(names) > 1 else 'run'} {', '.join(names[:MAX_RUNS])}{more}{facts}"
+    return f"{'runs' if len(names) > 1 else 'run'} {list_first(names, MAX_RUNS)}{facts}"

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.cli.arguments import FULL, QUICK, described
+from diffsim.cli.arguments import FULL, QUICK, study_file
 from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain
 from diffsim.core.version import __version__
@@ -48,31 +48,6 @@ def read_study(given: str) -> Study:
         FileNotFoundError: neither; the message offers the closest names.
     """
     return load_study(study_file(given), strict=False)
-
-
-def _is_own(given: str) -> bool:
-    """Whether it is the user's; results may lie in a folder named like a published data set."""
-    path, published = Path(given), {path.stem for path in described()}
-    is_results = path.is_dir() and given in published and not (path / "study.yaml").exists()
-    return path.exists() and not is_results
-
-
-def study_file(given: str) -> Path:
-    """File or folder of a study, or the file of a published data set.
-
-    Raises:
-        FileNotFoundError: neither; the message offers the closest names.
-    """
-    if _is_own(given):
-        return Path(given)
-    files = {path.stem: path for path in described()}
-    if given in files:
-        return files[given]
-    try:
-        require_choice("STUDY", given, files)
-    except ValueError as error:
-        raise FileNotFoundError(f"{given} is no file or folder of a study, and {error}") from None
-    raise FileNotFoundError(f"{given} has no study.yaml")
 
 
 def choose(

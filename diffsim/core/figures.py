@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 DIGITS = 3  # of a number that stands alone
 MOST_DIGITS = 7  # of the ends of a narrow interval
@@ -72,3 +73,9 @@ def probability(value: float) -> str:
     if math.isnan(value):
         return "–"
     return "< 0.001" if value < 1e-3 else f"{value:.2g}"
+
+
+def list_first(names: Sequence[str], most: int = 8) -> str:
+    """The first names, and how many more there are: "a, b and 3 more"."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
+from diffsim.core.figures import list_first
 from diffsim.data.folder_tables import FoundTable
 from diffsim.data.joined_files import Kind
 from diffsim.data.table import Table
@@ -128,5 +129,4 @@ class Guess:
 def listed(what: str, names: Iterable[str], most: int = 10) -> list[str]:
     """A sentence on names, if there are any."""
     names = list(names)
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return [f"{what}: {', '.join(names[:most])}{more}"] if names else []
+    return [f"{what}: {list_first(names, most)}"] if names else []

@@ -272,19 +272,12 @@ def kept_rows(entry: RunEntry, samples: RunSamples, labels: Sequence[str], where
 def averaged(run: Run, every: int | Mapping[float, int]) -> Run:
     """Means over each n samples of a run."""
     n = every if isinstance(every, int) else max(every.values())
-    return replace(
-        run,
-        time_s=_mean(run.time_s[:, None], n)[:, 0],
-        measured=_mean(run.measured, n),
-        command={name: _mean(v[:, None], n)[:, 0] for name, v in run.command.items()},
-        columns={name: _mean(v[:, None], n)[:, 0] for name, v in run.columns.items()},
-        raw={},
-    )
+    return replace(run, raw={}).mapped(lambda values: _mean(values, n))
 
 
 def _mean(values: Array, n: int) -> Array:
     """Means over n rows, gaps left out; a rest of fewer rows is left out."""
-    whole = values[: len(values) // n * n].reshape(-1, n, values.shape[1])
+    whole = values[: len(values) // n * n].reshape(-1, n, *values.shape[1:])
     count = np.isfinite(whole).sum(axis=1)
     total = np.nansum(whole, axis=1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
@@ -300,14 +293,7 @@ def mean_of_equal(run: Run) -> Run:
         total = np.add.reduceat(np.where(there, values, 0.0), first, axis=0)
         return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
 
-    return replace(
-        run,
-        time_s=run.time_s[first],
-        measured=mean(run.measured),
-        command={name: mean(values) for name, values in run.command.items()},
-        columns={name: mean(values) for name, values in run.columns.items()},
-        raw={name: (header, mean(values)) for name, (header, values) in run.raw.items()},
-    )
+    return replace(run.mapped(mean), time_s=run.time_s[first])
 
 
 def without_gaps(run: Run) -> Run:
@@ -336,12 +322,10 @@ def without_gaps(run: Run) -> Run:
         return out
 
     return replace(
-        run,
+        run.mapped(without),
         time_s=time_s,
-        measured=without(run.measured),
         command={name: on_line(values) for name, values in run.command.items()},
         columns={name: on_line(values) for name, values in run.columns.items()},
-        raw={name: (header, without(values)) for name, (header, values) in run.raw.items()},
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -123,13 +123,21 @@ class Run:
         Args:
             keep: A slice, the indices, or which samples are kept.
         """
+        return self.mapped(lambda values: values[keep])
+
+    def mapped(self, change: Callable[[Array], Array]) -> Run:
+        """The run with all of its samples changed.
+
+        Args:
+            change: From (num_samples, ...) of one quantity, the clock too, to what stands for them.
+        """
         return replace(
             self,
-            time_s=self.time_s[keep],
-            measured=self.measured[keep],
-            command={name: values[keep] for name, values in self.command.items()},
-            columns={name: values[keep] for name, values in self.columns.items()},
-            raw={name: (header, values[keep]) for name, (header, values) in self.raw.items()},
+            time_s=change(self.time_s),
+            measured=change(self.measured),
+            command={name: change(values) for name, values in self.command.items()},
+            columns={name: change(values) for name, values in self.columns.items()},
+            raw={name: (header, change(values)) for name, (header, values) in self.raw.items()},
         )
 
 

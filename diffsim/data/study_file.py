@@ -35,6 +35,7 @@ from typing import Any
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
+from diffsim.core.figures import list_first
 from diffsim.core.inside import inside
 from diffsim.core.paths import data_candidates
 from diffsim.core.schema import read_part
@@ -120,7 +121,7 @@ def load_study(
         faults=stated.faults,
         columns=reader.columns,
         mended=tuple(
-            f"{said} ({_list_first([f'run {name}' for name in names])})"
+            f"{said} ({list_first([f'run {name}' for name in names])})"
             for said, names in reader.mended.items()
         ),
         stamps=tuple(reader.stamps),
@@ -206,7 +207,7 @@ def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ..
         for path in folder.glob(pattern)
         if path not in used and path.name not in mentioned
     )
-    out = [f"files: {_list_first(files)}"] if files else []
+    out = [f"files: {list_first(files)}"] if files else []
     beside = {column.header for column in reader.columns}
     unused = Counter(
         name
@@ -215,16 +216,12 @@ def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ..
         if name and name not in table.used and name not in beside
     )
     if unused:
-        out.append(f"columns: {_list_first([_in_files(n, k) for n, k in unused.items()])}")
+        out.append(f"columns: {list_first([_in_files(n, k) for n, k in unused.items()])}")
     return (*out, *reader.left_out)
 
 
 def _in_files(name: str, count: int) -> str:
     return name if count == 1 else f"{name} ({count} files)"
-
-
-def _list_first(names: list[str], most: int = 8) -> str:
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 READY = Path(__file__).parent / "ready"  # rigs by the names of their files

@@ -184,7 +184,7 @@ def test_diagnose_names_a_missing_study(capsys):
 
 
 def test_a_folder_of_results_does_not_hide_the_published_data_set(tmp_path, monkeypatch):
-    from diffsim.cli.diagnose_inputs import study_file
+    from diffsim.cli.arguments import study_file
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "starfish").mkdir()  # of `explain starfish --out starfish`
