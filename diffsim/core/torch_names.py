@@ -1,6 +1,6 @@
 """Names of PyTorch that it does not promise to keep: what it has no public word for.
 
-Nothing else in the package reads a private name of PyTorch. ``tests/core/test_torch_names.py`` says
+Nothing else in the package reads a private name of PyTorch. ``tests/core/test_imports.py`` says
 with which version all of them were tried.
 """
 

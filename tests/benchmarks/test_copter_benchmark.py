@@ -1,6 +1,11 @@
 """The benchmark of all copter stages runs, and its gradients are right."""
 
+from __future__ import annotations
+
 from dataclasses import replace
+
+import pytest
+import torch
 
 from benchmarks.copter import (
     BENCHMARK,
@@ -11,8 +16,9 @@ from benchmarks.copter import (
     mass_layer,
     report,
 )
-from benchmarks.copter_control import gradient_error
-from benchmarks.harness import Store
+from benchmarks.copter_control import gradient_error, measure
+from benchmarks.copter_flight import passes, row
+from benchmarks.harness import Seconds, Store
 
 
 def test_a_wrong_gradient_is_seen():
@@ -41,3 +47,31 @@ def test_command_writes_what_it_measured(tmp_path):
     assert set(results["flight"]) == {"bare, 2", "drag, wind, lag, 2"}
     assert "codesign" not in results
     assert "| bare, 2 |" in (tmp_path / "report.md").read_text()
+
+
+def test_gradients_and_rows():
+    result = measure(6, seconds=0.0)
+    # differences of fourth order reach 1e-11 (hover) and 1e-10 (LQR) at the steps taken
+    assert result["hover_gradient_error"] < 1e-9
+    assert result["lqr_gradient_error"] < 1e-8
+    assert result["lqr_difference_from_scipy"] < 1e-10
+    assert all(row["median"] > 0.0 for row in result["milliseconds"].values())
+
+
+@pytest.mark.parametrize("kind", ["bare", "drag, wind, lag"])
+def test_the_quadcopter_stays_in_the_air(kind):
+    torch.manual_seed(0)
+    forward = passes(3, 1000, kind, 1)["forward"]
+    height = -forward()[:, -1, 2]
+    assert bool((height.abs() < 1.0).all())  # a second, from within some decimeters
+
+
+def test_gradients_are_there():
+    grads = passes(3, 20, "bare", 1)["forward + backward"]()
+    assert all(float(g.abs().max()) > 0 for g in grads)
+
+
+def test_rates():
+    line = row("name", [Seconds(wall=0.5, cpu=0.25)], 1_000_000)
+    assert "2.000 M/s wall" in line
+    assert "4.000 M/s CPU" in line

@@ -1,10 +1,12 @@
-"""benchmarks/stokes_sampling.py at tiny size: starts are the random designs, its table is right."""
+"""benchmarks/stokes_sampling.py and stokes_amplifier.py at tiny size: starts, tables."""
+
+from __future__ import annotations
 
 import json
 
 import pytest
 
-from benchmarks import stokes_sampling
+from benchmarks import stokes_amplifier, stokes_sampling
 from diffsim.stokes import devices
 
 
@@ -43,3 +45,17 @@ def test_starts_are_the_best_sample_and_others(tmp_path, capsys):
     with pytest.raises(SystemExit):
         stokes_sampling.main([*arguments, "--starts", "4", "--out", str(tmp_path)])
     assert "--starts must lie between 2" in capsys.readouterr().err
+
+
+def test_larger_ratios_and_finer_grids_come_closer(tmp_path):
+    results = stokes_amplifier.main(
+        ["--scales", "1", "2", "--ratios", "0.45", "0.49", "0.499", "--out", str(tmp_path)]
+    )
+    to_stiffest = [row["to_stiffest"] for row in results["stiffening"]]
+    assert to_stiffest[0] > to_stiffest[1] > to_stiffest[2] == 0.0
+    # The thesis's measure goes to zero; the distance to the incompressible flow does not.
+    assert results["stiffening"][-1]["to_incompressible"] > 0.02
+    refinement = [r for r in results["refinement"] if r["poissons_ratio"] == 0.45]
+    assert 0.0 < refinement[0]["to_finest"] < 0.05 < refinement[-1]["to_incompressible"]
+    text = (tmp_path / "report.md").read_text()
+    assert text.count("| default |") == 2

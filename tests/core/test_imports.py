@@ -1,12 +1,18 @@
-"""What a first step imports: PyTorch's compiler, sympy and readers of files cost seconds."""
+"""What a first step imports, which costs seconds; private names of PyTorch are in one file."""
 
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+import torch
+
+import diffsim
+from diffsim.core import torch_names
 
 FIRST_STEPS = """
 import sys
@@ -79,3 +85,23 @@ def test_packages(imported, what, packages, count):
     # numpy's f2py, which scipy loads, reads with charset_normalizer where that is installed
     assert set(names) <= packages | {"cython_runtime", "charset_normalizer"}
     assert modules <= count
+
+
+PRIVATE = re.compile(r"\btorch\._[A-Za-z]|\._C\b|forward_ad\._|_functorch|_opoverload|_backend_fns")
+
+
+def test_private_names_of_pytorch_stand_in_one_file():
+    package = Path(diffsim.__file__).parent
+    found = [
+        f"{path.relative_to(package)}: {line.strip()}"
+        for path in sorted(package.rglob("*.py"))
+        if path.name != "torch_names.py"
+        for line in path.read_text().splitlines()
+        if PRIVATE.search(line)
+    ]
+    assert not found
+
+
+def test_the_version_is_the_one_they_were_tried_with():
+    """Where it is not: run tests/core and tests/test_transformations.py, then write it down."""
+    assert torch.__version__.startswith(torch_names.TRIED + ".")

@@ -1,13 +1,21 @@
-"""Values by key: computed once, the last ones kept, no copy shares them."""
+"""Values by key: computed once, the last ones kept, no copy shares them, large ones in files."""
 
 from __future__ import annotations
 
+import copy
+import gc
 import pickle
+import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from diffsim.core.memo import Memo, memo_field
+from diffsim.core import memo
+from diffsim.core.memo import LARGE, Aside, Memo, SpilledArray, memo_field, spill
+from diffsim.identify.linearization import Linearization
+from tests.test_attacks import full_disk
 
 
 class Counted:
@@ -63,3 +71,100 @@ def test_copies_begin_empty():
     two = replace(one, x=2)
     assert two.memo("x", lambda: two.x) == 2
     assert two == Record(2)
+
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    name: str
+    columns: Aside = Aside()
+
+
+def large(order="C", rows=700):
+    values = np.random.default_rng(0).normal(size=(rows, LARGE // 8 // 700 + 1))
+    return np.asarray(values, order=order)
+
+
+@pytest.fixture
+def forgotten(monkeypatch):
+    """Nothing is at hand: every look reads the file."""
+    monkeypatch.setattr(memo, "_at_hand", memo.Memo(0))
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_the_same_bits_and_layout_come_back(forgotten, order):
+    array = large(order)
+    found = SpilledArray(array).array()
+    assert found is not array and np.array_equal(found, array)
+    assert found.flags.f_contiguous == array.flags.f_contiguous
+
+
+def test_rows_are_read_without_the_others(forgotten):
+    array = large()
+    place = SpilledArray(array)
+    assert len(place) == len(array) and place.shape == array.shape
+    assert np.array_equal(place[13:20], array[13:20]) and np.array_equal(
+        place[690:900], array[690:]
+    )
+
+
+def test_fields_of_records_are_laid_aside(forgotten):
+    array = large()
+    slopes = Slopes("a", array)
+    assert not any(value is array for value in vars(slopes).values())
+    for other in (slopes, replace(slopes, name="b"), copy.copy(slopes),
+                  pickle.loads(pickle.dumps(slopes))):  # fmt: skip
+        assert np.array_equal(other.columns, array)
+    assert Slopes("none", None).columns is None
+    with pytest.raises(TypeError, match="columns"):
+        Slopes("missing")
+
+
+def test_what_nobody_holds_leaves_no_file(forgotten):
+    place = SpilledArray(large())
+    path = Path(place._path)
+    assert path.exists()
+    del place
+    gc.collect()
+    assert not path.exists()
+
+
+def test_what_was_asked_for_last_is_at_hand():
+    places = [SpilledArray(large()) for _ in range(memo.AT_HAND + 1)]
+    first = places[0].array()
+    assert first is places[0].array()
+    for place in places[1:]:
+        place.array()
+    assert first is not places[0].array()
+
+
+def test_small_ones_and_those_of_a_full_disk_stay_in_memory(forgotten):
+    small, array = np.arange(9.0), large()
+    assert spill(small) is small and Slopes("few", small).columns is small
+    with full_disk(4_096):
+        place = SpilledArray(array)
+    assert place.array() is array and np.array_equal(place[3:5], array[3:5])
+
+
+def test_slopes_of_many_places_take_no_memory():
+    """A diagnosis keeps those of every set that it tried: 7.5 GB of a positioning system."""
+    width = 80
+
+    def place():
+        columns = np.ones((LARGE // 8 // width + 1, width))
+        return Linearization(np.zeros(width), columns[:, 0].copy(), tuple(range(width)), columns)
+
+    def resident():
+        gc.collect()
+        memo._give_back()
+        status = Path("/proc/self/status").read_text()
+        return int(re.search(r"VmRSS:\s+(\d+)", status)[1]) * 1024
+
+    if not Path("/proc/self/status").exists():
+        pytest.skip("memory is read as Linux tells it")
+    before = resident()
+    kept = [place() for _ in range(80)]
+    assert resident() - before < 18 * LARGE < 80 * LARGE // 2
+    assert all(at.columns.shape[1] == width for at in kept)

@@ -1,12 +1,18 @@
-"""Blocks of YAML files: every mistake has a line with its path."""
+"""Blocks of YAML files: every mistake has a line with its path; YAML of strangers is bounded."""
 
 from __future__ import annotations
+
+import time
 
 import pytest
 from pydantic import Field, ValidationError
 
+from diffsim.copter.design.design_file import load_design
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import FinitePart, Part, number, problem_lines, read_part
+from diffsim.core.yaml_text import load_yaml, read_yaml_file
+from diffsim.data import load_study
+from diffsim.identify.model_file import read_extended
 
 
 class Mass(Part):
@@ -59,3 +65,52 @@ def test_numbers_of_a_finite_block_are_finite():
         "rod.yaml: sizes[1]: must be a finite number, got nan",
         "rod.yaml: sizes[2]: must be a finite number, got inf",
     ]
+
+
+LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
+    f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(9)
+)
+BAD = {
+    "a: [1\n": r"f.yaml, line 2: not YAML",
+    "a: 1\nb: 2\na: 3\n": r"f.yaml, line 3: key 'a' stands twice",
+    "a: 2001-99-99": r"f.yaml, line 1: no timestamp",
+    "\na: &x [*x]": r"f.yaml, line 2: alias 'x' stands inside of itself",
+    "[" * 3000: r"f.yaml, line 1: more than 50 levels",
+    "a: *nope": r"undefined alias",
+    "a: \x00": r"line 1: not YAML: character 0x0",
+    "a: !!python/object/apply:os.system [x]": r"could not determine a constructor",
+    "? [a]\n: 1": r"a key must be plain text",
+    "x: " + "9" * 5000: r"line 1: no int",
+    "--- 1\n--- 2": r"another document",
+    LAUGHS: r"line 7: more than 1,000,000 values, aliases counted",
+}
+
+
+@pytest.mark.parametrize("text", BAD, ids=range(len(BAD)))
+def test_what_is_refused_is_named_with_its_line(text):
+    with pytest.raises(ValueError, match=BAD[text]):
+        load_yaml(text, "f.yaml")
+
+
+@pytest.mark.parametrize("read", [load_design, load_study, read_extended, read_yaml_file])
+@pytest.mark.parametrize("text", [LAUGHS, "[" * 100_000, "parts: &p {a: *p}"], ids=range(3))
+def test_every_reader_refuses_them_at_once(read, text, tmp_path):
+    path = tmp_path / "given.yaml"
+    path.write_text(text)
+    begin = time.process_time()
+    with pytest.raises(ValueError, match=r"given.yaml, line \d+: "):
+        read(path)
+    assert time.process_time() - begin < 2.0  # they hung, or ended by a RecursionError
+
+
+def test_merged_keys_and_shared_values_are_read():
+    text = "base: {b: &b {<<: &a {x: 1, y: 0}, x: 2}}\nc: {<<: *b}\nd: [*b, *b]"
+    both = {"x": 2, "y": 0}
+    assert load_yaml(text, "f") == {"base": {"b": both}, "c": both, "d": [both, both]}
+
+
+def test_bytes_that_are_no_text_are_named(tmp_path):
+    path = tmp_path / "latin.yaml"
+    path.write_bytes(b"a: 1\nname: caf\xe9\n")
+    with pytest.raises(ValueError, match=r"latin.yaml, line 2: not UTF-8"):
+        read_yaml_file(path)

@@ -1,7 +1,10 @@
-"""``like:`` in a study: a rig that is ready or another study, with what this one states."""
+"""``like:`` in a study, and where published recordings are looked for."""
+
+from __future__ import annotations
 
 import pytest
 
+from diffsim.data import find_dataset
 from diffsim.data.study_file import READY, joined, load_study, read_whole, ready_rigs
 from diffsim.systems.registry import setup_of
 
@@ -63,3 +66,17 @@ def test_every_ready_rig_states_a_system():
     assert ready_rigs() == ("position_servo",)
     for name in ready_rigs():
         assert read_whole(READY / f"{name}.yaml")["model"]["system"] == "ode"
+
+
+def test_find_dataset_never_falls_back_when_asked(tmp_path, monkeypatch):
+    (tmp_path / "silicone_beam").mkdir()
+    (tmp_path / "silicone_beam" / "metadata.yaml").write_text("{}")
+    assert find_dataset("silicone_beam", tmp_path) == tmp_path / "silicone_beam"
+    assert find_dataset("silicone_beam", tmp_path / "silicone_beam") is not None
+    monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path))
+    assert find_dataset("silicone_beam") == tmp_path / "silicone_beam"
+    with pytest.raises(FileNotFoundError, match=r"silicone_beam; did you mean 'silicone_beam'"):
+        find_dataset("silicon_beam")
+    monkeypatch.setenv("DIFFSIM_DATA", str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError, match=r"DIFFSIM_DATA=.*nowhere .* does not exist"):
+        find_dataset("silicone_beam")

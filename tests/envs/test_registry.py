@@ -1,11 +1,17 @@
-"""What gymnasium's registry says of the environments, and time limits."""
+"""Environments as gymnasium's registry and their pages have them; pictures as observations."""
 
 from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 gymnasium = pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from gymnasium.wrappers import AddRenderObservation  # noqa: E402
 
 import diffsim.envs as envs  # noqa: E402
 from tests.envs.cases import COARSE  # noqa: E402
@@ -60,3 +66,58 @@ def test_lengths_of_the_native_batch(length: int) -> None:
     assert env.unwrapped.task.max_steps == 5
     with pytest.raises(ValueError, match="max_episode_steps"):
         make("diffsim/CopterHover-v0", num_envs=2, max_episode_steps=0)
+
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "environment_pages.py"
+
+
+def script():
+    spec = importlib.util.spec_from_file_location("environment_pages", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_pages_are_up_to_date() -> None:
+    """Where this fails: python scripts/environment_pages.py."""
+    module = script()
+    kept = {path.name: path.read_text(encoding="utf-8") for path in module.FOLDER.glob("*.md")}
+    assert kept == module.pages()
+
+
+def test_every_page_has_its_picture() -> None:
+    module = script()
+    for name in module.pages().keys() - {"README.md"}:
+        assert (module.IMAGES / f"env_{Path(name).stem}.png").stat().st_size > 5_000
+
+
+def test_what_a_page_shows_is_a_motion_of_its_environment() -> None:
+    """Three moments of the arm, whose nodes have moved."""
+    found = script().moments("TendonReach")
+    assert len(found) == 3
+    (task, first), (_, second), (_, last) = found
+    assert (first["x"] - second["x"]).abs().max() > 0.01
+    assert task.picture(last, 0).shape == (360, 480, 3)
+
+
+def hover():
+    return gymnasium.make("diffsim/CopterHover-v0", render_mode="rgb_array", max_episode_steps=3)
+
+
+def test_a_picture_is_the_observation() -> None:
+    env = AddRenderObservation(hover(), render_only=True)
+    first, _ = env.reset(seed=0)
+    assert env.observation_space.contains(first)
+    assert first.shape == (360, 480, 3)
+    for _ in range(2):
+        last, *_ = env.step(np.ones(4, dtype=np.float32))
+    assert int(np.abs(last.astype(int) - first).max()) > 100  # it has moved
+    assert (last != 255).any(axis=-1).mean() > 0.002  # lines on white
+
+
+def test_a_picture_stands_beside_the_numbers() -> None:
+    env = AddRenderObservation(hover(), render_only=False, render_key="picture", obs_key="state")
+    seen, _ = env.reset(seed=0)
+    assert seen["state"].shape == (22,)
+    np.testing.assert_array_equal(seen["picture"], env.render())
+    check_env(env, skip_render_check=True)

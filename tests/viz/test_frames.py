@@ -1,4 +1,4 @@
-"""The surface of a hexahedral mesh: closed, outward, and only its outer faces."""
+"""The surface of a hexahedral mesh as a small file; small PNGs."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 from diffsim.mesh import hex_box, surface_quads
 from diffsim.viz.frames import pack, triangles
+from tests.optional import needs
 
 
 @pytest.mark.property
@@ -31,3 +32,23 @@ def test_pack_round_trip():
     kept = np.load(io.BytesIO(pack(a=np.arange(3), b=np.eye(2))))
     np.testing.assert_array_equal(kept["a"], [0, 1, 2])
     np.testing.assert_array_equal(kept["b"], np.eye(2))
+
+
+needs("matplotlib")
+
+
+def test_png_has_a_palette_replaces_the_old_one_and_closes_the_figure(tmp_path):
+    from matplotlib import pyplot as plt
+    from PIL import Image
+
+    from diffsim.viz.palette import save
+
+    path = tmp_path / "made" / "line.png"
+    for _ in range(2):
+        figure, axes = plt.subplots(figsize=(2, 1))
+        axes.plot([0, 1], color="#c2571a")
+        assert save(figure, path, dpi=50) == path
+        assert not plt.fignum_exists(figure.number)
+    with Image.open(path) as picture:
+        assert (picture.mode, picture.size) == ("P", (100, 50))
+    assert [p.name for p in path.parent.iterdir()] == ["line.png"]

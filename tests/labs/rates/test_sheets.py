@@ -1,4 +1,4 @@
-"""Data sheets that are off by a draw: what an answer says of them is held against the truth."""
+"""Drawn cases: data sheets that are off, and first sentences that are amiss."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from labs.rates.sentences import amiss, write_sentences
 from labs.rates.sheets import held_sheets, true_base
 from labs.systems import setup_of
 from labs.virtual import NetworkLab
@@ -41,3 +42,26 @@ def test_a_finding_is_held_against_the_truth():
     assert held["mass_gain"]["inside"] and held["mass_gain"]["true"] == 1.06
     assert not held["color"]["inside"] and held["color"]["true"] is None
     assert not held_sheets(base, {"mass_gain": [1.1, 1.09, 1.11]})["mass_gain"]["inside"]
+
+
+GOOD = "Dry friction is missing: error on unseen runs 2 to 1 mm, noise 0.9 mm."
+FACTS = {"domain": "toy", "index": 3, "hidden": "dry_friction", "lambda": 12.0, "outcome": "right"}
+
+
+def case(**changes):
+    return {**FACTS, "headline": f"{GOOD} Not certain: this is a first answer.", **changes}
+
+
+def test_what_is_wrong_long_or_code_is_amiss(tmp_path):
+    cases = {
+        "": case(),
+        "missed": case(outcome="missed"),
+        "long": case(headline="a " * 26 + "."),
+        "code name": case(headline="dry_friction is missing."),
+        "none": case(headline=""),
+    }
+    for why, row in cases.items():
+        assert ", ".join(amiss(row)) == why
+    text = write_sentences(list(cases.values()), tmp_path / "said.md").read_text()
+    assert text.count("\n| toy_0003 |") == 5 and GOOD in text and "Not certain" not in text
+    assert text.rstrip().endswith("1 of 5 are true and have at most 25 words.")
