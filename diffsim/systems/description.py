@@ -266,7 +266,21 @@ class Description(Part):
         Args:
             study: Study with this description as its ``model``.
         """
-        return []
+        found = list(self.find_problems(study))
+        if not any(problem.severity == "error" for problem in found):
+            try:
+                self.build(study)
+            except (ValueError, OSError) as error:
+                found.append(Problem("error", "model", str(error)))
+        return found
+
+    def find_problems(self, study: Study) -> Iterator[Problem]:
+        """Mistakes that names and keys show; those of a kind of system are its own."""
+        yield from ()
+
+    def build(self, study: Study) -> object:
+        """What is made without a simulation, where that alone shows further mistakes."""
+        return None
 
     def require_possible(self, study: Study) -> None:
         """Refuse a study that the description disagrees with.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import ClassVar
 
 import pytest
 from pydantic import Field, ValidationError
@@ -114,3 +115,29 @@ def test_bytes_that_are_no_text_are_named(tmp_path):
     path.write_bytes(b"a: 1\nname: caf\xe9\n")
     with pytest.raises(ValueError, match=r"latin.yaml, line 2: not UTF-8"):
         read_yaml_file(path)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({}, "give one of a, b, got none"),
+        ({"a": 0.0, "b": [1.0]}, "give one of a, b, got a and b"),
+        ({"a": 0.0, "c": 1.0, "d": 2.0}, "give one of c, d, got c and d"),
+        ({"a": 0.0, "b": [], "d": 2.0}, None),
+    ],
+)
+def test_keys_that_exclude_each_other(given, said):
+    class Choice(Part):
+        a: float | None = None
+        b: tuple[float, ...] = ()
+        c: float | None = None
+        d: float | None = None
+
+        one_of: ClassVar = ("a", "b")
+        at_most_one: ClassVar = ("c", "d")
+
+    if said is None:
+        assert read_part(Choice, given, "").a == 0.0
+        return
+    with pytest.raises(ValueError, match=said):
+        read_part(Choice, given, "")

@@ -280,7 +280,7 @@ WRONG = {
         "channels[0]: channel a: give width and height, or the diameter",
     ),
     "unit": ({"viscosity": "5 mbar"}, "model.viscosity: unit 'mbar' is no unit"),
-    "source": ({"sources": [{"node": "in"}]}, "sources[0]: source at in: give flow or pressure"),
+    "source": ({"sources": [{"node": "in"}]}, "sources[0]: give one of flow, pressure, got none"),
     "key": ({"chanels": []}, "did you mean 'channels'"),
 }
 

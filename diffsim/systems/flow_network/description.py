@@ -63,10 +63,6 @@ class FlowNetworkDescription(Description):
         layout_of(self.channels, self.sources, self.meters)
         return self
 
-    def problems(self, study: Study) -> list[Problem]:
-        """Channels and commands that the description and the study disagree on."""
-        return list(self._find_problems(study))
-
     def model(self, study: Study) -> SimModel:
         """The network as a model."""
         network = self._build_network(study)
@@ -111,7 +107,8 @@ class FlowNetworkDescription(Description):
             is_in_time=self.samples == "time",
         )
 
-    def _find_problems(self, study: Study) -> Iterator[Problem]:
+    def find_problems(self, study: Study) -> Iterator[Problem]:
+        """Channels and commands that the description and the study disagree on."""
         named = [m.channel for m in self.meters]
         for name in named:
             if named.count(name) > 1:

@@ -53,10 +53,6 @@ class FlowDeviceDescription(FlowDeviceKeys):
         assert self.network is not None
         return PlaneNetwork(self, self.network)
 
-    def problems(self, study: Study) -> list[Problem]:
-        """Channels and commands that the description and the study disagree on."""
-        return list(self._find_problems(study))
-
     def model(self, study: Study) -> SimModel:
         """The device as a model."""
         device, shown = self.device, self._list_shown_channels()
@@ -92,7 +88,8 @@ class FlowDeviceDescription(FlowDeviceKeys):
         flows = self.flows or (None,) * self.device.num_outlets
         return [*flows, *(self.pressures or (None,) * self.device.num_gauges), *self.velocities]
 
-    def _find_problems(self, study: Study) -> Iterator[Problem]:
+    def find_problems(self, study: Study) -> Iterator[Problem]:
+        """Channels and commands that the description and the study disagree on."""
         where = "model.flows, pressures or velocities"
         shown = [(where, name) for name in self._list_shown_channels() if name]
         hint = "flows, pressures and velocities do not name it; take it out of channels"

@@ -26,6 +26,7 @@ from diffsim.systems.multicopter.assembly import (
 from diffsim.systems.multicopter.bank import flights_to_record
 from diffsim.systems.multicopter.causes import acting_in, plant_of
 from diffsim.systems.multicopter.cutting import evenly_sampled
+from diffsim.systems.multicopter.described import DescribedFlights
 from diffsim.systems.multicopter.frames import FRAMES
 from diffsim.systems.multicopter.keys import MulticopterKeys
 from diffsim.systems.multicopter.model import CopterModel
@@ -38,19 +39,15 @@ class MulticopterDescription(MulticopterKeys):
 
     commands_have_gradients, starts_as_shown = True, True
 
-    def problems(self, study: Study) -> list[Problem]:
+    def find_problems(self, study: Study) -> Iterator[Problem]:
         """Channels, commands and facts that the description and the study disagree on."""
-        found = [
-            *sensor_problems(self.sensors, study),
-            *clock_problems(study.channels, self.clocks),
-            *self._find_command_problems(study),
-        ]
-        if not found:
-            try:
-                assembled(self, study)
-            except (ValueError, FileNotFoundError) as error:
-                found.append(Problem("error", "model", str(error)))
-        return found
+        yield from sensor_problems(self.sensors, study)
+        yield from clock_problems(study.channels, self.clocks)
+        yield from self._find_command_problems(study)
+
+    def build(self, study: Study) -> DescribedFlights:
+        """The vehicle with its flights."""
+        return assembled(self, study)
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""

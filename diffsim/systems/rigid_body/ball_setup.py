@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from diffsim.causes.listing import numbers_added
@@ -36,9 +35,8 @@ from diffsim.systems.rigid_body.ball_scene import (
 from diffsim.systems.rigid_body.ball_starts import SPIN_SD, BallStarts
 from diffsim.systems.rigid_body.camera import in_free_flight, on_plane, plain_camera
 from diffsim.systems.rigid_body.figure import balls_measured, balls_simulated
-from diffsim.systems.rigid_body.parts import GROUND, Body, Camera, Contact, Measure, Starts
+from diffsim.systems.rigid_body.parts import GROUND, Body, Camera, Contact, RigidBodyKeys
 from diffsim.systems.rigid_body.parts import Points as PointKeys
-from diffsim.systems.rigid_body.tossing import UP
 
 CLICKS = "calibration_points"
 CLICK_CHANNELS = ("clicked_u_px", "clicked_v_px")
@@ -56,39 +54,25 @@ class Points:
     places: Array
 
 
-@dataclass(frozen=True, eq=False)
 class Balls:
     """Balls as a description states them.
 
-    Attributes:
-        bodies: The balls.
-        contacts: Which of them touch what.
-        height: Height of the ground [m]; None: no ground.
-        gravity: Strength of gravity [m/s^2].
-        measures: What the channels show.
-        up: Axis of the recorded frame that points up.
-        starts: Which runs share a start.
-        camera: Camera of the channels in pixels.
+    Args:
+        given: The description.
     """
 
     kind = BALLS
     unwatched = CLICK_CHANNELS
 
-    bodies: Sequence[Body]
-    contacts: Sequence[Contact]
-    height: float | None
-    gravity: Quantity
-    measures: Sequence[Measure]
-    up: str
-    starts: Starts
-    camera: Camera | None
+    def __init__(self, given: RigidBodyKeys):
+        self.given = given
 
     def used_of(self, study: Study) -> Study:
         """The study with the camera's points as a run and two channels of their own."""
         points = self._load_points(study)
-        if points is None or self.camera is None or self.camera.points is None:
+        if points is None or self.given.camera is None or self.given.camera.points is None:
             return study
-        sd = self.camera.points.sd
+        sd = self.given.camera.points.sd
         width = len(study.channels)
         runs = [
             replace(r, measured=np.pad(r.measured, ((0, 0), (0, 2)), constant_values=np.nan))
@@ -118,12 +102,12 @@ class Balls:
         stage = self._build_stage([c.name for c in study.channels], eye)
         quantities = BaseParameters({**self._list_quantities(), **camera}, runs)
         starts = BallStarts(
-            self.bodies,
-            self.starts,
+            self.given.bodies,
+            self.given.starts,
             runs,
             lambda run, body: self._find_places(run, body, study, eye, camera),
-            self.gravity.value,
-            frozenset(m.body for m in self.measures if m.pixels),
+            self.given.gravity.value,
+            frozenset(m.body for m in self.given.measures if m.pixels),
         )
         zero = torch.zeros((), dtype=torch.float64)
         plain = dict.fromkeys(numbers_added(BALLS, {}), zero) | (
@@ -158,79 +142,79 @@ class Balls:
 
     def numbers(self) -> tuple[str, ...]:
         """Names of all numbers that causes may change."""
-        camera = () if self.camera is None else ("focal", *(f"shift_{a}" for a in "xyz"))
+        camera = () if self.given.camera is None else ("focal", *(f"shift_{a}" for a in "xyz"))
         return (*self._list_quantities(), *numbers_added(BALLS, {}), *camera)
 
     def facts(self) -> dict[str, bool]:
         """What holds of the balls, as rows of causes ask for it."""
-        seen = {kind for m in self.measures for kind, _, _ in m.rows()}
-        flies = any(b.begins == "flying" for b in self.bodies)
-        bounces = flies and any(GROUND in c.between for c in self.contacts)
-        stated = [GROUND in c.between for c in self.contacts if c.friction is not None]
+        seen = {kind for m in self.given.measures for kind, _, _ in m.rows()}
+        flies = any(b.begins == "flying" for b in self.given.bodies)
+        bounces = flies and any(GROUND in c.between for c in self.given.contacts)
+        stated = [GROUND in c.between for c in self.given.contacts if c.friction is not None]
         return {
             "flies": flies,
             "bounces": bounces,
             "meets_ground": bounces,
-            "on_ground": bounces or any(b.begins != "flying" for b in self.bodies),
+            "on_ground": bounces or any(b.begins != "flying" for b in self.given.bodies),
             "strikes": self._pair_contact is not None,
             "filmed": "pixels" in seen,
             "tracked": bool(seen & {"position", "velocity"}),
-            "gravity_is_fitted": self.gravity.is_fitted,
+            "gravity_is_fitted": self.given.gravity.is_fitted,
             "ground_friction": True in stated,
             "pair_friction": False in stated,
         }
 
     def find_problems(self, study: Study) -> Iterator[Problem]:
         """What the description and a study disagree on."""
-        pairs = [c for c in self.contacts if GROUND not in c.between]
-        begins = {b.name: b.begins for b in self.bodies}
+        pairs = [c for c in self.given.contacts if GROUND not in c.between]
+        begins = {b.name: b.begins for b in self.given.bodies}
         if len(pairs) > 1 or any(begins[n] == "flying" for c in pairs for n in c.between):
             said = "two balls may meet once, both on the ground"
             yield Problem("error", "model.contacts", said)
-        for measure in self.measures:
+        for measure in self.given.measures:
             if measure.quaternion or measure.angles or measure.spin:
                 said = (
                     f"{measure.body} is a ball, whose turn is not followed; give its position, "
                     "velocity or pixels"
                 )
                 yield Problem("error", "model.measures", said)
-        if self.camera is not None and self.camera.points is not None:
-            yield from _find_problems_of_points(self.camera, self.camera.points, study)
+        if self.given.camera is not None and self.given.camera.points is not None:
+            yield from _find_problems_of_points(self.given.camera, self.given.camera.points, study)
 
     def advise(self) -> DiagnosisSettings:
         """Effort that suits balls."""
         settings = DiagnosisSettings(search=SearchSettings(max_effects=6))
-        flies = any(b.begins == "flying" for b in self.bodies)
+        flies = any(b.begins == "flying" for b in self.given.bodies)
         # a wider step would carry bounces past samples, where the motion has a kink
         return replace(settings, jacobian=Jacobian(step=1e-4)) if flies else settings
 
     @property
     def _pair_contact(self) -> Contact | None:
-        return next((c for c in self.contacts if GROUND not in c.between), None)
+        return next((c for c in self.given.contacts if GROUND not in c.between), None)
 
     def _find_shape_owner(self, body: Body) -> Body:
         """The body whose diameter and inertia this one has."""
         if body.like is None:
             return body
-        return next(b for b in self.bodies if b.name == body.like)
+        return next(b for b in self.given.bodies if b.name == body.like)
 
     def _name_key(self, contact: Contact, what: str) -> str:
         """Name of a contact's quantity: plain if there is only one contact."""
-        if len(self.contacts) == 1:
+        if len(self.given.contacts) == 1:
             return what
         names = [n for n in contact.between if n != GROUND]
         return f"{what}_{'_'.join(names)}" + ("_ground" if GROUND in contact.between else "")
 
     def _name_diameter(self, body: Body) -> str:
-        shapes = {self._find_shape_owner(b).name for b in self.bodies}
+        shapes = {self._find_shape_owner(b).name for b in self.given.bodies}
         return "diameter" if len(shapes) == 1 else f"{self._find_shape_owner(body).name}_diameter"
 
     def _list_quantities(self) -> dict[str, Quantity]:
-        out = {"gravity": self.gravity, "ground": Quantity(value=self.height or 0.0)}
-        for body in self.bodies:
+        out = {"gravity": self.given.gravity, "ground": Quantity(value=self.given.height)}
+        for body in self.given.bodies:
             if body.sphere is not None:
                 out[self._name_diameter(body)] = body.sphere
-        for contact in self.contacts:
+        for contact in self.given.contacts:
             out[self._name_key(contact, "restitution")] = contact.restitution
             friction = contact.friction or Quantity(value=0.0)
             out[self._name_key(contact, "friction")] = friction
@@ -239,15 +223,16 @@ class Balls:
         return out
 
     def _build_stage(self, channels: Sequence[str], eye: PinholeCamera | None) -> BallStage:
-        index = {b.name: i for i, b in enumerate(self.bodies)}
-        rows = {c: (k, index[m.body], i) for m in self.measures for k, i, c in m.rows()}
+        index = {b.name: i for i, b in enumerate(self.given.bodies)}
+        rows = {c: (k, index[m.body], i) for m in self.given.measures for k, i, c in m.rows()}
         for names in (CLICK_CHANNELS, ("corner_u_px", "corner_v_px")):
             rows |= {c: ("click", 0, i) for i, c in enumerate(names)}
-        frame = Rotation.from_rotvec(UP[self.up]).as_matrix().T
+        frame = self.given.turn.as_matrix().T
         bodies = []
-        for body in self.bodies:
+        for body in self.given.bodies:
             touch = next(
-                (c for c in self.contacts if GROUND in c.between and body.name in c.between), None
+                (c for c in self.given.contacts if GROUND in c.between and body.name in c.between),
+                None,
             )
             shape = self._find_shape_owner(body)
             bodies.append(
@@ -273,19 +258,19 @@ class Balls:
         if contact is None:
             return None
         i, j = (index[n] for n in contact.between)
-        if self.bodies[i].begins != "at_rest":  # the one that rests is struck
-            i, j = (j, i) if self.bodies[j].begins == "at_rest" else (i, j)
-        masses = [self._find_shape_owner(self.bodies[b]).mass or 1.0 for b in (i, j)]
-        own = [self.bodies[b].mass or m for b, m in zip((i, j), masses, strict=True)]
+        if self.given.bodies[i].begins != "at_rest":  # the one that rests is struck
+            i, j = (j, i) if self.given.bodies[j].begins == "at_rest" else (i, j)
+        masses = [self._find_shape_owner(self.given.bodies[b]).mass or 1.0 for b in (i, j)]
+        own = [self.given.bodies[b].mass or m for b, m in zip((i, j), masses, strict=True)]
         keys = [self._name_key(contact, what) for what in ("restitution", "friction")]
         return Pair((i, j), keys[0], keys[1], own[0] / own[1])
 
     def _load_points(self, study: Study) -> Points | None:
-        if self.camera is None or self.camera.points is None:
+        if self.given.camera is None or self.given.camera.points is None:
             return None
-        given = self.camera.points
+        given = self.given.camera.points
         path = inside(study.folder or Path(), given.file, "model.camera.points.file")
-        if self.camera.is_stated and not path.is_file():
+        if self.given.camera.is_stated and not path.is_file():
             return None  # as where a saved model is judged, which knows its camera
         data = read_numbers(path, list(given.columns))
         table = np.column_stack([data[c] for c in given.columns])
@@ -293,7 +278,7 @@ class Balls:
 
     def _find_eye(self, points: Points | None) -> tuple[PinholeCamera | None, dict[str, Quantity]]:
         """The camera before its fit, and what is fitted of it."""
-        camera = self.camera
+        camera = self.given.camera
         if camera is None:
             return None, {}
         focal, rotation, shift = camera.focal, camera.rotation, camera.shift
@@ -324,12 +309,7 @@ class Balls:
     ) -> Array:
         """Places of a ball as a run shows them, (num_samples, 3) [m] with z up; NaN if unseen."""
         names = [c.name for c in study.channels]
-        place = np.full((len(run.time_s), 3), np.nan)
-        for measure in self.measures:
-            if measure.body != body.name:
-                continue
-            for axis, channel in measure.position.items():
-                place[:, "xyz".index(axis)] = run.measured[:, names.index(channel)]
+        for measure in (m for m in self.given.measures if m.body == body.name):
             if measure.pixels and eye is not None:
                 pixels = run.measured[:, [names.index(c) for c in measure.pixels]]
                 values = {n: torch.tensor(q.value).double() for n, q in camera.items()}
@@ -339,19 +319,14 @@ class Balls:
                     pixels = np.where(first[:, None], pixels, np.nan)
                     seen, time = torch.from_numpy(pixels), torch.from_numpy(run.time_s)
                     return in_free_flight(
-                        values, eye.rotation, seen, time, self.gravity.value
+                        values, eye.rotation, seen, time, self.given.gravity.value
                     ).numpy()
                 diameter = self._find_shape_owner(body).sphere
                 assert diameter is not None
-                level = 0.5 * diameter.value + (self.height or 0.0)
+                level = 0.5 * diameter.value + (self.given.height)
                 flat = on_plane(values, eye.rotation, torch.from_numpy(pixels), level)
                 return np.column_stack([flat.numpy(), np.full(len(flat), level)])
-        frame = np.nan_to_num(Rotation.from_rotvec(UP[self.up]).as_matrix().round())
-        world = np.zeros_like(place)
-        for i, row in enumerate(frame):
-            j = int(np.argmax(np.abs(row)))
-            world[:, i] = row[j] * place[:, j]
-        return world
+        return self.given.upright(self.given.places(run, names, body.name))
 
 
 def _find_problems_of_points(camera: Camera, given: PointKeys, study: Study) -> Iterator[Problem]:

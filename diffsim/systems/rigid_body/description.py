@@ -2,106 +2,42 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
-from pydantic import Field, model_validator
+from collections.abc import Iterator
 
 from diffsim.causes.plant import IN_TIME, Plant
 from diffsim.causes.scales import Scales
-from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import SimModel
-from diffsim.systems.description import Description, Quantity, mismatched_channels
-from diffsim.systems.quantities import Acceleration
+from diffsim.systems.description import mismatched_channels
 from diffsim.systems.rigid_body.ball_setup import Balls
-from diffsim.systems.rigid_body.parts import (
-    GROUND,
-    Body,
-    Camera,
-    Contact,
-    Ground,
-    Measure,
-    Starts,
-    Window,
-)
+from diffsim.systems.rigid_body.parts import RigidBodyKeys
 from diffsim.systems.rigid_body.tossing import TossedBody
 
 AIR = "air"  # what plain magnitudes are of
 LIFT, DRAG = 0.05, 0.02  # m/s^2 and 1/m: air around a body whose mass or shape is not stated
 
 
-class RigidBodyDescription(Description):
+class RigidBodyDescription(RigidBodyKeys):
     """Rigid bodies: tossed boxes through their first impact; balls through all of theirs."""
 
-    bodies: tuple[Body, ...] = Field(min_length=1, description="The bodies")
-    gravity: Acceleration = Field(
-        Quantity(value=9.81), description="Gravity, known to 0.3 % everywhere on earth"
-    )
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
-        "z", description="Axis of the recorded frame that points up"
-    )
-    ground: Ground | None = Field(Ground(), description="The plane below; null: none")
-    contacts: tuple[Contact, ...] = Field((), description="Which bodies touch, and how")
-    measures: tuple[Measure, ...] = Field(min_length=1, description="What the channels show")
-    window: Window | None = Field(
-        None, description="How much of a toss counts; default: all of it, in free flight"
-    )
-    starts: Starts = Field(Starts(), description="Which runs share a start of their balls")
-    camera: Camera | None = Field(None, description="Camera of the channels in pixels")
-
-    @model_validator(mode="after")
-    def _check_names(self) -> RigidBodyDescription:
-        known = [b.name for b in self.bodies]
-        for body in self.bodies:
-            if body.like is not None:
-                _require_known(f"bodies: like of {body.name}", body.like, known)
-        for i, contact in enumerate(self.contacts):
-            for name in contact.between:
-                _require_known(f"contacts[{i}].between", name, [*known, GROUND])
-        for i, measure in enumerate(self.measures):
-            _require_known(f"measures[{i}].body", measure.body, known)
-            if measure.pixels and self.camera is None:
-                raise ValueError(f"measures[{i}] is in pixels; describe the ``camera``")
-        return self
-
-    def problems(self, study: Study) -> list[Problem]:
+    def find_problems(self, study: Study) -> Iterator[Problem]:
         """Channels that no measure shows, and facts that runs lack."""
         shown = [("model.measures", c) for m in self.measures for _, _, c in m.rows()]
         hint = "no entry of model.measures says what it shows"
-        out = list(mismatched_channels(shown, study, hint))
+        yield from mismatched_channels(shown, study, hint)
         if not all(b.is_ball for b in self.bodies):
             if len(self.bodies) > 1:
-                out.append(Problem("error", "model.bodies", "several bodies must all be balls"))
+                yield Problem("error", "model.bodies", "several bodies must all be balls")
             if self.camera is not None:
-                said = "a camera shows balls; give positions"
-                out.append(Problem("error", "model.camera", said))
-        return [*out, *self.described.find_problems(study)]
+                yield Problem("error", "model.camera", "a camera shows balls; give positions")
+        yield from self.described.find_problems(study)
 
     @property
     def described(self) -> Balls | TossedBody:
         """The balls, or the tossed body, with all that is around them."""
-        if all(b.is_ball for b in self.bodies):
-            return Balls(
-                bodies=self.bodies,
-                contacts=self.contacts,
-                height=None if self.ground is None else self.ground.height,
-                gravity=self.gravity,
-                measures=self.measures,
-                up=self.up,
-                starts=self.starts,
-                camera=self.camera,
-            )
-        return TossedBody(
-            body=self.bodies[0],
-            ground=next((c for c in self.contacts if GROUND in c.between), None),
-            height=0.0 if self.ground is None else self.ground.height,
-            gravity=self.gravity,
-            measures=self.measures,
-            up=self.up,
-            window=self.window,
-        )
+        return Balls(self) if all(b.is_ball for b in self.bodies) else TossedBody(self)
 
     def used_of(self, study: Study) -> Study:
         """Tosses until their windows end; with clicked points as a run of their own."""
@@ -145,8 +81,3 @@ class RigidBodyDescription(Description):
         if in_air is None:
             return {"lift": LIFT, "drag": DRAG}
         return {"lift": in_air[0] * self.gravity.value, "drag": in_air[1]}
-
-
-def _require_known(where: str, name: str, known: list[str]) -> None:
-    if name not in known:
-        raise ValueError(f"{where}: no {name!r}{did_you_mean(name, known)}; known: {known}")

@@ -3,22 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
+import numpy as np
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
+from diffsim.core.arrays import Array
+from diffsim.core.check import did_you_mean
 from diffsim.core.inertia import inertia_mistake
 from diffsim.core.schema import Part
 from diffsim.core.schema_numbers import Kilograms, KilogramSquareMeters, Meters, Radians, Seconds
 from diffsim.core.schema_paths import PathInside
-from diffsim.systems.description import Quantity
-from diffsim.systems.quantities import Length, Pixels, Plain, PositiveLength, Speed
+from diffsim.data.study import Run
+from diffsim.systems.description import Description, Quantity
+from diffsim.systems.quantities import Acceleration, Length, Pixels, Plain, PositiveLength, Speed
 
 GROUND = "ground"
 AXES = ("x", "y", "z")
 _RHO_AIR = 1.2  # [kg/m^3]
 _DRAG_OF_BOX, _DRAG_OF_SPHERE = 1.0, 0.5
+#: Turn from the recorded frame to the one whose z points up, as a rotation vector [rad].
+UP = {
+    "z": (0.0, 0.0, 0.0),
+    "-z": (np.pi, 0.0, 0.0),
+    "y": (0.5 * np.pi, 0.0, 0.0),
+    "-y": (-0.5 * np.pi, 0.0, 0.0),
+    "x": (0.0, -0.5 * np.pi, 0.0),
+    "-x": (0.0, 0.5 * np.pi, 0.0),
+}
 
 
 class Start(Part):
@@ -249,3 +263,73 @@ class Window(Part):
     rest_sd: Meters | None = Field(
         None, gt=0, description="Noise of that height; default: its scatter over the runs"
     )
+
+
+class RigidBodyKeys(Description):
+    """All keys of described rigid bodies."""
+
+    bodies: tuple[Body, ...] = Field(min_length=1, description="The bodies")
+    gravity: Acceleration = Field(
+        Quantity(value=9.81), description="Gravity, known to 0.3 % everywhere on earth"
+    )
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
+        "z", description="Axis of the recorded frame that points up"
+    )
+    ground: Ground | None = Field(Ground(), description="The plane below; null: none")
+    contacts: tuple[Contact, ...] = Field((), description="Which bodies touch, and how")
+    measures: tuple[Measure, ...] = Field(min_length=1, description="What the channels show")
+    window: Window | None = Field(
+        None, description="How much of a toss counts; default: all of it, in free flight"
+    )
+    starts: Starts = Field(Starts(), description="Which runs share a start of their balls")
+    camera: Camera | None = Field(None, description="Camera of the channels in pixels")
+
+    @model_validator(mode="after")
+    def _check_names(self) -> RigidBodyKeys:
+        known = [b.name for b in self.bodies]
+        for body in self.bodies:
+            if body.like is not None:
+                _require_known(f"bodies: like of {body.name}", body.like, known)
+        for i, contact in enumerate(self.contacts):
+            for name in contact.between:
+                _require_known(f"contacts[{i}].between", name, [*known, GROUND])
+        for i, measure in enumerate(self.measures):
+            _require_known(f"measures[{i}].body", measure.body, known)
+            if measure.pixels and self.camera is None:
+                raise ValueError(f"measures[{i}] is in pixels; describe the ``camera``")
+        return self
+
+    @property
+    def height(self) -> float:
+        """Height of the ground [m]."""
+        return 0.0 if self.ground is None else self.ground.height
+
+    @property
+    def turn(self) -> Rotation:
+        """From the recorded frame to the one whose z points up."""
+        return Rotation.from_rotvec(UP[self.up])
+
+    def places(self, run: Run, names: Sequence[str], body: str) -> Array:
+        """Places that a run shows of a body in the recorded frame, (num_samples, 3) [m].
+
+        Args:
+            run: Recorded run.
+            names: Names of its channels.
+            body: Name of the body; NaN where nothing shows it.
+        """
+        place = np.full((len(run.time_s), 3), np.nan)
+        for measure in (m for m in self.measures if m.body == body):
+            for axis, channel in measure.position.items():
+                place[:, "xyz".index(axis)] = run.measured[:, names.index(channel)]
+        return place
+
+    def upright(self, places: Array) -> Array:
+        """Places (num_samples, 3) of the recorded frame in the one whose z points up."""
+        rows = self.turn.as_matrix().round()
+        along = np.abs(rows).argmax(axis=1)
+        return np.asarray(rows[range(3), along] * places[:, along])
+
+
+def _require_known(where: str, name: str, known: list[str]) -> None:
+    if name not in known:
+        raise ValueError(f"{where}: no {name!r}{did_you_mean(name, known)}; known: {known}")

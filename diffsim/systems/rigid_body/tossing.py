@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.rigid_body.layout import REST, PoseLayout
 from diffsim.systems.rigid_body.model import TossModel, TossSetup
-from diffsim.systems.rigid_body.parts import ANGLES, Body, Contact, Measure, Window
+from diffsim.systems.rigid_body.parts import ANGLES, GROUND, Contact, RigidBodyKeys
 from diffsim.systems.rigid_body.toss import TOSS, Mass, added
 from diffsim.systems.rigid_body.windows import (
     MIN_FRAMES,
@@ -32,50 +32,33 @@ from diffsim.systems.rigid_body.windows import (
 
 REST_EDGE_SHARE = 0.03  # of the shortest edge
 MIN_RESTS = 5  # tosses whose heights at rest tell their scatter
-#: Turn from the recorded frame to the one whose z points up, as a rotation vector [rad].
-UP = {
-    "z": (0.0, 0.0, 0.0),
-    "-z": (np.pi, 0.0, 0.0),
-    "y": (0.5 * np.pi, 0.0, 0.0),
-    "-y": (-0.5 * np.pi, 0.0, 0.0),
-    "x": (0.0, -0.5 * np.pi, 0.0),
-    "-x": (0.0, 0.5 * np.pi, 0.0),
-}
 
 
-@dataclass(frozen=True, eq=False)
 class TossedBody:
     """A tossed body as a description states it.
 
+    Args:
+        given: The description.
+
     Attributes:
         body: The body.
-        ground: Its contact with the ground; None: it is never touched.
-        height: Height of the ground [m].
-        gravity: Strength of gravity [m/s^2].
-        measures: What the channels show.
-        up: Axis of the recorded frame that points up.
-        window: How much of a toss counts; None: all, in free flight.
+        contact: That with the ground; None: it is never touched.
     """
 
     kind = TOSS
     unwatched = (REST,)
 
-    body: Body
-    ground: Contact | None
-    height: float
-    gravity: Quantity
-    measures: Sequence[Measure]
-    up: str
-    window: Window | None
+    def __init__(self, given: RigidBodyKeys):
+        self.given, self.body = given, given.bodies[0]
+        self.contact = next((c for c in given.contacts if GROUND in c.between), None)
 
     def used_of(self, study: Study) -> Study:
         """Each toss until its window ends; too short ones are left out."""
         names = [c.name for c in study.channels]
-        turn = Rotation.from_rotvec(UP[self.up])
         runs, rests, left_out = [], [], []
         for run in study.runs:
             run = self._with_continuous(run, names)
-            poses = self._read_poses(run, names, turn)
+            poses = self._read_poses(run, names)
             short = self._cut_window(run, poses)
             if short is None:
                 left_out.append(
@@ -84,8 +67,8 @@ class TossedBody:
                 continue
             rest = np.full((len(short.time_s), 1), np.nan)
             if self._rest_frames:
-                assert self.window is not None
-                rest[-1] = rest_height(poses, self.window.rest_frames) - self.height
+                assert self.given.window is not None
+                rest[-1] = rest_height(poses, self.given.window.rest_frames) - self.given.height
                 rests.append(rest[-1, 0])
                 short = replace(short, measured=np.hstack([short.measured, rest]))
             runs.append(short)
@@ -96,8 +79,8 @@ class TossedBody:
             )
         channels = list(study.channels)
         if self._rest_frames:
-            assert self.window is not None
-            sd = self.window.rest_sd or self._estimate_rest_scatter(rests)
+            assert self.given.window is not None
+            sd = self.given.window.rest_sd or self._estimate_rest_scatter(rests)
             shown = next((c.shown_unit for c in channels if c.unit == "m"), None)
             channels.append(Channel(REST, "m", "position", sd, shown_unit=shown))
         told = (*study.left_out, *left_out)
@@ -111,8 +94,10 @@ class TossedBody:
 
     def model(self, study: Study) -> TossModel:
         """Model of a cut study."""
-        turn = Rotation.from_rotvec(UP[self.up]).as_quat()[[3, 0, 1, 2]]
-        rows = {c: (k, i) for m in self.measures for k, i, c in m.rows()} | {REST: ("rest", 0)}
+        turn = self.given.turn.as_quat()[[3, 0, 1, 2]]
+        rows = {c: (k, i) for m in self.given.measures for k, i, c in m.rows()} | {
+            REST: ("rest", 0)
+        }
         layout = PoseLayout([rows[c.name] for c in study.channels], torch.from_numpy(turn))
         parameters = BaseParameters(self._list_quantities(), study.runs)
         return TossModel(
@@ -124,10 +109,10 @@ class TossedBody:
         is_seen = self._goes_through_rebound or bool(self._rest_frames)
         return {
             **dict.fromkeys(("tracked", "flies", "bounces", "strikes"), True),
-            "gravity_is_fitted": self.gravity.is_fitted,
+            "gravity_is_fitted": self.given.gravity.is_fitted,
             "edges_are_known": bool(self.body.edges)
             and not any(q.is_fitted for q in self.body.edges),
-            "meets_ground": self.ground is not None and is_seen,
+            "meets_ground": self.contact is not None and is_seen,
         }
 
     def numbers(self) -> tuple[str, ...]:
@@ -138,10 +123,10 @@ class TossedBody:
         """What the description and a study disagree on."""
         if any(q.per for q in self._list_quantities().values()):
             yield Problem("error", "model", "per: tosses share all quantities; leave it out")
-        if self.ground is None and self.window:
+        if self.contact is None and self.given.window:
             yield Problem("error", "model.window", "a window needs a contact with the ground")
-        turns = any(m.quaternion or m.angles for m in self.measures)
-        if self.window is not None and not turns:
+        turns = any(m.quaternion or m.angles for m in self.given.measures)
+        if self.given.window is not None and not turns:
             said = "finding the corner that hits needs the turn"
             yield Problem("error", "model.window", said)
         for channel in study.channels:
@@ -158,22 +143,22 @@ class TossedBody:
 
     @property
     def _goes_through_rebound(self) -> bool:
-        return self.window is not None and self.window.until == "rebound"
+        return self.given.window is not None and self.given.window.until == "rebound"
 
     @property
     def _rest_frames(self) -> int:
-        return 0 if self.window is None else self.window.rest_frames
+        return 0 if self.given.window is None else self.given.window.rest_frames
 
     def _list_quantities(self) -> dict[str, Quantity]:
         """All numbers of the model; those that no run can show are known."""
         edges = self.body.edges or (Quantity(value=1.0),) * 3
         same = self.body.box is not None and len(self.body.box) == 1
-        out = {"gravity": self.gravity, "ground": Quantity(value=self.height)}
+        out = {"gravity": self.given.gravity, "ground": Quantity(value=self.given.height)}
         if same:
             out["edge"] = edges[0]
         else:
             out |= {f"edge_{a}": q for a, q in zip("xyz", edges, strict=True)}
-        contact = self.ground or Contact(between=(self.body.name, "ground"))
+        contact = self.contact or Contact(between=(self.body.name, "ground"))
         friction = contact.friction or Quantity(value=0.0)
         pair = {"restitution": contact.restitution, "friction": friction}
         if not self._goes_through_rebound:
@@ -194,18 +179,15 @@ class TossedBody:
     def _with_continuous(self, run: Run, names: Sequence[str]) -> Run:
         """Quaternions without jumps of sign, angles without jumps of a turn."""
         measured = run.measured.copy()
-        for measure in self.measures:
+        for measure in self.given.measures:
             if measure.quaternion:
                 at = [names.index(c) for c in measure.quaternion]
                 measured[:, at] = continuous(measured[:, at])
         return replace(run, measured=measured)
 
-    def _read_poses(self, run: Run, names: Sequence[str], up: Rotation) -> RecordedPoses:
-        place = np.full((len(run.time_s), 3), np.nan)
+    def _read_poses(self, run: Run, names: Sequence[str]) -> RecordedPoses:
         turn = None
-        for measure in self.measures:
-            for axis, channel in measure.position.items():
-                place[:, "xyz".index(axis)] = run.measured[:, names.index(channel)]
+        for measure in self.given.measures:
             if measure.quaternion:
                 turn = run.measured[:, [names.index(c) for c in measure.quaternion]]
             if measure.angles:
@@ -214,25 +196,22 @@ class TossedBody:
         if turn is not None:
             seen = np.isfinite(turn).all(axis=1)
             turned = np.full_like(turn, np.nan)
-            whole = up * Rotation.from_quat(turn[seen][:, [1, 2, 3, 0]])
+            whole = self.given.turn * Rotation.from_quat(turn[seen][:, [1, 2, 3, 0]])
             turned[seen] = whole.as_quat()[:, [3, 0, 1, 2]]
             turn = continuous(turned)
-        matrix = up.as_matrix()
-        rows = [[i for i in range(3) if abs(row[i]) > 0.5] for row in matrix]
-        signs = [float(np.sign(row[i[0]])) for row, i in zip(matrix, rows, strict=True)]
-        world = np.column_stack([s * place[:, i[0]] for s, i in zip(signs, rows, strict=True)])
-        return RecordedPoses(world, turn)
+        place = self.given.upright(self.given.places(run, names, self.body.name))
+        return RecordedPoses(place, turn)
 
     def _cut_window(self, run: Run, poses: RecordedPoses) -> Run | None:
         """The run as far as it counts; None if too little of it does."""
-        facts = start_facts(run, poses, self.gravity.value)
+        facts = start_facts(run, poses, self.given.gravity.value)
         end, corner, touch, hits = len(run.time_s), 0, len(run.time_s) - 1, False
-        window = self.window
+        window = self.given.window
         complete = poses.turn is not None and np.isfinite(poses.place).any(axis=0).all()
         if window is not None and self.body.box is not None and complete:
             half = np.array([0.5 * q.value for q in self.body.edges])
             near = window.near or REST_EDGE_SHARE * 2.0 * float(half.min())
-            found = first_touch(filled(poses), half, near, self.height)
+            found = first_touch(filled(poses), half, near, self.given.height)
             if found is not None:
                 corner, touch = found.corner, found.touch
                 hits = window.until == "rebound" and found.end > touch

@@ -31,11 +31,8 @@ class RodDescription(RodKeys):
         search=SearchSettings(max_effects=MAX_EFFECTS, num_refits=2, max_rounds=2 * MAX_EFFECTS)
     )
 
-    def problems(self, study: Study) -> list[Problem]:
+    def find_problems(self, study: Study) -> Iterator[Problem]:
         """Channels and commands without a meaning, facts that runs do not state."""
-        return list(self._find_problems(study))
-
-    def _find_problems(self, study: Study) -> Iterator[Problem]:
         for channel in study.channels:
             if self.reading(channel.name) is None:
                 guess = did_you_mean(

@@ -35,6 +35,7 @@ from diffsim.systems.soft_body.causes import (
 )
 from diffsim.systems.soft_body.described import DescribedModel
 from diffsim.systems.soft_body.quasi_static import pose_commands
+from diffsim.systems.soft_body.rig import BodyRig
 
 
 class SoftBodyDescription(SoftBodyKeys):
@@ -42,19 +43,15 @@ class SoftBodyDescription(SoftBodyKeys):
 
     commands_have_gradients = True
 
-    def problems(self, study: Study) -> list[Problem]:
-        """Channels and commands without a meaning, regions without nodes, points outside."""
-        found = [
-            *self._find_problems_of_channels(study),
-            *clock_problems(study.channels, self.clocks),
-            *self._find_problems_of_runs(study.runs),
-        ]
-        if not any(p.severity == "error" for p in found):
-            try:
-                self._build_model(study).rig()
-            except (ValueError, OSError) as error:
-                found.append(Problem("error", "model", str(error)))
-        return found
+    def find_problems(self, study: Study) -> Iterator[Problem]:
+        """Channels and commands without a meaning."""
+        yield from self._find_problems_of_channels(study)
+        yield from clock_problems(study.channels, self.clocks)
+        yield from self._find_problems_of_runs(study.runs)
+
+    def build(self, study: Study) -> BodyRig:
+        """The body: no region is without nodes, no point outside."""
+        return self._build_model(study).rig()
 
     def _find_problems_of_channels(self, study: Study) -> Iterator[Problem]:
         for channel in study.channels:
