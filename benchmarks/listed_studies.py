@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.cli.diagnose_inputs import described, own_setup
+from diffsim.cli.arguments import described
+from diffsim.cli.diagnose_inputs import own_setup
 from diffsim.data.study import Run, Study
 from diffsim.data.study_file import READY, load_study
 from diffsim.identify.setup import DiagnosisSetup

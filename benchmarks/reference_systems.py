@@ -71,7 +71,7 @@ def predictions() -> Mapping[str, Any]:
 
 def _studies() -> Iterator[tuple[str, Any]]:
     """Published sets and one study of every laboratory; of a set without data, what is said."""
-    from diffsim.cli.diagnose_inputs import described
+    from diffsim.cli.arguments import described
     from diffsim.data import load_study
     from labs.virtual import LABS
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from diffsim.cli.diagnose_inputs import described
+from diffsim.cli.arguments import described
 
 FILES = ("report.json", "extended_model.yaml")
 ROW = "{:20s} {:>10s} {:>10s}  {:s}"

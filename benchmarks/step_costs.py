@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffsim.cli.diagnose_inputs import described, inputs_of, read_study
+from diffsim.cli.arguments import described
+from diffsim.cli.diagnose_inputs import inputs_of, read_study
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.search.fit import Case
 from diffsim.identify import Problem, WhiteNoise
