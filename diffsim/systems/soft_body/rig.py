@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
-    from diffsim.systems.soft_body.keys import DescribedMuscle
 
 SMALL = 1e-3  # of the body's length: displacements that are still linear
 SOFT_CABLE_N = 0.1  # force per strain of cables whose tension is commanded: far below any body's
@@ -83,7 +81,7 @@ class BodyRig:
         self.places = self.look.shares(self.mesh.num_nodes)
         self._seen = {main_axis(r) for _, r in readings if r.axis is not None} or {0, 1, 2}
         self._prepare_holder()
-        self._water = lru_cache(maxsize=64)(self._new_water)
+        self._waters: Memo[soft.Hydrodynamics] = Memo(64)
         self.poses: Memo[Tensor] = Memo(256)  # sequences of poses are large
         self._held_shapes: Memo[Tensor] = Memo(256)
 
@@ -139,7 +137,11 @@ class BodyRig:
         for i, muscle in enumerate(self.given.muscles):
             with within(f"muscles[{i}].where"):
                 cells = muscle.where.elements(self.mesh)
-            made.append(_make_fiber(cells, muscle))
+            made.append(
+                soft.Muscle(
+                    elements=cells, direction=muscle.direction, stiffness=muscle.stiffness.value
+                )
+            )
         return made
 
     def _build_body(self, fixed: Tensor, **changes: Any) -> soft.SoftBody:
@@ -211,10 +213,8 @@ class BodyRig:
         """The fluid, one object for one pair of factors: tangents know equal surroundings by it."""
         if drag.requires_grad or thrust.requires_grad:
             return self._make_water(drag, thrust)
-        return self._water(float(drag), float(thrust))
-
-    def _new_water(self, drag: float, thrust: float) -> soft.Hydrodynamics:
-        return self._make_water(torch.tensor(drag).double(), torch.tensor(thrust).double())
+        key = float(drag), float(thrust)
+        return self._waters(key, lambda: self._make_water(drag, thrust))
 
     def _make_water(self, drag: Tensor, thrust: Tensor) -> soft.Hydrodynamics:
         """Published coefficients times factors; no water on planes of symmetry."""
@@ -271,10 +271,6 @@ class BodyRig:
             if region.youngs_modulus is not None:
                 field[cells] = region.youngs_modulus.value
         return {"youngs_modulus": field}
-
-
-def _make_fiber(cells: Tensor, muscle: DescribedMuscle) -> soft.Muscle:
-    return soft.Muscle(elements=cells, direction=muscle.direction, stiffness=muscle.stiffness.value)
 
 
 def mesh_softness(coarse: float, fine: float, here: float) -> float:
