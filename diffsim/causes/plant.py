@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from diffsim.causes.commands import CommandGroup
-from diffsim.causes.ports import on_place
+from diffsim.causes.ports import Sessions, on_place
 from diffsim.causes.scales import Scales
-from diffsim.causes.sessions import Sessions
 from diffsim.data.study import Channel
 from diffsim.identify.effect import Apply
 

@@ -1,4 +1,7 @@
-"""How a row acts through each of the five ports of a scene (``diffsim.causes.scene``)."""
+"""How a row acts through each of the five ports of a scene (``diffsim.causes.scene``).
+
+Between sessions of recording somebody may have changed something: a size for each.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,9 @@ from torch import Tensor
 
 from diffsim.causes.row import ANY, Row
 from diffsim.causes.scene import ForceLaw, Scene
-from diffsim.causes.sessions import Sessions
 from diffsim.causes.signals import JOINT, MAPS, Between, Grid, SizedMap
 from diffsim.core.expression import Expression, parse_expression
-from diffsim.data.study import Run
+from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
 
 PLAY = "with_play"  # the map that depends on where a run starts
@@ -272,3 +274,45 @@ def on_place(row: Row, place: str) -> Apply:
 
 def _push(scene: Scene, size: Tensor, run: Run, *, place: str, formula: Expression) -> Any:
     return scene.with_force(place, ForceLaw(formula, size[..., 0]))
+
+
+SESSIONS = "sessions"  # place in a study's frame: labels of the runs that were fitted
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """Groups of runs between which somebody may have changed something.
+
+    Attributes:
+        fact: Fact of the runs' ``setup`` that says in which session they were recorded.
+        labels: Its values; the first session is as described.
+    """
+
+    fact: str
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, fact: str | None, study: Study) -> Sessions | None:
+        """Sessions of a study's runs, those of the fitted ones where a frame says which they were;
+        None: there are not two.
+
+        Args:
+            fact: Name of the fact; None: none is stated.
+            study: Study with the runs.
+        """
+        if fact is None:
+            return None
+        labels = study.frame.get(SESSIONS) or {
+            str(run.setup[fact]) for run in study.runs if fact in run.setup
+        }
+        return cls(fact, tuple(sorted(labels))) if len(labels) > 1 else None
+
+    def index_of(self, run: Run) -> int | None:
+        """Place of a run's session among the later ones; None: the first, or one that was never
+        fitted, which is as described.
+
+        Args:
+            run: Run that is simulated.
+        """
+        label = str(run.setup.get(self.fact, self.labels[0]))
+        return self.labels.index(label) - 1 if label in self.labels[1:] else None

@@ -19,8 +19,8 @@ from torch import Tensor
 from diffsim.causes.listing import list_causes
 from diffsim.causes.own import OwnRow, own_causes
 from diffsim.causes.plant import Plant
+from diffsim.causes.ports import SESSIONS
 from diffsim.causes.scales import SCALES
-from diffsim.causes.sessions import SESSIONS
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import KindWords, Part

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim import contact, mesh, soft
-from diffsim.soft._sticking import SLIDING_FRICTION
+from diffsim.soft._ops_contact import SLIDING_FRICTION
 from tests.soft.cases import noise, soft_body
 
 ZERO = (0.0, 0.0, 0.0)

@@ -171,7 +171,8 @@ def test_infinite_friction_may_leave_no_answer():
     """A slab of which one node is pulled: no set of nodes, held or let go, obeys the law.
 
     All 512 sets are tried as Dirichlet conditions. The kernel then holds the node that it has
-    released twice (contact_status.cpp), and such nodes slide in a second solve (soft/_sticking.py).
+    released twice (contact_status.cpp), and such nodes slide in a second solve
+    (soft/_ops_contact.py).
     """
     body = slab("hex", height=0.02, solver=soft.SolverOptions(rtol=1e-9))
     floor = contact.floor(friction=math.inf)

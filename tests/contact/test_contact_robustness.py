@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import diffsim
 from diffsim import contact, mesh, soft
 from diffsim.core.errors import ConvergenceError, DiffsimError
-from diffsim.soft._sticking import SLIDING_FRICTION
+from diffsim.soft._ops_contact import SLIDING_FRICTION
 from tests.contact.scenes import moving, slab, violations
 from tests.soft.cases import leaf, noise
 

@@ -11,7 +11,7 @@ import torch
 from diffsim import mesh as m
 from diffsim.core.errors import MeshError
 from diffsim.mesh.crossings import crossing_triangles
-from diffsim.mesh.inside import grid_inside
+from diffsim.mesh.from_surface import grid_inside
 
 
 def ball():

@@ -9,8 +9,8 @@ import numpy as np
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.listing import numbers_added
 from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
+from diffsim.causes.ports import Sessions
 from diffsim.causes.scales import Scales
-from diffsim.causes.sessions import Sessions
 from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
