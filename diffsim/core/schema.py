@@ -72,16 +72,12 @@ class Part(BaseModel):
         return given
 
     @model_validator(mode="after")
-    def _check_choices(self) -> Part:
-        for names in filter(None, (self.one_of, self.at_most_one)):
-            given = [name for name in names if getattr(self, name) not in (None, ())]
-            if len(given) > 1 or (not given and names is self.one_of):
-                said = " and ".join(given) or "none"
-                raise ValueError(f"give one of {', '.join(names)}, got {said}")
-        return self
-
-    @model_validator(mode="after")
     def _check_values(self) -> Part:
+        for choice in filter(None, (self.one_of, self.at_most_one)):
+            stated = [key for key in choice if getattr(self, key) not in (None, ())]
+            if len(stated) > 1 or (not stated and choice is self.one_of):
+                said = " and ".join(stated) or "none"
+                raise ValueError(f"give one of {', '.join(choice)}, got {said}")
         for key in type(self).model_fields if self.names_differ else ():
             parts = getattr(self, key)
             given = parts if isinstance(parts, tuple) else ()
