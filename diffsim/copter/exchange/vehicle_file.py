@@ -16,7 +16,7 @@ import torch
 
 from diffsim.copter.exchange.vehicle_mjcf import body_of, vehicle_of_mjcf, vehicle_of_urdf
 from diffsim.copter.exchange.vehicle_sdf import sdf_body, vehicle_of_sdf
-from diffsim.copter.vehicle.battery import LIPO_NOMINAL, Battery
+from diffsim.copter.vehicle.battery import Battery
 from diffsim.copter.vehicle.rotor import RotorModel, rotor_model
 from diffsim.copter.vehicle.vehicle_record import (
     DEFAULT_CELLS,
@@ -128,15 +128,11 @@ def _rotor(facts: RotorFacts, name: str, cells: int) -> RotorModel:
         own = facts.time_constant
         return model if own is None else replace(model, time_constant=own)
     assert facts.radius and facts.max_thrust and facts.torque_ratio
-    # rotors of one kind share a name, so that they go through their model together
-    kind = f"{1e3 * facts.radius:.0f} mm, {facts.max_thrust:g} N, {facts.torque_ratio:g} m"
-    extra = (facts.thrust_exponent, facts.max_speed, facts.time_constant)
     return own_rotor(
-        kind if extra == (2.0, None, None) else f"{kind}, {extra}",
         radius=facts.radius,
         max_thrust=facts.max_thrust,
         torque_ratio=facts.torque_ratio,
-        nominal_voltage=cells * LIPO_NOMINAL,
+        cells=cells,
         thrust_exponent=facts.thrust_exponent,
         max_speed=facts.max_speed,
         time_constant=facts.time_constant,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,8 @@ import numpy as np
 
 from diffsim.copter.exchange.mjcf_text import refuse_impossible_inertia, refuse_too_much, whole_mjcf
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
-from diffsim.copter.vehicle.battery import LIPO_NOMINAL
 from diffsim.copter.vehicle.multicopter import GRAVITY
-from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.copter.vehicle.vehicle_record import (
-    DEFAULT_CELLS,
     FRD,
     Body,
     FlyingVehicle,
@@ -34,6 +30,7 @@ from diffsim.core.arrays import Array
 from diffsim.core.optional import optional
 
 _ROTOR = re.compile(r"prop|rotor|motor", re.I)
+ASSUMED = ("nominal_voltage", "radius")  # of rotors: MJCF does not say them
 _PROPERTIES = ("kf", "km", "thrust2weight", "prop_radius")  # of gym-pybullet-drones
 
 
@@ -96,7 +93,10 @@ def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
     if len(motors) == 1:
         raise ValueError(f"{path}: one rotor only; its radius is not known from distances")
     radius = usual_radius(np.array(places))
-    rotors = tuple(_rotor(radius, *motor) for motor in motors)
+    rotors = tuple(
+        own_rotor(radius=radius, max_thrust=push, torque_ratio=ratio, assumed=ASSUMED)
+        for push, ratio in motors
+    )
     name = ElementTree.parse(path).getroot().get("model") or path.stem
     return assembled(body, FRD, places, axes, spins, rotors, None, name, str(path))
 
@@ -163,17 +163,6 @@ def _refuse_xacro(node: Node) -> None:
         raise node.error("macros of xacro, which ROS expands: xacro FILE > robot.urdf")
     for child in node.children:
         _refuse_xacro(child)
-
-
-def _rotor(radius: float, max_thrust: float, torque_ratio: float) -> RotorModel:
-    rotor = own_rotor(
-        f"{1e3 * radius:.0f} mm, {max_thrust:g} N, {torque_ratio:g} m",
-        radius=radius,
-        max_thrust=max_thrust,
-        torque_ratio=torque_ratio,
-        nominal_voltage=DEFAULT_CELLS * LIPO_NOMINAL,
-    )
-    return replace(rotor, assumed=(*rotor.assumed, "nominal_voltage", "radius"))
 
 
 def _compile_model(path: Path) -> tuple[Any, Any, Any]:

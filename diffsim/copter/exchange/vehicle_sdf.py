@@ -8,17 +8,15 @@ its link's z axis. Shapes, sensors, drag and rolling moments are not read.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
-from diffsim.copter.vehicle.battery import LIPO_NOMINAL
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.copter.vehicle.vehicle_record import (
-    DEFAULT_CELLS,
     FRD,
     Body,
     FlyingVehicle,
@@ -219,23 +217,16 @@ def _radius(link: Node) -> float | None:
 
 
 def _rotor(motor: _Motor, usual: float) -> RotorModel:
-    radius = usual if motor.radius is None else motor.radius
-    kind = (
-        f"{1e3 * radius:.0f} mm, {motor.max_thrust:g} N at {motor.max_speed:g} rad/s, "
-        f"{motor.torque_ratio:g} m, {motor.time_constant:g} s"
-    )
-    rotor = own_rotor(
-        kind,
-        radius=radius,
+    assumed = ["nominal_voltage", *(["radius"] if motor.radius is None else [])]
+    assumed += ["time_constant"] if motor.lags_differ else []
+    return own_rotor(
+        radius=usual if motor.radius is None else motor.radius,
         max_thrust=motor.max_thrust,
         torque_ratio=motor.torque_ratio,
-        nominal_voltage=DEFAULT_CELLS * LIPO_NOMINAL,
         max_speed=motor.max_speed,
         time_constant=motor.time_constant if motor.time_constant > 0.0 else None,
+        assumed=assumed,
     )
-    more = ["nominal_voltage", *(["radius"] if motor.radius is None else [])]
-    more += ["time_constant"] if motor.lags_differ else []
-    return replace(rotor, assumed=tuple(sorted({*rotor.assumed, *more})))
 
 
 Pose = tuple[Array, Array]  # turn (3, 3) and place (3,) [m]

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from scipy.spatial.distance import pdist
 
-from diffsim.copter.vehicle.battery import Battery
+from diffsim.copter.vehicle.battery import LIPO_NOMINAL, Battery
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.core.arrays import Array
@@ -140,15 +140,15 @@ def assembled(
 
 
 def own_rotor(
-    name: str,
     *,
     radius: float,
     max_thrust: float,
     torque_ratio: float,
-    nominal_voltage: float,
+    cells: int = DEFAULT_CELLS,
     thrust_exponent: float = 2.0,
     max_speed: float | None = None,
     time_constant: float | None = None,
+    assumed: Sequence[str] = (),
 ) -> RotorModel:
     """A rotor of few facts; what is missing is usual for its size, and listed in ``assumed``.
 
@@ -156,24 +156,30 @@ def own_rotor(
     hovering rotor, P = T^1.5 / sqrt(2 rho A), over a usual efficiency (Leishman, Principles of
     Helicopter Aerodynamics, 2006, ch. 2).
 
+    Its name is that of its kind: rotors that share it go through their model together.
+
     Args:
-        name: Name of the rotor.
         radius: Of the propeller [m].
         max_thrust: At full signal and nominal voltage [N].
         torque_ratio: Reaction torque over thrust [m].
-        nominal_voltage: Voltage that max_thrust is for [V].
+        cells: Of the battery in series, whose nominal voltage max_thrust is for.
         thrust_exponent: Power of the speed in the thrust.
         max_speed: At full signal [rad/s]; None: usual.
         time_constant: Lag of the thrust [s]; None: usual.
+        assumed: What the caller assumed of these.
     """
-    assumed = ["current_coefficient", "speed_exponent"]
+    kind = f"{1e3 * radius:.0f} mm, {max_thrust:g} N, {torque_ratio:g} m"
+    extra = (thrust_exponent, max_speed, time_constant)
+    name = kind if extra == (2.0, None, None) else f"{kind}, {extra}"
+    nominal_voltage = cells * LIPO_NOMINAL
+    lacking = [*assumed, "current_coefficient", "speed_exponent"]
     if max_speed is None:
         turns = np.sqrt(max_thrust / (USUAL_THRUST_COEFFICIENT * AIR_DENSITY * (2.0 * radius) ** 4))
         max_speed = float(2.0 * np.pi * turns)
-        assumed.append("thrust_coefficient")
+        lacking.append("thrust_coefficient")
     if time_constant is None:
         time_constant = USUAL_TIME_CONSTANT
-        assumed.append("time_constant")
+        lacking.append("time_constant")
     wake = np.sqrt(2.0 * AIR_DENSITY * np.pi * radius**2)
     return RotorModel(
         name=name,
@@ -191,5 +197,5 @@ def own_rotor(
         speed_coefficient=max_speed / nominal_voltage,
         speed_exponent=1.0,
         time_constant=time_constant,
-        assumed=tuple(sorted(assumed)),
+        assumed=tuple(sorted({*lacking})),
     )
