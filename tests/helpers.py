@@ -1,10 +1,11 @@
-"""The contract that every differentiable layer keeps; called once for each."""
+"""The contract that every differentiable layer keeps; called once for each. Numbers of tests."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -73,3 +74,28 @@ def _bare(known: dict[str, Any], name: str) -> Tensor:
     return known[
         name.removeprefix("grad_") if name.startswith("grad_") else name.removeprefix("d_")
     ]
+
+
+def tensor(values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def numbers(*values):
+    return tensor(values)
+
+
+def random(seed: int, *shape: int):
+    """Drawn evenly from 0 to 1."""
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def at_rest(x):
+    """A soft body in places, without speed."""
+    from diffsim import soft
+
+    return soft.State(x, torch.zeros_like(x))
+
+
+def observed_order(h, error):
+    """Slope of log(error) over log(h)."""
+    return np.polyfit(np.log(h), np.log(error), 1)[0]

@@ -13,10 +13,7 @@ from diffsim import contact, copter, mesh, optim, soft, stokes
 from diffsim.core.record import warn
 from diffsim.identify import fit
 from tests.diagnose import linear
-
-
-def tensor(*values):
-    return torch.tensor(values, dtype=torch.float64)
+from tests.helpers import numbers as tensor
 
 
 def bar(contact=None, **options):

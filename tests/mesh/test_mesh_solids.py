@@ -10,15 +10,11 @@ from diffsim import mesh as m
 from diffsim.core.errors import MeshError
 from diffsim.mesh import sdf
 from diffsim.mesh.hinges import hinged_elements
+from tests.helpers import observed_order
 
 BALL = 4 / 3 * math.pi * 0.1**3
 RING = 2 * math.pi**2 * 0.1 * 0.04**2
 UNIT = [[-1.0] * 3, [1.0] * 3]
-
-
-def observed_order(h, error):
-    """Slope of log(error) over log(h)."""
-    return np.polyfit(np.log(h), np.log(error), 1)[0]
 
 
 @pytest.mark.order

@@ -10,7 +10,7 @@ import torch
 from diffsim import mesh, soft
 from diffsim.core.errors import ConvergenceError
 from tests.gradients import check_directions
-from tests.helpers import check_layer
+from tests.helpers import at_rest, check_layer
 from tests.soft.cases import deformed, leaf, noise, rail_mask, recorded_op, soft_body
 
 METHODS = ["auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky"]
@@ -57,10 +57,6 @@ def shell(num: int, inner: float, outer: float):
         for k in range(num // 2)
     ]
     return mesh.HexMesh(x, torch.cat(layers))
-
-
-def at_rest(x):
-    return soft.State(x, torch.zeros_like(x))
 
 
 # --- cavities and volumes ---

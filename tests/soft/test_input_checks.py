@@ -10,6 +10,7 @@ from diffsim import mesh, soft
 from diffsim.core.errors import DiffsimError, FactorizationError
 from diffsim.soft import _ops_elastic
 from diffsim.soft._arrays import EnergyArrays
+from tests.helpers import at_rest
 from tests.soft.cases import irregular_mesh, soft_body, two_muscles
 
 MESH = mesh.hex_box((2, 1, 1))
@@ -321,10 +322,6 @@ def test_arrays_of_kernels_are_named():
         EnergyArrays(one, one)
     with pytest.raises(TypeError, match="missing 8 required keyword-only"):
         EnergyArrays(fiber_stiffness=one)
-
-
-def at_rest(x):
-    return soft.State(x, torch.zeros_like(x))
 
 
 def test_a_gradient_by_the_rest_shape_is_refused():

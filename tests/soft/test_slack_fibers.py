@@ -5,6 +5,8 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
+from tests.helpers import at_rest
+from tests.helpers import numbers as row
 from tests.soft.cases import irregular_mesh, leaf, noise, rail_mask, soft_body
 
 METHODS = ["auto", "quasi_newton", "newton_pcg", "newton_jacobi", "newton_cholesky"]
@@ -31,14 +33,6 @@ def stretches(m, x):
 def affine(m):
     """Stretched, sheared and turned, the same in every element."""
     return m.x_rest @ (torch.eye(3).double() + 0.3 * noise(3, 3, seed=1)).T
-
-
-def row(*values):
-    return torch.tensor(values, dtype=torch.float64)
-
-
-def at_rest(x):
-    return soft.State(x, torch.zeros_like(x))
 
 
 @pytest.mark.parametrize("kind", ["hex", "tet"])

@@ -9,14 +9,10 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
+from tests.helpers import observed_order
 from tests.soft.cases import irregular_mesh, soft_body
 
 pytestmark = pytest.mark.order
-
-
-def observed_order(h, error):
-    """Slope of log(error) over log(h)."""
-    return np.polyfit(np.log(h), np.log(error), 1)[0]
 
 
 def state_at(body_of, integrator, dt, time):

@@ -10,13 +10,10 @@ import torch
 from diffsim import mesh, soft
 from diffsim.soft.routing import route
 from tests.covering import covering
+from tests.helpers import tensor as f64
 from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body
 
 BENT = [[0.1, 0.15, 0.2], [0.9, 0.7, 0.35], [1.85, 0.3, 0.8]]  # inside the 2 x 1 x 1 box
-
-
-def f64(values):
-    return torch.tensor(values, dtype=torch.float64)
 
 
 def sheared_box():

@@ -15,13 +15,10 @@ from torch import Tensor
 from diffsim.stokes import _ops_surface
 from diffsim.stokes.shapes import BSplineSurface, NurbsSurface
 from diffsim.stokes.shapes.closest_surface import SurfaceSamples
+from tests.helpers import random
 
 F64 = torch.float64
 CREASED = [0, 0, 0, 0, 0.3, 0.3, 0.3, 1, 1, 1, 1]  # cubic, with a kink at 0.3
-
-
-def random(seed: int, *shape: int) -> Tensor:
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 def sheet(seed: int, heights: float = 1.0) -> Tensor:

@@ -6,7 +6,6 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
 
 from diffsim.mesh import sdf
 from diffsim.stokes.shapes import (
@@ -25,16 +24,9 @@ from diffsim.stokes.shapes import (
     Union,
     grid_nodes,
 )
+from tests.helpers import random, tensor
 
 F64 = torch.float64
-
-
-def tensor(values) -> Tensor:
-    return torch.tensor(values, dtype=F64)
-
-
-def random(seed: int, *shape: int) -> Tensor:
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 POINTS = 2.0 * random(0, 200, 3) - 1.0

@@ -12,17 +12,10 @@ from torch import Tensor
 from diffsim.stokes import _ops_curve
 from diffsim.stokes.shapes import BezierCurve2d
 from tests.gradients import check_directions
+from tests.helpers import random, tensor
 
 F64 = torch.float64
 _HALF = math.sqrt(0.5)
-
-
-def tensor(values) -> Tensor:
-    return torch.tensor(values, dtype=F64)
-
-
-def random(seed: int, *shape: int) -> Tensor:
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 def quiet(*args, **options) -> BezierCurve2d:

@@ -18,20 +18,13 @@ from diffsim.stokes.shapes import (
     grid_nodes,
 )
 from tests.gradients import check_directions
+from tests.helpers import random, tensor
 
 F64 = torch.float64
 _HALF = math.sqrt(0.5)
 _SQUARE = [[1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1], [1, 0]]
 _ROUND = [_HALF, 1.0] * 4
 _KNOTS = [0, 0, 0.25, 0.25, 0.5, 0.5, 0.75, 0.75, 1]
-
-
-def tensor(values) -> Tensor:
-    return torch.tensor(values, dtype=F64)
-
-
-def random(seed: int, *shape: int) -> Tensor:
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 def revolved(profile: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:

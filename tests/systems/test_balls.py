@@ -10,12 +10,9 @@ from scipy.integrate import solve_ivp
 from diffsim.systems.rigid_body.bouncing import Bounces, ThrownBall, bounced
 from diffsim.systems.rigid_body.on_ground import Ball, Laws, impact
 from diffsim.systems.rigid_body.parts import Body
+from tests.helpers import numbers
 
 G, LEVEL = 9.81, 0.03
-
-
-def numbers(*values):
-    return torch.tensor(values, dtype=torch.float64)
 
 
 def ground(restitution=0.8, friction=0.0, drag=0.0, slope=0.0, rolling=0.0):

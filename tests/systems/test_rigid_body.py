@@ -19,14 +19,11 @@ from diffsim.systems.rigid_body.windows import (
     continuous,
     first_touch,
 )
+from tests.helpers import numbers as tensor
 
 GRAVITY, HALF_WIDTH = 9.81, 0.0524
 E, MU, INERTIA = 0.3, 0.2, 2.0 / 3.0 * HALF_WIDTH**2
 POSE = [*(("position", i) for i in range(3)), *(("quaternion", i) for i in range(4))]
-
-
-def tensor(*values):
-    return torch.tensor(values, dtype=torch.float64)
 
 
 def kick(velocity, arm, restitution=E, friction=MU, rebound=0.0):

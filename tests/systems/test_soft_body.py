@@ -12,6 +12,7 @@ from diffsim.identify import Numerics
 from diffsim.systems.soft_body import unknown_force
 from diffsim.systems.soft_body.scene import Moment
 from tests.diagnose.gate import score_error, typical
+from tests.helpers import numbers as size
 from tests.systems.soft_body.bars import held_bar, model_of, pulled_bar, released_bar
 from tests.systems.soft_body.causes import ANY_BODY, CAUSES
 
@@ -20,10 +21,6 @@ OF_NO_STUDY = ("stiffness_damping", "added_mass", "current", "support_motion")
 """What no study of ``tests/studies`` has among its causes."""
 SMOOTH = [e for e in ANY_BODY if e.smooth and e.kind not in ("actuator", "sensor")]
 """Of the body itself: instruments and commands are those of every kind."""
-
-
-def size(*values):
-    return torch.tensor(values, dtype=torch.float64)
 
 
 def make_run(until_s=0.2, dt=0.01, order=2, **command):

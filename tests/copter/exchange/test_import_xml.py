@@ -10,6 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from diffsim.copter import GRAVITY, import_xml, load_design
+from tests.helpers import tensor
 from tests.measured import data_folder
 
 NAMES = ["quadcopter", "pentacopter", "y6copter"]
@@ -26,10 +27,6 @@ def designs():
 def facts(name):
     text = (data_folder("copter_reference") / "reference_copters.json").read_text()
     return json.loads(text)["copters"][name]
-
-
-def tensor(values):
-    return torch.tensor(values, dtype=torch.float64)
 
 
 @pytest.mark.reference

@@ -12,10 +12,7 @@ from diffsim.copter.vehicle.battery import LIPO_CELL_VOLTAGE, Battery
 from diffsim.copter.vehicle.effects import FlightEffects
 from diffsim.copter.vehicle.rotor import rotor_model
 from tests.copter.vehicle.test_vehicle import plus_quadcopter
-
-
-def tensor(value):
-    return torch.as_tensor(value, dtype=torch.float64)
+from tests.helpers import tensor
 
 
 def test_lipo_follows_the_table():
