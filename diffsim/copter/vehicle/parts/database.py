@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
-from inspect import Parameter, signature
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
-
-from pydantic import Field, StrictBool, create_model
+from typing import TYPE_CHECKING, Any
 
 from diffsim.copter.vehicle.parts.fittings import (
     compound_angle_clip,
@@ -21,7 +17,6 @@ from diffsim.copter.vehicle.parts.frames import mesh_frame, outline_frame, x_fra
 from diffsim.copter.vehicle.parts.imported import imported_mesh, imported_motor, imported_rod
 from diffsim.copter.vehicle.parts.part import Part, PartMaker
 from diffsim.copter.vehicle.parts.structure import box_part, circular_plate, plate, rod
-from diffsim.core import schema, schema_numbers
 from diffsim.core.check import require_choice
 
 if TYPE_CHECKING:
@@ -79,37 +74,8 @@ def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
         ValueError: unknown kind or option, with the closest names; what cannot be read; sizes that
             make no part.
     """
-    from diffsim.copter.vehicle.parts.database import option_keys  # pydantic comes with it
+    from diffsim.copter.vehicle.parts.options import option_keys  # pydantic comes with it
     from diffsim.core.schema import read_part
 
     maker = PART_KINDS[require_choice("kind", kind, PART_KINDS)]
     return maker(**dict(read_part(option_keys(maker), dict(options or {}), kind)))
-
-
-@cache
-def option_keys(maker: PartMaker, base: type[schema.Part] = schema.FinitePart) -> type[schema.Part]:
-    """A block with a key for each argument of a maker that its base does not have.
-
-    Single numbers are sizes, masses, densities and factors: all of them above 0.
-
-    Args:
-        maker: Maker of a part; its annotations may be units of ``core.schema_numbers``.
-        base: Keys that every part has.
-    """
-    hints = get_type_hints(maker, localns=vars(schema_numbers), include_extras=True)
-    fields: dict[str, Any] = {
-        name: (
-            _positive(hints.get(name, Any)),
-            ... if argument.default is Parameter.empty else argument.default,
-        )
-        for name, argument in signature(maker).parameters.items()
-        if name not in base.model_fields
-    }
-    return create_model(maker.__name__, __base__=base, **fields)
-
-
-def _positive(hint: Any) -> Any:
-    if hint is bool:
-        return StrictBool
-    is_number = hint is float or getattr(hint, "__origin__", None) is float
-    return Annotated[hint, Field(gt=0.0)] if is_number else hint
