@@ -168,9 +168,10 @@ def own_rotor(
         time_constant: Lag of the thrust [s]; None: usual.
         assumed: What the caller assumed of these.
     """
-    kind = f"{1e3 * radius:.0f} mm, {max_thrust:g} N, {torque_ratio:g} m"
-    extra = (thrust_exponent, max_speed, time_constant)
-    name = kind if extra == (2.0, None, None) else f"{kind}, {extra}"
+    name = f"{1e3 * radius:.0f} mm, {max_thrust:g} N"
+    name += "" if max_speed is None else f" at {max_speed:g} rad/s"
+    name += f", {torque_ratio:g} m" + ("" if time_constant is None else f", {time_constant:g} s")
+    name += "" if thrust_exponent == 2.0 else f", exponent {thrust_exponent:g}"
     nominal_voltage = cells * LIPO_NOMINAL
     lacking = [*assumed, "current_coefficient", "speed_exponent"]
     if max_speed is None:
