@@ -166,6 +166,27 @@ def test_a_second_sentence_says_why_and_of_which_cause():
     assert "Not certain" not in said("named", [lag])
 
 
+def test_what_may_be_zero_is_not_probably_missing():
+    """A law whose size may be zero stood as "is probably missing"."""
+    zero = {"status": "likely", "doubts": ("its size may be zero",)}
+    drag, lag = (cause(n, removes=0.4, status="likely") for n in ("drag", "lag"))
+    play = cause("play", removes=0.3, **zero)
+    sure = cause("tilt", removes=0.5)
+    for rows, begin in (
+        ([play], "Play may be missing (0.1 to 0.5 mrad): "),
+        ([drag, lag, play], "Drag, lag and perhaps play are probably missing: "),
+        ([sure, drag, play], "Tilt, probably drag and perhaps play are missing: "),
+        ([sure, play], "Tilt (0.1 to 0.5 mrad) and perhaps play (0.1 to 0.5 mrad) are missing: "),
+        ([cause("play", removes=0.6, **zero), drag], "Perhaps play"),
+    ):
+        assert said("named", rows).startswith(begin)
+    many = [cause(f"drag {k}", removes=0.4, status="likely") for k in range(4)]
+    text = said("named", [*many, play])
+    assert text.startswith("Up to five causes, drag 0 first, are probably missing: ")
+    none = [cause(f"play {k}", removes=0.4, **zero) for k in range(5)]
+    assert said("named", none).startswith("Five causes, play 0 first, may be missing: ")
+
+
 def test_less_than_the_noise_says_that_the_noise_was_stated_too_large():
     """A gain of 126 % was "not confirmed": an error of 1.88 to 0.18 mm under a noise of 0.87."""
     row = ErrorRow("t", "position", "mm", 1.88, 0.184, 0.87, 100, 0)
