@@ -2,12 +2,12 @@
 
 ``python -m benchmarks.diagnose_band [A,B ...]``
 
-Every published data set, or those that are named: of the parts of a first answer that stand for
-unseen runs (left out one after the other, or with use: select), 2, 3, ... tell the band, and the
-share of the readings of the other parts inside it is taken. Then come the least and the most of a
-single part, told by all others: so far do single runs of this set lie from what is promised. The
-last column is the share of the test runs, by the band that all parts tell, and their number; it
-chooses nothing. Below the means over the sets.
+Every published data set, or those that are named: of the parts that a first answer was not fitted
+to (left out one after the other, or with use: select), 2, 3, ... tell the band, and the share of
+the readings of the other parts inside it is taken. Then come the least and the most of a single
+part, told by all others: so far do single runs of this set lie from what is promised. The last
+column is the share of the test runs, by the band that all parts tell, and their number; it chooses
+nothing. Below the means over the sets.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from benchmarks.diagnose_published import NAMES, library_answer
 from diffsim.cli.diagnose_inputs import inputs_of, read_study
 from diffsim.core import interruptible
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.judge.band import Part, factor_of, like_unseen, unfitted_parts
+from diffsim.diagnose.judge.band import Part, factor_of, noise_of, settled, unfitted_parts
 from diffsim.diagnose.judge.records import band_share
 
 Array = NDArray[np.float64]
-COUNTS = (2, 3, 4, 5, 7)
+COUNTS = (2, 3, 5)
 MOST_CHOICES = 40  # of parts that tell the band
 COLUMNS = ("data set", "parts", *(f"told by {k}" for k in COUNTS), "single parts", "test runs")
 HEAD = f"| {' | '.join(COLUMNS)} |"
 
 
 def parts_of(name: str) -> tuple[list[Part], Array, float | None, int]:
-    """Parts of a data set that stand for unseen runs, the noise, the share of the readings of test
-    runs inside the band, None without test runs, and how many these are.
+    """Parts of a data set that were not fitted, the noise that they tell, the share of the readings
+    of test runs inside the band, None without test runs, and how many these are.
 
     Raises:
         ValueError: groups with faults, which have an answer each.
@@ -47,8 +47,8 @@ def parts_of(name: str) -> tuple[list[Part], Array, float | None, int]:
     report = library_answer(inputs)
     channels, select = report.study.channels, report.study.select_runs
     parts = unfitted_parts(report.best, channels, select, plain=report.null)
-    known, tests = like_unseen(parts, report.floor.sd), len(report.study.test_runs)
-    return known, report.floor.sd, band_share(report.errors), tests
+    told, tests = settled(parts), len(report.study.test_runs)
+    return told, noise_of(told, report.floor.sd), band_share(report.errors), tests
 
 
 def shares(parts: Sequence[Part], noise: Array, count: int) -> Iterator[float]:
@@ -57,9 +57,9 @@ def shares(parts: Sequence[Part], noise: Array, count: int) -> Iterator[float]:
     choices = list(combinations(range(len(parts)), count))
     picked = rng.permutation(len(choices))[:MOST_CHOICES]
     for chosen in (choices[i] for i in picked):
-        rest, factor = factor_of([parts[i] for i in chosen], noise)
+        told, factor = factor_of([parts[i] for i in chosen], noise)
         for k, part in enumerate(parts):
-            scores = part.scores(noise, rest**2)
+            scores = np.abs(part.left) / np.sqrt(told.variance(noise, part))
             seen = np.isfinite(scores)
             if k not in chosen and seen.any():
                 yield float(np.mean(scores[seen] <= factor))

@@ -16,7 +16,6 @@ from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.faults import FaultReport, FaultVerdict, judge_faults
 from diffsim.diagnose.faults.groups import groups_of
-from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.systems.registry import setup_of
 
 FAULTS_FILE = "faults.json"
@@ -142,7 +141,7 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
     out += [f"  {verdict.words}", f"  next: {verdict.next_words}"]
     for size in verdict.sizes:
         i, unit = size.interval, after_number(size.unit)
-        out.append(f"  {size.cause} {i.value:.3g}{unit} (90 %: {i.low:.3g} to {i.high:.3g})")
+        out.append(f"  {size.words}: {i.value:.3g}{unit} (90 %: {i.low:.3g} to {i.high:.3g})")
     if verdict.causes:
         by_runs, by_labels = verdict.lead_by_runs, verdict.lead_by_labels
         out.append(
@@ -150,8 +149,7 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
             f"{by_labels:+.1f} from labels of other groups"
         )
     else:
-        seen = ", ".join(f"{words_of(c)} {v:.2g}" for c, v in verdict.least_visible[:4])
-        out.append(f"  smallest visible: {seen}")
+        out.append(f"  smallest visible: {', '.join(verdict.visible[:4])}")
     if verdict.set_aside:
         out.append(f"  set aside: {'; '.join(verdict.set_aside)}")
     return out

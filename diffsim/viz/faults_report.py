@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.figures import figure, probability, unit_of
-from diffsim.diagnose.faults.verdict import UNLISTED, FaultReport, FaultVerdict, Size
-from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.faults.verdict import UNLISTED, FaultReport, FaultVerdict, SetRow, Size
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.charts import EXTENDED
@@ -126,7 +125,7 @@ def _explanations(verdicts: Sequence[FaultVerdict]) -> page.Section:
     rows = [
         [
             v.group,
-            UNLISTED if s.is_unlisted else " + ".join(map(words_of, s.causes)) or "sound",
+            _explanation(v, s),
             probability(s.probability_alone),
             probability(s.probability),
         ]
@@ -138,14 +137,16 @@ def _explanations(verdicts: Sequence[FaultVerdict]) -> page.Section:
         rows=rows,
         caption="Most probable explanations of each group, with the probability of each.",
     )
-    unseen = [
-        [v.group, ", ".join(f"{words_of(c)} {figure(s, 2)}" for c, s in seen[:MOST_VISIBLE])]
-        for v, seen in ((v, v.least_visible) for v in verdicts)
-        if not v.causes
-    ]
-    caption = "Smallest size of a cause that would have been seen, in its own unit."
+    unseen = [[v.group, ", ".join(v.visible[:MOST_VISIBLE])] for v in verdicts if not v.causes]
+    caption = "The smallest of each cause that would have been seen."
     tables = [page.Table(columns=["group", "would be seen"], rows=unseen, caption=caption)]
     return page.Section(title="What else it may be", content=[sets, *(tables if unseen else [])])
+
+
+def _explanation(verdict: FaultVerdict, row: SetRow) -> str:
+    if row.is_unlisted:
+        return UNLISTED
+    return " + ".join(verdict.plain.get(c, c) for c in row.causes) or "sound"
 
 
 def _scatter(report: FaultReport) -> page.Section:

@@ -39,10 +39,10 @@ def faulty() -> FaultReport:
         ("thrust_loss",), 1e-6, 40.0, (size,), (), sets, {}, f"{size.words}.",
         facts={"vehicle": "E7", "battery": "half full"}, files=("flight_1.csv", "flight_2.csv"),
     )  # fmt: skip
-    seen = {"thrust_loss": 0.021, "added_mass_on_the_arm": 0.0034, "bent_shaft": 0.3}
+    seen = ("0.34 g more mass on the arm", "2 % less thrust of a rotor", "bent shaft 0.3")
     sound = FaultVerdict(
-        "E9", ("flight_3",), "", None, "nothing visible", (), 0.98, 0.0, (), (), (), seen,
-        "Nothing visible beyond the scatter between groups.",
+        "E9", ("flight_3",), "", None, "nothing visible", (), 0.98, 0.0, (), (), (), {},
+        "Nothing visible beyond the scatter between groups.", visible=seen,
     )  # fmt: skip
     return FaultReport("drones", (), (named, sound))
 

@@ -14,6 +14,7 @@ from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.records import CERTAIN, DATA_SHEET, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
@@ -260,7 +261,7 @@ def _form_of(law: Law) -> str:
 
 def _what(law: Law) -> str:
     """What a law adds, and where."""
-    target = law.entry.target
+    target = words_of(law.entry.target)
     if law.entry.kind == "force":
         return f"a {'torque' if 'N m' in law.entry.unit else 'force'} at {target}"
     if law.entry.kind == "rate":

@@ -31,6 +31,7 @@ VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
 MAX_SAID = 3  # groups with a fault that the first sentence names
+MOST_SETS = 8  # explanations of a group that its verdict holds
 ENDS = (0.05, 0.95)  # shares below the two ends of an interval
 
 
@@ -91,6 +92,9 @@ class FaultVerdict:
         sets: Most probable explanations.
         smallest_visible: Smallest size of each cause that would be visible alone, in its unit.
         words: The verdict as a sentence.
+        plain: Causes of ``sets`` and ``rivals`` in plain words, without a size.
+        visible: Causes at the smallest size that would be visible alone, in plain words, those of
+            the smallest number first.
         facts: Facts of the set-up that all its runs share, without the one that makes groups and
             those that are not known.
         set_aside: Goals that were missed and rows that were misread, under this explanation.
@@ -111,6 +115,8 @@ class FaultVerdict:
     words: str
     lead_by_runs: float = 0.0
     lead_by_labels: float = 0.0
+    plain: Mapping[str, str] = field(default_factory=dict)
+    visible: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     files: tuple[str, ...] = ()
     set_aside: tuple[str, ...] = ()
@@ -123,11 +129,6 @@ class FaultVerdict:
             return self.group
         more = f" and {len(names) - 1} more" if len(names) > 1 else ""
         return f"{self.group} ({names[0]}{more})"
-
-    @property
-    def least_visible(self) -> list[tuple[str, float]]:
-        """Causes by the smallest visible size; in the library's order where two digits agree."""
-        return sorted(self.smallest_visible.items(), key=lambda item: float(f"{item[1]:.1e}"))
 
     @property
     def next_words(self) -> str:
@@ -239,6 +240,17 @@ def verdict_of(
     sizes = _sizes(causes, evidences[best].evidence, effects) if is_named else ()
     rivals = _rivals(evidences, alone, best) if is_named else ()
     by_runs, by_labels = _leads(evidences, learned, best) if is_named else (0.0, 0.0)
+    sets = tuple(
+        SetRow(
+            evidences[i].candidate.causes,
+            float(learned[i]),
+            float(alone[i]),
+            evidences[i].candidate.is_unlisted,
+        )
+        for i in order[:MOST_SETS]
+    )
+    asked = {cause for own in (*(row.causes for row in sets), *rivals) for cause in own}
+    plain = {name: plain_words(effects[name]) for name in sorted(asked & set(effects))}
     return FaultVerdict(
         group=group.label,
         runs=tuple(run.name for run in group.runs),
@@ -250,17 +262,11 @@ def verdict_of(
         strength=evidences[best].evidence.strength if is_named else 0.0,
         sizes=sizes,
         rivals=rivals,
-        sets=tuple(
-            SetRow(
-                evidences[i].candidate.causes,
-                float(learned[i]),
-                float(alone[i]),
-                evidences[i].candidate.is_unlisted,
-            )
-            for i in order[:8]
-        ),
+        sets=sets,
         smallest_visible=dict(smallest_visible),
-        words=_words(status, sizes, rivals),
+        words=_words(status, sizes, rivals, plain),
+        plain=plain,
+        visible=tuple(cause_words(effects[c], v) for c, v in least_visible(smallest_visible)),
         facts=group.facts,
         files=tuple(dict.fromkeys(file for run in group.runs for file in run.files)),
         lead_by_runs=by_runs,
@@ -355,13 +361,36 @@ def cause_words(effect: Effect, size: float) -> str:
     return f"{words_of(effect.name)} {figure(size)}{after_number(effect.unit)}"
 
 
-def _words(status: str, sizes: Sequence[Size], rivals: Sequence[tuple[str, ...]]) -> str:
+def plain_words(effect: Effect) -> str:
+    """A cause in plain words without a size: "some more weight at rotor 1".
+
+    Numbers of its words that differ with the size are "some".
+    """
+    if effect.words is None:
+        return words_of(effect.name)
+    said, other = (effect.words(times * effect.typical).split(" ") for times in (1.0, 2.0))
+    if len(said) != len(other):
+        return words_of(effect.name)
+    return " ".join(a if a == b else "some" for a, b in zip(said, other, strict=True))
+
+
+def least_visible(smallest: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Causes by the smallest visible size; in the library's order where two digits agree."""
+    return sorted(smallest.items(), key=lambda item: float(f"{item[1]:.1e}"))
+
+
+def _words(
+    status: str,
+    sizes: Sequence[Size],
+    rivals: Sequence[tuple[str, ...]],
+    plain: Mapping[str, str],
+) -> str:
     if status == SILENT:
         return "Nothing visible beyond the scatter between groups."
     if status == UNLISTED:
         return "It differs from sound groups in a way that no cause of the library describes."
     named = " and ".join(size.words for size in sizes)
-    others = " or ".join(" with ".join(words_of(c) for c in causes) for causes in rivals)
+    others = " or ".join(" with ".join(plain.get(c, c) for c in causes) for causes in rivals)
     start = {CERTAIN: "", LIKELY: "likely: ", UNTOLD: "perhaps: "}[status]
     end = f"; these runs alone cannot tell it from {others}" if rivals else ""
     text = f"{start}{named}{end}."

@@ -2,20 +2,26 @@
 
 Half of its width, by reading, is
 
-    factor * sqrt(noise^2 + times^4 rest^2 + posterior^2).
+    factor * sqrt(noise^2 + posterior^2 + growth^2 (rest^2 + excess^2 posterior^2)),
 
-Noise is the floor of the fit, or what the calmest part leaves where that is less than half of it.
+    growth = 2 times^2 - 1.
+
+Noise is the floor of the fit; where the calmest part leaves less than half of it, what differs
+there from reading to reading, for the rest of it is no noise and grows with the distance.
 Posterior is what parameters and sizes change in this very run, by one standard deviation along each
 principal direction. Rest is what the model leaves beyond both on parts that were not fitted: groups
 of runs left out one after the other (else blocks of time), and runs with use: select. Times is how
 far outside of the fitted runs the run lies, 1 inside: what a model lacks begins with its next
-power, so what it leaves grows as the square. Parts that lie outside of the others have told it from
-there.
+power, of which a fit leaves equal ripples inside, and those are Chebyshev's polynomial T2 outside.
 
-A part stands for an unseen run where the runs that are left know its parameters: their posterior
-moves it by less than the noise; and where the fit without it has not run away. The factor holds the
-share of the readings of these parts that is wanted, each part weighing the same and with the rest
-that the other parts tell: how much parts differ is in it, and no shape of what is left is assumed.
+A misfit that stays is alike over a whole run: it moves parameters farther than the posterior says,
+by the factor excess beside it. Parts tell excess and rest together, as the variances that make them
+most likely: those which the other runs know tell rest, those of which they hardly know the
+parameters tell excess. A part whose fit has run away tells nothing.
+
+The factor holds the share of the readings of these parts that is wanted, each part weighing the
+same and with what the other parts tell: how much parts differ is in it, and no shape of what is
+left is assumed.
 """
 
 from __future__ import annotations
@@ -43,6 +49,9 @@ from diffsim.identify.fitting import posterior_covariance
 
 OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated too large
 LEAST_PARTS = 2  # one does not tell how parts differ
+GROWTH = np.polynomial.Polynomial((-1.0, 0.0, 2.0))  # of what is left, by times: Chebyshev's T2
+NONE = 1e-300  # added to sums of what is asked: their ratio is 1 where nothing is
+ROUNDS = 200  # of the variances: each multiplies them, three digits are settled after a hundred
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,23 +72,24 @@ class Part:
     times: float = 1.0
     ran_away: bool = False
 
-    def power(self, noise: Array) -> Array:
-        """Mean square beyond noise and posterior by channel, were they inside, (num_channels,);
-        NaN: no reading."""
-        seen = np.isfinite(self.left)
-        beyond = np.where(seen, self.left**2 - self.spread - noise**2, 0.0)
-        count = seen.sum(axis=0) * self.times**4
-        return np.where(count, beyond.sum(axis=0) / np.maximum(count, 1), np.nan)
 
-    def is_known(self, noise: Array) -> bool:
-        """Whether the posterior moves it by less than the noise, root mean square."""
-        moved = (self.spread / noise**2)[np.isfinite(self.left)]
-        return bool(moved.size) and float(np.mean(moved)) <= 1.0
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What parts tell of an unseen run.
 
-    def scores(self, noise: Array, rest_variance: Array) -> Array:
-        """Sizes of what is left over its standard deviation, (num_readings, num_channels)."""
-        rest = self.times**4 * rest_variance
-        return np.asarray(np.abs(self.left) / np.sqrt(noise**2 + rest + self.spread))
+    Attributes:
+        rest: Variance of what is left beyond noise and posterior, by channel, (num_channels,); NaN:
+            measured in no part.
+        excess: What the variance by the posterior is multiplied by, to be added to it.
+    """
+
+    rest: Array
+    excess: float
+
+    def variance(self, noise: Array, part: Part) -> Array:
+        """Variance of what is left of a part, or of another run, as ``Part.spread``."""
+        more = GROWTH(part.times) ** 2 * (self.rest + self.excess * part.spread)
+        return np.asarray(noise**2 + part.spread + more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +97,12 @@ class Band:
     """What the band of any run is made from.
 
     Attributes:
-        factor: Half of the width over the root of the three variances.
+        factor: Half of the width over the root of the sum of variances.
         num_parts: Parts that nothing was fitted to, which told the factor.
         noise: Standard deviation of the noise by channel [unit of the channel].
         rest: Standard deviation of what is left beyond it [unit of the channel]; only channels that
             one of the parts measured.
+        excess: How many times farther than their posterior says a misfit moves parameters.
         names: Coordinates that runs share.
         correlation: Posterior correlation of these, (n, n).
     """
@@ -100,6 +111,7 @@ class Band:
     num_parts: int
     noise: Mapping[str, float]
     rest: Mapping[str, float]
+    excess: float
     names: tuple[str, ...]
     correlation: Array
 
@@ -111,6 +123,7 @@ class Band:
             "num_parts": self.num_parts,
             "noise": dict(self.noise),
             "rest": dict(self.rest),
+            "excess": self.excess,
             "names": list(self.names),
             # a line per row: as lists they would be most of the file
             "correlation": [" ".join(f"{v:.6g}" for v in row) for row in self.correlation],
@@ -144,9 +157,11 @@ class Band:
             spread = _posterior_variance(self.names, self.correlation, at, sd, run, unmet)
         except DiffsimError:
             return None
-        rest = [times**2 * self.rest.get(c.name, np.nan) for c in channels]
-        fixed = [self.noise[c.name] ** 2 + r**2 for c, r in zip(channels, rest, strict=True)]
-        return np.asarray(self.factor * np.sqrt(spread + np.array(fixed)))
+        noise = np.array([self.noise[c.name] for c in channels])
+        rest = np.array([self.rest.get(c.name, np.nan) for c in channels])
+        here = Part(run.measured, spread, times)
+        variance = Told(rest**2, self.excess**2).variance(noise, here)
+        return np.asarray(self.factor * np.sqrt(variance))
 
 
 def band_from(content: Mapping[str, Any]) -> Band:
@@ -158,6 +173,7 @@ def band_from(content: Mapping[str, Any]) -> Band:
         int(content["num_parts"]),
         content["noise"],
         content["rest"],
+        float(content.get("excess", 0.0)),  # files of before have none
         names,
         np.array(rows).reshape(len(names), len(names)),
     )
@@ -184,21 +200,19 @@ def band_of(
     Returns:
         None where parts to leave out and select runs are fewer than two.
     """
-    parts = like_unseen(unfitted_parts(fit, channels, select, validation, plain), noise)
+    parts = settled(unfitted_parts(fit, channels, select, validation, plain))
     if len(parts) < LEAST_PARTS:
         return None
-    # noise that is stated too large would not grow with the distance, nor what it hides
-    bare = [replace(part, spread=np.zeros_like(part.left), times=1.0) for part in parts]
-    left = [np.sqrt(part.power(np.zeros_like(noise))) for part in bare]
-    calmest = np.fmin.reduce(left)
-    noise = np.where(calmest < OVERSTATED * noise, calmest, noise)
-    rest, factor = factor_of(parts, noise)
+    noise = noise_of(parts, noise)
+    told, factor = factor_of(parts, noise)
+    rest = np.sqrt(told.rest)
     names, correlation = _posterior_of(fit)
     return Band(
         factor=factor,
         num_parts=len(parts),
         noise={c.name: float(v) for c, v in zip(channels, noise, strict=True)},
         rest={c.name: float(v) for c, v in zip(channels, rest, strict=True) if v >= 0.0},
+        excess=float(np.sqrt(told.excess)),
         names=names,
         correlation=correlation,
     )
@@ -223,37 +237,91 @@ def unfitted_parts(
     return [*left_out, *_select_parts(fit, channels, select)]
 
 
-def like_unseen(parts: Sequence[Part], noise: Array) -> list[Part]:
-    """Parts that stand for an unseen run; all, where these are too few to tell.
-
-    What alone tells of a parameter is predicted badly without it. That says nothing of runs that
-    the fit knows as well as its own.
-
-    Args:
-        parts: As ``unfitted_parts`` returns them.
-        noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
-    """
+def settled(parts: Sequence[Part]) -> list[Part]:
+    """Parts whose fit has not run away; all, where these are too few to tell."""
     told = [part for part in parts if not part.ran_away]
-    told = told if len(told) >= LEAST_PARTS else list(parts)
-    known = [part for part in told if part.is_known(noise)]
-    return known if len(known) >= LEAST_PARTS else told
+    return told if len(told) >= LEAST_PARTS else list(parts)
 
 
-def factor_of(parts: Sequence[Part], noise: Array) -> tuple[Array, float]:
-    """Standard deviation of what parts leave beyond noise and posterior, by channel, and the
-    band's factor.
+def factor_of(parts: Sequence[Part], noise: Array) -> tuple[Told, float]:
+    """What parts tell, and the band's factor.
 
     Args:
         parts: Two or more.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
     """
-    together, scores = _rest_variance(parts, noise), []
+    together, scores = variances_of(parts, noise), []
     for k, part in enumerate(parts):
-        others = _rest_variance([*parts[:k], *parts[k + 1 :]], noise)
+        others = variances_of([*parts[:k], *parts[k + 1 :]], noise)
         # a channel of this part alone has no others
-        told = np.where(np.isfinite(others), others, together)
-        scores.append(part.scores(noise, told))
-    return np.sqrt(together), _quantile(scores)
+        rest = np.where(np.isfinite(others.rest), others.rest, together.rest)
+        over = np.abs(part.left) / np.sqrt(replace(others, rest=rest).variance(noise, part))
+        scores.append(over[np.isfinite(over)])
+    weights = np.concatenate([np.full(len(own), 1.0 / max(len(own), 1)) for own in scores])
+    every = np.concatenate(scores)
+    order = np.argsort(every, kind="stable")
+    share = np.cumsum(weights[order])
+    k = min(int(np.searchsorted(share, LEVEL * share[-1])), len(every) - 1)
+    return together, float(every[order[k]])
+
+
+def noise_of(parts: Sequence[Part], noise: Array) -> Array:
+    """The noise as stated; where that is too large, what differs from reading to reading.
+
+    What stays of a misfit would hide in it, and not grow with the distance.
+
+    Args:
+        parts: One or more.
+        noise: Standard deviation as stated, (num_channels,) [unit of the channel].
+    """
+    calmest = np.fmin.reduce([_mean_squares(part.left) for part in parts])
+    steps = [0.5 * _mean_squares(np.diff(part.left, axis=0)) for part in parts]
+    found = np.sqrt(np.fmin(calmest, np.fmin.reduce(steps)))
+    return np.where(np.sqrt(calmest) < OVERSTATED * noise, found, noise)
+
+
+def variances_of(parts: Sequence[Part], noise: Array) -> Told:
+    """The variances that make what parts leave most likely, each part weighing the same.
+
+    With mean squares m of a part and channel and v its mean variance they maximize -(log v + m / v)
+    by the rounds of Zhou et al. 2019, "MM algorithms for variance components models", which raise
+    it and keep them above zero. For the rest a part weighs less, the more its posterior moves it:
+    what is hardly known says little of what is left of the known. Parts that do not tell the excess
+    leave it where it begins, at 1.
+
+    Args:
+        parts: One or more.
+        noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
+    """
+    left = np.array([_mean_squares(part.left) for part in parts])
+    seen = np.isfinite(left)
+    spread = np.array([_mean_squares(np.sqrt(part.spread), part.left) for part in parts])
+    left, spread = (np.where(seen, table, 0.0) for table in (left, spread))
+    weight = seen / np.maximum(seen.sum(axis=1, keepdims=True), 1)
+    known = 1.0 / (1.0 + np.sum(weight * spread / noise**2, axis=1, keepdims=True))
+    grown = GROWTH(np.array([[part.times] for part in parts])) ** 2
+    rest, excess = np.sum(left / grown, axis=0) / np.maximum(seen.sum(axis=0), 1), 1.0
+    for _ in range(ROUNDS):
+        variance = noise**2 + spread + grown * (rest + excess * spread)
+        told, asked = weight * grown * left / variance**2, weight * grown / variance
+        ahead, back = (known * told).sum(axis=0) + NONE, (known * asked).sum(axis=0) + NONE
+        rest = rest * np.sqrt(ahead / back)
+        ahead, back = (told * spread).sum() + NONE, (asked * spread).sum() + NONE
+        excess *= float(np.sqrt(ahead / back))
+    return Told(np.where(seen.any(axis=0), rest, np.nan), excess)
+
+
+def _mean_squares(values: Array, among: Array | None = None) -> Array:
+    """Mean square by channel of the readings that were measured, (num_channels,); NaN: none.
+
+    Args:
+        values: (num_readings, num_channels); NaN: not measured.
+        among: Readings to ask which were measured; None: the values themselves.
+    """
+    seen = np.isfinite(values if among is None else among)
+    count = seen.sum(axis=0)
+    total = np.sum(np.where(seen, values, 0.0) ** 2, axis=0)
+    return np.where(count, total / np.maximum(count, 1), np.nan)
 
 
 def _left_out_parts(
@@ -357,25 +425,6 @@ def _select_parts(fit: Fit, channels: Sequence[Channel], select: Sequence[Run]) 
         )
         for own in pieces.values()
     ]
-
-
-def _rest_variance(parts: Sequence[Part], noise: Array) -> Array:
-    """Mean variance over parts beyond noise and posterior, by channel; NaN: measured in none."""
-    table = np.array([part.power(noise) for part in parts])
-    count = np.isfinite(table).sum(axis=0)
-    mean = np.nansum(table, axis=0) / np.maximum(count, 1)
-    return np.where(count, np.maximum(mean, 0.0), np.nan)
-
-
-def _quantile(scores: Sequence[Array]) -> float:
-    """Quantile of readings over their standard deviations, every part weighing the same."""
-    values = [s[np.isfinite(s)] for s in scores]
-    weights = np.concatenate([np.full(len(v), 1.0 / len(v)) for v in values if len(v)])
-    every = np.concatenate(values)
-    order = np.argsort(every, kind="stable")
-    share = np.cumsum(weights[order])
-    k = min(int(np.searchsorted(share, LEVEL * share[-1])), len(every) - 1)
-    return float(every[order[k]])
 
 
 def _posterior_variance(

@@ -42,6 +42,7 @@ from diffsim.identify import Fit
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 MUCH_UNSEEN = 3.0  # that unseen runs show
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
+MAY_BE_ZERO = "its size may be zero"
 FIRST_ANSWER = "this is a first answer"
 
 
@@ -199,7 +200,7 @@ def _may_be_zero(g: Grounds, i: int) -> str:
         return ""
     if len(sizes) > 1 and g.about.differs_jointly(i):
         return ""
-    return "its size may be zero"
+    return MAY_BE_ZERO
 
 
 def _helps_nothing(g: Grounds, i: int) -> str:

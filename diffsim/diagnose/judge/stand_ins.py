@@ -89,9 +89,9 @@ def form_of(fit: Fit, changes: Mapping[str, Array]) -> dict[int, str]:
         law = max(family, key=lambda j: length(does[j]), default=i)
         coarse = [name for name, c in changes.items() if could_be(fit, i, c) >= NUMERICS_LAMBDA]
         if family and length(lacks) < FORM * length(does[law]):
-            found[i] = f"another form of {effects[law].name}"
+            found[i] = f"another form of {words_of(effects[law].name)}"
         elif (first := _strongest(lacks, others, len(fit.jacobian))) is not None:
-            found[i] = f"another form of {effects[first].name}"
+            found[i] = f"another form of {words_of(effects[first].name)}"
         elif coarse:
             found[i] = f"too coarse a {coarse[0].replace('_', ' ')}"
     return found

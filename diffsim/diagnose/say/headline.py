@@ -15,7 +15,7 @@ from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.checks.gates import LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, why_unconfirmed
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, MAY_BE_ZERO, why_unconfirmed
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -43,6 +43,8 @@ MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
 TOGETHER = 0.5  # of the misfit, all that causes remove one by one: below it they act as one
 SMALL = 0.05  # of what all remove: causes that the first sentence leaves to the page
+SURELY, PROBABLY, PERHAPS = "certainly", "probably", "perhaps"
+_VERBS = {SURELY: "{}", PROBABLY: "{} probably", PERHAPS: "may be"}  # the less sure, the later
 _PLURALS = ("pulses",)  # of causes that are several things
 _COUNTS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
 
@@ -165,7 +167,8 @@ def _reasons(answer: Answer) -> list[str]:
         own = [row for row in rows if why in row.doubts]
         is_of_all = len(own) == len(rows) or why == FIRST_ANSWER
         whose = "" if is_of_all else f"{_join([_brief(row.words) for row in own[:2]])}, as "
-        said.append(f"{whose}{why}")
+        is_shared = bool(whose) and len(own) > 1
+        said.append(f"{whose}{why.replace('its size', 'their sizes') if is_shared else why}")
     return said
 
 
@@ -382,10 +385,20 @@ def _count_causes(effects: Sequence[CauseRow], verb: str, *, is_set: bool) -> li
     """How many causes there are, and which one removes most."""
     if len(effects) < 2:
         return []
-    sure = "" if verb or all(row.status == CERTAIN for row in effects) else " probably"
-    causes = f"{_count(len(effects))} causes{' together' if is_set else ''}"
-    is_missing = f"{verb or 'are'}{sure} missing"
-    return [f"{causes}, {_brief(effects[0].words)} first, {is_missing}", f"{causes} {is_missing}"]
+    sure = [row for row in effects if verb or _sure(row) != PERHAPS]
+    up_to = "up to " if 0 < len(sure) < len(effects) else ""
+    causes = f"{up_to}{_count(len(effects))} causes{' together' if is_set else ''}"
+    least = max(map(_sure, sure or effects), key=tuple(_VERBS).index)
+    is_missing = f"{verb or _VERBS[least].format('are')} missing"
+    first = _brief((sure or effects)[0].words)
+    return [f"{causes}, {first} first, {is_missing}", f"{causes} {is_missing}"]
+
+
+def _sure(row: CauseRow) -> str:
+    """How sure a cause is, as it stands before its name; nothing is probable that may be zero."""
+    if row.status == CERTAIN:
+        return SURELY
+    return PERHAPS if MAY_BE_ZERO in row.doubts else PROBABLY
 
 
 def _say(
@@ -397,19 +410,20 @@ def _say(
     together: str = "",
 ) -> str:
     """Causes in their order with how sure each is: "a and probably b are missing"."""
-    sure = {row.status == CERTAIN for row in effects} if not verb else {True}
-    words, groups = [], groupby(effects, key=lambda row: row.status == CERTAIN)
-    for k, (is_certain, rows) in enumerate(groups):
-        mark = ("certainly " if is_certain else "probably ") if len(sure) > 1 else ""
-        mark = "" if is_certain and k == 0 else mark
+    grouped = [(how, list(rows)) for how, rows in groupby(effects, key=_sure)]
+    order = () if verb else tuple(how for how, _ in grouped)
+    # the verb says how sure the first ones are, but where it would be true of them alone
+    by_verb = order[:1] if len(order) == 1 or order == (PROBABLY, PERHAPS) else ()
+    words: list[str] = []
+    for how, rows in grouped:
+        mark = "" if verb or how in by_verb or (how == SURELY and not words) else f"{how} "
         for row in rows:
             name = row.words if is_whole else _brief(row.words)
             words.append(f"{mark}{name}")
             mark = ""
     is_many = len(effects) > 1 or effects[0].words.startswith(_PLURALS)
-    is_missing = verb or ("are" if is_many else "is")
-    if sure == {False}:
-        is_missing += " probably"
+    is_missing = "are" if is_many else "is"
+    is_missing = verb or _VERBS[by_verb[0] if by_verb else SURELY].format(is_missing)
     end = sizes.get(effects[0].name, "") if len(effects) == 1 else ""
     if len(effects) > 1:
         words = [f"{w}{sizes.get(row.name, '')}" for w, row in zip(words, effects, strict=True)]

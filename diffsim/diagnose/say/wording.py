@@ -381,14 +381,15 @@ def twin_words(answer: Answer) -> str:
     if not rows or answer.verdict not in ("named", "ambiguous"):
         return ""
     shown = [row.as_read() for row in rows[:MOST_LISTED]]
-    values = [f"{figure(row.value)}{after_number(row.unit)}" for row in shown]
-    said = [
-        f"{row.words} at {figure(row.value / row.prior_value)} times its data sheet"
-        if row.prior_value
-        else f"{row.words} at {value}"
-        for row, value in zip(shown, values, strict=True)
-    ]
-    return f"without it the model fits as well, with {_join_words(said)}"
+    if all(row.prior_value for row in shown):
+        times = _join_words([figure(row.value / row.prior_value) for row in shown])
+        sheets = "its data sheet" if len(shown) == 1 else "their data sheets"
+        said = f"{_join_words([row.words for row in shown])} at {times} times {sheets}"
+    else:
+        said = _join_words(
+            [f"{row.words} at {figure(row.value)}{after_number(row.unit)}" for row in shown]
+        )
+    return f"without it the model fits as well, with {said}"
 
 
 def _rest(answer: Answer) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,14 @@ import torch
 
 from diffsim.data import load_study
 from diffsim.diagnose.faults import judge_faults, judging
-from diffsim.diagnose.faults.verdict import CERTAIN, SILENT, UNLISTED, weighted_quantiles
+from diffsim.diagnose.faults.verdict import (
+    CERTAIN,
+    SILENT,
+    UNLISTED,
+    least_visible,
+    plain_words,
+    weighted_quantiles,
+)
 from tests.diagnose.faults import days
 
 NUM_SOUND = 12
@@ -106,10 +114,25 @@ def test_sizes_hold_what_was_hidden(judged):
 
 def test_words_say_the_size(judged):
     verdict = judged[0]["first0"]
-    alike = replace(verdict, smallest_visible={"b": 0.05512, "a": 0.05511, "c": 0.03})
-    assert [name for name, _ in alike.least_visible] == ["c", "b", "a"]  # no order of rounding
+    alike = {"b": 0.05512, "a": 0.05511, "c": 0.03}
+    assert [name for name, _ in least_visible(alike)] == ["c", "b", "a"]  # no order of rounding
     assert verdict.status == CERTAIN
     assert verdict.words == f"First by {verdict.sizes[0].interval.value:.2f}."
+
+
+def test_no_code_name_is_said_where_there_are_words(judged):
+    """A cause without a size is said by its words, numbers that are its size by "some"."""
+    for said, plain in (
+        (lambda size: f"{size:.0%} more at rotor 1", "some more at rotor 1"),
+        (None, "weight at 1 2"),
+        (lambda size: "more " * round(100 * size), "weight at 1 2"),
+    ):
+        load = SimpleNamespace(name="weight_at_1_2", typical=0.05, words=said)
+        assert plain_words(load) == plain
+    for verdict in judged[0].values():
+        assert {c for row in verdict.sets for c in row.causes} <= set(verdict.plain)
+        assert verdict.plain.get("first", "first by some") == "first by some"
+        assert all(" by 0" in said for said in verdict.visible if said.startswith("first"))
 
 
 def test_a_group_does_not_teach_its_own_judge():

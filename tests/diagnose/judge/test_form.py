@@ -28,7 +28,7 @@ def fit(strong, weak, families=("damping", "damping")):
     slopes = np.column_stack([np.ones(NUM), SHAPES])
     effects = [
         SimpleNamespace(name=n, family=f)
-        for n, f in zip(("first", "second"), families, strict=True)
+        for n, f in zip(("first_law", "second"), families, strict=True)
     ]
     x = np.array([0.0, strong, weak]) / np.linalg.norm(SHAPES[:, 0])
     problem = SimpleNamespace(
@@ -46,10 +46,10 @@ def decision(verdict="named"):
 
 
 def test_a_weak_second_law_may_be_the_form_of_the_first():
-    assert form_of(fit(180.0, 8.0), {}) == {1: "another form of first"}
+    assert form_of(fit(180.0, 8.0), {}) == {1: "another form of first law"}
     decided = without_forms(decision(), fit(180.0, 8.0))
     assert decided.verdict == "ambiguous"
-    assert decided.forms == {7: "another form of first"}
+    assert decided.forms == {7: "another form of first law"}
     assert decided.rivals == (Hypothesis(frozenset({3})),)
 
 
@@ -63,7 +63,7 @@ OTHER = ("damping", "sensor")
 
 def test_another_family_below_the_noise_may_be_the_form_of_what_acts_there():
     """A play of 0.4 noise sd was certain beside friction of 600 whose time steps were too long."""
-    assert form_of(fit(240.0, 8.0, OTHER), {}) == {1: "another form of first"}
+    assert form_of(fit(240.0, 8.0, OTHER), {}) == {1: "another form of first law"}
 
 
 def test_another_family_stands_above_the_noise():

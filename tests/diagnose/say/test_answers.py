@@ -17,6 +17,7 @@ import pytest
 
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.preconditions import MAY_BE_ZERO
 from diffsim.diagnose.judge.records import CauseRow, ErrorRow, Interval
 from diffsim.diagnose.say.headline import first_of, headline
 from diffsim.diagnose.say.wording import Answer, BeforeTest
@@ -25,6 +26,7 @@ HERE = Path(__file__).parent / "answers"
 KEPT = ("verdict", "named", "rivals", "gain", "before_test", "errors", "unknown_share")
 TOLD = ("certain", "likely")
 CODE = re.compile(r"\w_\w|@|\bnats\b|gradient check|and \d+ more|\bsd\b|None|\[")
+UNSURE = re.compile(r"\b(may be missing|perhaps|up to \w+ causes)\b", re.IGNORECASE)
 NUMBER = r"(\d[\d.e+-]*)"
 
 
@@ -122,7 +124,9 @@ def _check_causes(record: dict[str, Any], first: str) -> None:
     said = [c for c in held if place[c["name"]] >= 0 and c["status"] in TOLD]
     in_order = sorted(said, key=lambda c: (c["name"] in record["laws"], -c["removes"]))
     assert [place[c["name"]] for c in in_order] == sorted(place[c["name"]] for c in said), first
-    if " missing" in first and "probably" not in first and said:
+    for row in said:  # what may be zero is not probable
+        assert MAY_BE_ZERO not in row["doubts"] or UNSURE.search(first), first
+    if " missing" in first and "probably" not in first and not UNSURE.search(first):
         assert all(c["status"] == "certain" for c in said), first
     total = sum(c["removes"] for c in held)
     unsaid = sum(c["removes"] for c in held if place[c["name"]] < 0)

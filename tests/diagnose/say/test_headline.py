@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import pytest
 
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.records import CauseRow, ErrorRow, Interval
+from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow, Interval
 from diffsim.diagnose.say.headline import first_of, headline
-from diffsim.diagnose.say.wording import Answer, capital
+from diffsim.diagnose.say.wording import Answer, capital, twin_words
 
 PULSES = "pulses of 5.038 at drive, 0.5 s each 1 s, from 1.344 s"
 FELL = ErrorRow("t", "position", "um", 72.4, 7.21, 1.0, 100, 0)
@@ -166,6 +166,27 @@ def test_a_second_sentence_says_why_and_of_which_cause():
     assert "Not certain" not in said("named", [lag])
 
 
+def test_what_may_be_zero_is_not_probably_missing():
+    """A law whose size may be zero stood as "is probably missing"."""
+    zero = {"status": "likely", "doubts": ("its size may be zero",)}
+    drag, lag = (cause(n, removes=0.4, status="likely") for n in ("drag", "lag"))
+    play = cause("play", removes=0.3, **zero)
+    sure = cause("tilt", removes=0.5)
+    for rows, begin in (
+        ([play], "Play may be missing (0.1 to 0.5 mrad): "),
+        ([drag, lag, play], "Drag, lag and perhaps play are probably missing: "),
+        ([sure, drag, play], "Tilt, probably drag and perhaps play are missing: "),
+        ([sure, play], "Tilt (0.1 to 0.5 mrad) and perhaps play (0.1 to 0.5 mrad) are missing: "),
+        ([cause("play", removes=0.6, **zero), drag], "Perhaps play"),
+    ):
+        assert said("named", rows).startswith(begin)
+    many = [cause(f"drag {k}", removes=0.4, status="likely") for k in range(4)]
+    text = said("named", [*many, play])
+    assert text.startswith("Up to five causes, drag 0 first, are probably missing: ")
+    none = [cause(f"play {k}", removes=0.4, **zero) for k in range(5)]
+    assert said("named", none).startswith("Five causes, play 0 first, may be missing: ")
+
+
 def test_less_than_the_noise_says_that_the_noise_was_stated_too_large():
     """A gain of 126 % was "not confirmed": an error of 1.88 to 0.18 mm under a noise of 0.87."""
     row = ErrorRow("t", "position", "mm", 1.88, 0.184, 0.87, 100, 0)
@@ -186,3 +207,23 @@ def test_in_a_set_that_cannot_be_told_apart_what_removes_most_comes_first():
         "ambiguous", decision, tuple(rows), (("lag",),), (), None, named=names, best_names=names
     )
     assert headline(answer, [FELL]).startswith("Ballooning with drag or lag is missing")
+
+
+def test_three_data_sheets_in_place_of_a_cause_are_a_short_sentence():
+    """A network's second sentence had 37 words: "its data sheet" stood in it three times."""
+
+    def row(name, value, prior):
+        ends = (value, 0.01, value, value, prior, 0.01, 3.0, 3.0)
+        return BaseRow(name, name, "-", *ends)
+
+    names = {"width link": 0.985, "width branch 1": 1.04, "width branch 3": 0.977}
+    decision = SimpleNamespace(forms={})
+    twin = tuple(row(name, times, 1.0) for name, times in names.items())
+    answer = Answer("named", decision, (), (), (), None, plain_twin=twin)
+    assert twin_words(answer) == (
+        "without it the model fits as well, with width link, width branch 1 and width branch 3 at "
+        "0.985, 1.04 and 0.977 times their data sheets"
+    )
+    for prior, said in ((1.0, "at 0.985 times its data sheet"), (0.0, "at 0.985")):
+        one = replace(answer, plain_twin=(row("width link", 0.985, prior),))
+        assert twin_words(one).endswith(f", with width link {said}")
