@@ -532,8 +532,9 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
 
 def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
-    allow; simulations under coarser ones do not serve. Where the budget would not last for the same
-    search with finer settings, that begins at the set which was found."""
+    allow; simulations under coarser ones do not serve. Where the search began at a set that is
+    known, or its budget would not last for the same one with finer settings, it begins at the set
+    which was found."""
     found = [_set_at(null.wide, begin_at) for begin_at in first]
     for round_ in range(MAX_RENEWALS):
         started = null.case.model.simulations.steps
@@ -555,7 +556,7 @@ def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()
         null = _store_anew(refit_under(null, checked.finer), simulations)
         times = null.wide.cost() / coarse
         is_short = times * steps > _steps_left(search)
-        found = [(best, search.fit_of(best).x)] if is_short else []
+        found = [(best, search.fit_of(best).x)] if is_short or first else []
         simulations = Simulations(null.wide, null.case.store).under(null)
     return search
 
