@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,7 +31,7 @@ from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, could_be_misfit, numerical_effects
 from diffsim.diagnose.discover.answer import in_words, with_laws_said
-from diffsim.diagnose.discover.stage import FoundLaws, at_data_sheet, find_laws
+from diffsim.diagnose.discover.stage import Begin, FoundLaws, at_data_sheet, find_laws
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
@@ -80,7 +80,7 @@ FINER_TIMES = 4.0  # what a search under finer numerical settings costs, at leas
 LEAST_ROOM = 0.2  # of it, without which laws are not looked for
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
-Begins = Sequence[Mapping[str, float]]
+Begins = Sequence[Begin]
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -435,7 +435,7 @@ def _answer(
     Args:
         asked: What the diagnosis is asked for.
         model, effects, unknowns: As of ``diagnose``.
-        first: Coordinates of sets by name, at which the search begins; none: at the plain model.
+        first: Sets and their coordinates, at which the search begins; none: at the plain model.
     """
     study, seed, bank, cache = asked.study, asked.seed, asked.bank, asked.cache
     gates = (*data_gate(study), *cuts_gate(model))
@@ -482,7 +482,7 @@ def search_rounds(null: Null, simulations: Simulations, first: Begins = ()) -> S
     Args:
         null: The plain model under its noise floor.
         simulations: Simulations made so far.
-        first: Coordinates of sets by name, at which the search begins; none: at the plain model.
+        first: Sets and their coordinates, at which the search begins; none: at the plain model.
     """
     case = null.case
     for round_ in range(case.settings.noise_rounds):
@@ -532,9 +532,10 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
 
 def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
-    allow; simulations under coarser ones do not serve. Where the budget would not last for the same
-    search with finer settings, that begins at the set which was found."""
-    found = [_set_at(null.wide, coordinates) for coordinates in first]
+    allow; simulations under coarser ones do not serve. Where the search began at a set that is
+    known, or its budget would not last for the same one with finer settings, it begins at the set
+    which was found."""
+    found = [_set_at(null.wide, begin_at) for begin_at in first]
     for round_ in range(MAX_RENEWALS):
         started = null.case.model.simulations.steps
         search = begin(null, simulations)
@@ -555,20 +556,21 @@ def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()
         null = _store_anew(refit_under(null, checked.finer), simulations)
         times = null.wide.cost() / coarse
         is_short = times * steps > _steps_left(search)
-        found = [(best, search.fit_of(best).x)] if is_short else []
+        found = [(best, search.fit_of(best).x)] if is_short or first else []
         simulations = Simulations(null.wide, null.case.store).under(null)
     return search
 
 
-def _set_at(wide: Problem, coordinates: Mapping[str, float]) -> tuple[Members, Array]:
-    """The set of causes that coordinates by name belong to, and its point."""
+def _set_at(wide: Problem, begin_at: Begin) -> tuple[Members, Array]:
+    """The set of causes whose sizes a begin knows, and its point."""
     members = frozenset(
         k
         for k, effect in enumerate(wide.effects)
-        if any(wide.names[i] in coordinates for i in wide.columns_of(effect))
+        if any(wide.names[i] in begin_at.sizes for i in wide.columns_of(effect))
     )
     own = Simulations(wide).coordinates(members)
-    return members, np.array([coordinates.get(wide.names[i], 0.0) for i in own])
+    known = [begin_at.base if i < wide.num_base else begin_at.sizes for i in own]
+    return members, np.array([of.get(wide.names[i], 0.0) for i, of in zip(own, known, strict=True)])
 
 
 def _steps_left(search: Search) -> float:

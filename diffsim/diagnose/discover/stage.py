@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -94,6 +95,18 @@ class FittedLaw:
         return self.evidence + max(closer, 0.0)
 
 
+class Begin(NamedTuple):
+    """Where a search begins; a parameter may have the name of an effect.
+
+    Attributes:
+        base: Standardized coordinates of base parameters, by name.
+        sizes: Those of the sizes of a set of effects, by name.
+    """
+
+    base: Mapping[str, float]
+    sizes: Mapping[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class FoundLaws:
     """What the stage found.
@@ -103,8 +116,8 @@ class FoundLaws:
         fitted: The best of them, fitted in the simulator.
         laws: Formulas that the search shall weigh.
         num_tried: Entries by variables by bases that were weighed.
-        begins: Coordinates by name at which that search begins, of the formulas of the best law and
-            of causes of the library beside it; empty where none acts there.
+        begins: Where that search begins: at the formulas of the best law, with the causes of the
+            library beside it.
         beside: Names of the causes of the library that laws were fitted beside.
     """
 
@@ -112,7 +125,7 @@ class FoundLaws:
     fitted: tuple[FittedLaw, ...]
     laws: tuple[Law, ...]
     num_tried: int
-    begins: tuple[Mapping[str, float], ...] = ()
+    begins: tuple[Begin, ...] = ()
     beside: frozenset[str] = frozenset()
 
     @property
@@ -191,19 +204,20 @@ def find_laws(
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     fitted = [f for of_round in rounds for f in of_round]
     best = max(fitted, key=lambda f: f.evidence, default=None)
-    begins = tuple(_begins_of(best, laws)) if best is not None and best.beside else ()
+    begins = tuple(_begins_of(best, laws)) if best is not None else ()
     beside = frozenset(name for f in fitted for name in f.beside)
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried, begins, beside)
 
 
-def _begins_of(best: FittedLaw, laws: Sequence[Law]) -> Iterator[Mapping[str, float]]:
+def _begins_of(best: FittedLaw, laws: Sequence[Law]) -> Iterator[Begin]:
     """Where a search with formulas of the best fitted law and the causes beside it begins."""
     problem, of = best.fit.problem, best.candidate
-    count = len(of.basis.terms)
-    own = dict(zip(problem.names[:-count], best.fit.x[:-count].tolist(), strict=True))
+    count, num_base = len(of.basis.terms), problem.num_base
+    own = list(zip(problem.names[:-count], best.fit.x[:-count].tolist(), strict=True))
     for law in laws:
         if law.entry == of.entry and law.variable == of.variable:
-            yield {**own, law.name: law.sign * float(coordinate_of(np.array(1.0 / PRIOR_WIDTH)))}
+            size = law.sign * float(coordinate_of(np.array(1.0 / PRIOR_WIDTH)))
+            yield Begin(dict(own[:num_base]), {**dict(own[num_base:]), law.name: size})
 
 
 def _price(num_tried: int) -> float:

@@ -26,6 +26,7 @@ from diffsim.diagnose.judge.left_out import (
 )
 from diffsim.diagnose.judge.own_values import FAR_OFF, Frozen, held_out_point
 from diffsim.identify import Fit, Problem
+from diffsim.identify.problem import PredictionError
 
 MIN_BLOCKS = 4  # fewer say nothing: three agree by chance
 MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
@@ -275,8 +276,8 @@ class Validation(Protocol):
     @property
     def runs(self) -> Sequence[Run]: ...
 
-    def residuals(self, fit: Fit) -> Sequence[Array]:
-        """(num_valid,) whitened residuals by run."""
+    def residuals(self, fit: Fit) -> Sequence[Array] | None:
+        """(num_valid,) whitened residuals by run; None where one cannot be simulated."""
         ...
 
 
@@ -290,11 +291,18 @@ class SelectRuns:
 
     runs: Sequence[Run]
     words: str = "runs with use: select"
-    _kept: Memo[Sequence[Array]] = memo_field()
+    _kept: Memo[Sequence[Array] | None] = memo_field()
 
-    def residuals(self, fit: Fit) -> Sequence[Array]:
-        """(num_valid,) whitened residuals by run."""
-        return self._kept(fit, lambda: held_out_residuals(fit, self.runs))
+    def residuals(self, fit: Fit) -> Sequence[Array] | None:
+        """(num_valid,) whitened residuals by run; None where one cannot be simulated."""
+
+        def compute() -> Sequence[Array] | None:
+            try:
+                return held_out_residuals(fit, self.runs)
+            except PredictionError:  # it diverges there, though not where it was fitted
+                return None
+
+        return self._kept(fit, compute)
 
 
 @dataclass(eq=False)
@@ -341,7 +349,10 @@ def validation_of(plain: Fit, select: Sequence[Run]) -> Validation | None:
     return None if folds is None else LeftOut(plain.problem, folds)
 
 
-def gain_over(validation: Validation, without: Fit, best: Fit, seed: int) -> Gain:
-    """Gain of a fit over another on what neither has seen."""
+def gain_over(validation: Validation, without: Fit, best: Fit, seed: int) -> Gain | None:
+    """Gain of a fit over another on what neither has seen; None where one of them cannot be
+    simulated there."""
     before, after = validation.residuals(without), validation.residuals(best)
+    if before is None or after is None:
+        return None
     return compared(validation.runs, without, before, after, seed=seed)

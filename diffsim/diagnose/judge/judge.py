@@ -212,18 +212,24 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             return _with_help(judgment, validation, seed)
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
+        less: dict[int, float] = {}
         for i in sorted(decision.best):
             search = refit(search, decision.best - {i})
             without = search.posteriors.get(Hypothesis(decision.best - {i}))
-            if without is not None and without.fit is not None:
-                now[i] = gain_over(validation, without.fit, best, seed)
+            if without is None or without.fit is None:
+                continue
+            less[i] = search.nats(Hypothesis(decision.best - {i}))
+            if (gain := gain_over(validation, without.fit, best, seed)) is not None:
+                now[i] = gain
         gains = gains | now
-        harmful = [i for i, g in now.items() if g.status == "withdrawn"]
+        harmful = {i: g.value for i, g in now.items() if g.status == "withdrawn"}
+        if validation.residuals(best) is None:  # it diverges there: without the one missed least
+            harmful = {i: -nats for i, nats in less.items()}
         if not harmful:
             total = gain_over(validation, search.fit_of(frozenset()), best, seed)
             judgment = replace(judgment, search=search, gain=total, gains=gains)
             return replace(judgment, as_good=as_good(judgment, validation, seed))
-        withdrawn |= {min(harmful, key=lambda i: now[i].value)}
+        withdrawn |= {min(harmful, key=lambda i: harmful[i])}
         search = _ready_without(search, decision.best - withdrawn)
 
 
@@ -249,7 +255,7 @@ def as_good(judgment: Judgment, validation: Validation, seed: int) -> dict[int, 
         if own is None or not own.is_above_zero:
             continue
         instead = gain_over(validation, fits[rest], fits[rest | {i}], seed)
-        if instead.is_above_zero and instead.value >= own.low:
+        if instead is not None and instead.is_above_zero and instead.value >= own.low:
             found[i] = found.get(i, frozenset()) | gone
     return found
 
@@ -301,8 +307,9 @@ def _with_help(judgment: Judgment, validation: Validation, seed: int) -> Judgmen
     }
     plain = search.fit_of(frozenset())
     nearest = sorted(fits, key=lambda members: -search.nats(Hypothesis(members)))[:MOST_TRIED]
-    gains = {members: gain_over(validation, plain, fits[members], seed) for members in nearest}
-    helpful = [m for m in nearest if gains[m].is_above_zero]
+    asked = {members: gain_over(validation, plain, fits[members], seed) for members in nearest}
+    gains = {members: gain for members, gain in asked.items() if gain is not None}
+    helpful = [members for members, gain in gains.items() if gain.is_above_zero]
     if not helpful:
         return judgment
     best = max(helpful, key=lambda m: (gains[m].low, -len(m)))

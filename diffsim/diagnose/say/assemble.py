@@ -29,6 +29,7 @@ from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
     MUCH_LEFT,
+    MUCH_UNSEEN,
     Grounds,
     doubts_of,
     doubts_of_fit,
@@ -326,7 +327,10 @@ def taken_back(frozen: Report, gained: Gain | None, errors: Sequence[ErrorRow]) 
         gained: Gain on test runs; None without such runs or without a cause.
         errors: Errors on runs that were not fitted.
     """
-    is_withdrawn = gained is not None and gained.status == "withdrawn"
+    # far from the noise, an error that names do not lower speaks against them, sure to rise or not
+    is_withdrawn = gained is not None and (
+        gained.status == "withdrawn" or (gained.value < 0.0 and gained.left > MUCH_UNSEEN**2)
+    )
     is_withdrawn = is_withdrawn and frozen.verdict in NAMES
     doubts = tuple(doubts_of_unseen(gained, errors))
     causes = [_after_test(row, doubts, is_withdrawn=is_withdrawn) for row in frozen.causes]

@@ -299,12 +299,12 @@ def test_what_only_linear_evidence_speaks_against_is_not_refuted(monkeypatch):
     assert row.status == "not visible below"
 
 
-def run_apart(size: float, *, course: float = 0.0):
-    """A push that all fitted runs hold; unseen ones hold another size, and a course that no cause
-    explains."""
+def run_apart(*sizes: float, course: float = 0.0):
+    """A push that all fitted runs hold; three unseen ones hold other sizes, and a course that no
+    cause explains."""
     runs = [recorded(f"r{k}", k, {PUSH: 3.0}) for k in range(6)]
     for k in range(3):
-        run = recorded(f"t{k}", 50 + k, {PUSH: size}, use="test")
+        run = recorded(f"t{k}", 50 + k, {PUSH: sizes[k % len(sizes)]}, use="test")
         drift = np.outer(np.sin(4.0 * run.time_s), [course, course])
         runs.append(replace(run, measured=run.measured + drift))
     study = Study("seen", "copter", linear.CHANNELS, tuple(runs))
@@ -325,6 +325,15 @@ def test_a_gain_that_test_runs_withdraw_takes_the_verdict_back():
     assert "the verdict was named, push certain." in report.sentences[1]
     assert "does not hold" in report.sentences[0]
     assert report.headline.startswith("Push is withdrawn") and "rises from" in report.headline
+
+
+def test_an_error_far_above_the_noise_that_does_not_fall_takes_the_verdict_back():
+    """It falls on one unseen run and rises on two: no interval says that it rises for sure."""
+    report = run_apart(10.0, -4.0, -10.0)
+    gain = report.gain
+    assert gain is not None and gain.status == "not confirmed"
+    assert gain.value < 0.0 < gain.high and gain.left > 9.0
+    assert report.verdict == "unknown" and report.headline.startswith("Push is withdrawn")
 
 
 def test_a_gain_that_test_runs_do_not_confirm_leaves_a_cause_likely():
