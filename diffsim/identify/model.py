@@ -388,8 +388,12 @@ class SimModel:
     ) -> Tensor:
         """Predictions as of ``predict_many``, without numerical effects; faster models override
         this."""
+        # at size zero an effect is the scene itself, and of a table's points nearly all are zero;
+        # derivatives need all of them
+        every = torch.is_grad_enabled()
+        acts = {e: s.new_ones(len(q)) if every else s.any(-1) for e, s in sizes.items()}
         scenes = [
-            self.scene(run, q[k], {e: s[k] for e, s in sizes.items()}, numerics)
+            self.scene(run, q[k], {e: s[k] for e, s in sizes.items() if acts[e][k]}, numerics)
             for k in range(len(q))
         ]
         return torch.stack(self.simulate_scenes(scenes))
