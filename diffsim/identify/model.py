@@ -246,6 +246,9 @@ class SimModel:
     mesh_power: float = 0.0
     cuts: Mapping[str, tuple[tuple[float, str], ...]] = MappingProxyType({})
 
+    #: Whether effects at size zero need not act: nothing else changes, such as how it is stepped
+    leaves_zeros = False
+
     def __init__(
         self,
         build: Build,
@@ -388,8 +391,11 @@ class SimModel:
     ) -> Tensor:
         """Predictions as of ``predict_many``, without numerical effects; faster models override
         this."""
+        # of a table's points nearly all sizes are zero; derivatives need all of them
+        every = torch.is_grad_enabled() or not self.leaves_zeros
+        acts = {e: s.new_ones(len(q)) if every else s.any(-1) for e, s in sizes.items()}
         scenes = [
-            self.scene(run, q[k], {e: s[k] for e, s in sizes.items()}, numerics)
+            self.scene(run, q[k], {e: s[k] for e, s in sizes.items() if acts[e][k]}, numerics)
             for k in range(len(q))
         ]
         return torch.stack(self.simulate_scenes(scenes))

@@ -210,11 +210,15 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             return judgment
         if decision.verdict not in NAMES:
             return _with_help(judgment, validation, seed)
+        for i in sorted(decision.best):
+            search = refit(search, decision.best - {i})
+        if (better := decision_of(search, withdrawn).best) != decision.best:
+            search = _ready_without(search, better)  # a part is enough, which nobody had fitted
+            continue
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
         less: dict[int, float] = {}
         for i in sorted(decision.best):
-            search = refit(search, decision.best - {i})
             without = search.posteriors.get(Hypothesis(decision.best - {i}))
             if without is None or without.fit is None:
                 continue

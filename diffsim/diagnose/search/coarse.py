@@ -72,7 +72,7 @@ def _find_correction(null: Null, once: float) -> NullCorrection:
     finer = tuple(Finer(r.numerics, r.shift) for r in refined if r.numerics != coarse)
     total = np.sum([r.added for r in refined], axis=0)
     correction = Correction(null.fit.problem, null.at.x, finer)
-    gates = tuple(_gate(r.name, r.left, coarse, r.numerics) for r in refined)
+    gates = tuple(_gate(r, coarse) for r in refined)
     changes = {r.name: _next(r.sizes) * r.change for r in refined}
     return NullCorrection(correction.known(null.fit.problem.runs, total), changes, gates)
 
@@ -156,16 +156,26 @@ def _next(sizes: Sequence[float]) -> float:
     return float(np.clip(sizes[-1] / sizes[-2], SECOND_ORDER, SLOWEST))
 
 
-def _gate(name: str, left: float, coarse: Numerics, finest: Numerics) -> GateResult:
-    begun, ended = getattr(coarse, name), getattr(finest, name)
+def _gate(refined: _RefinedSetting, coarse: Numerics) -> GateResult:
+    """What a setting still moves; where that is too much, all of what it moves: a correction whose
+    end is not in sight holds nowhere else."""
+    name, left = refined.name, refined.left
+    begun, ended = getattr(coarse, name), getattr(refined.numerics, name)
     if begun == ended:
         note = "noise and prior sd that refining would move, extrapolated"
         return GateResult(name, left < NUMERICS_LAMBDA, left, NUMERICS_LAMBDA, note)
+    simulated = f"simulated with {begun:g} times"
+    if left < NUMERICS_LAMBDA:
+        note = (
+            f"noise and prior sd that refining beyond {ended:g} times the model's own would move, "
+            f"extrapolated; {simulated} and corrected"
+        )
+        return GateResult(name, True, left, NUMERICS_LAMBDA, note)
     note = (
-        f"noise and prior sd that refining beyond {ended:g} times the model's own would move, "
-        f"extrapolated; simulated with {begun:g} times and corrected"
+        f"noise and prior sd that refining from {begun:g} to {ended:g} times the model's own "
+        f"and beyond moves, {figure(left, 2)} of them extrapolated; {simulated}"
     )
-    return GateResult(name, left < NUMERICS_LAMBDA, left, NUMERICS_LAMBDA, note)
+    return GateResult(name, False, sum(refined.sizes) + left, NUMERICS_LAMBDA, note)
 
 
 def _shift(fit: Fit, change: Array) -> Array:

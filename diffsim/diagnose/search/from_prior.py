@@ -38,21 +38,33 @@ FROM_PRIOR = 0.5  # of the budgets of scans and of refits, for those from the da
 PAIRED = 12  # causes that are best alone, each paired with every other
 
 
-def is_prior_too_dear(simulations: Simulations, settings: SearchSettings) -> bool:
-    """Whether slopes and scans at the prior, which nobody simulated yet, would take all that is for
-    fits from there: a table of which nothing is fitted is in vain."""
-    wide = simulations.wide
-    left = min(settings.scan_steps - simulations.scan_steps, FROM_PRIOR * settings.refit_steps)
-    tried = groups(wide.effects, NONE, settings.max_effects)
-    points = sum(num_points([wide.effects[i] for i in group]) for group in tried)
-    count = len(wide.names) + min(points, settings.scan_points)
-    return simulations.at_prior is None and wide.cost_of_many(count) > left
+def is_prior_too_dear(
+    simulations: Simulations, settings: SearchSettings, *, with_scans: bool = False
+) -> bool:
+    """Whether slopes at the prior, which nobody simulated yet, would take all that is left: a table
+    of which nothing is fitted is in vain.
+
+    Args:
+        simulations: Simulations made so far.
+        settings: Effort of the search.
+        with_scans: Whether they with all scans would take what is for both and fits from there.
+    """
+    wide, spent = simulations.wide, simulations.scan_steps
+    count, share = len(wide.names), FROM_PRIOR if with_scans else 1.0
+    left = min(settings.scan_steps - spent, share * settings.refit_steps)
+    if with_scans:
+        tried = groups(wide.effects, NONE, settings.max_effects)
+        points = sum(num_points([wide.effects[i] for i in group]) for group in tried)
+        count += min(points, settings.scan_points)
+    is_made = bool(simulations.prior_scans) if with_scans else simulations.at_prior is not None
+    return not is_made and wide.cost_of_many(count) > left
 
 
 def center_at_prior(
     simulations: Simulations, settings: SearchSettings, num_families: int
 ) -> tuple[Center | None, Simulations]:
-    """The plain model at its prior as a center, with the scans of effects with kinks.
+    """The plain model at its prior as a center, with the scans of effects with kinks where these
+    leave something for fits.
 
     Args:
         simulations: Simulations made so far.
@@ -67,12 +79,15 @@ def center_at_prior(
     x = np.clip(np.zeros(len(wide.names)), *wide.bounds)
     # kept apart: scans are known by the set that they start from, here as at the plain model's fit
     apart = replace(simulations, scans=simulations.prior_scans, place=" at the data sheet")
+    is_short = is_prior_too_dear(simulations, settings, with_scans=True)
     settings = replace(settings, scan_steps=simulations.scan_steps + budget)
     try:
         at = simulations.at_prior or apart.remembered(
             f"slopes{apart.place}", lambda: _slopes(wide, x)
         )
-        center, made = apart.scanned(apart.center(NONE, at, num_families), settings, num_families)
+        center, made = apart.center(NONE, at, num_families), apart
+        if not is_short:
+            center, made = apart.scanned(center, settings, num_families)
     except DiffsimError:
         return None, simulations
     made = replace(made, scans=simulations.scans, prior_scans=made.scans, place=simulations.place)

@@ -89,9 +89,12 @@ def search_sets(search: Search) -> Search:
         center, search = _scan_kinks(search, search.plain)
         search = replace(search, plain=center)
     for _ in range(search.settings.max_rounds):
-        ranked, search = _promising(search, center)
+        nats, search = _with_linear(search, center, search.neighbors(center.members))
+        enough = search.nats(Hypothesis(center.members)) + KEEP_NATS
+        enough -= search.linear_slack(center.members)
+        ranked = sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s])
         search = repaired(_refit_promising(search, center, ranked, until))
-        best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
+        best, search = _with_parts(search, center)
         if best == center.members:
             break
         center, search = _center(search, best, center)
@@ -100,7 +103,24 @@ def search_sets(search: Search) -> Search:
             break
     else:  # nor are they where moves to a better set are used up
         search = search.with_late()
-    return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
+    best, search = _with_parts(repaired(_refit_rivals(search, center, until)), center)
+    if best != center.members:
+        center, search = _center(search, best, center)
+    return weigh_unknowns(search, center)
+
+
+def _with_parts(search: Search, center: Center) -> tuple[Members, Search]:
+    """The best set, and the search with it fitted without each of its members where it has several;
+    again where one of these is better. Linear evidence is no guide to what is left without a member
+    that has a kink: two that do nearly the same would be named together."""
+    tried = NONE
+    while True:
+        best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
+        if len(best) < 2 or best == tried:
+            return best, search
+        for i in sorted(best):
+            search = refit(search, best - {i}, center)
+        search, tried = repaired(search), best
 
 
 def with_numerics(search: Search, members: Members, *, is_late: bool = False) -> Search:
@@ -147,9 +167,9 @@ def _fit_from_prior(search: Search) -> Search:
         return search
     until = search.null.case.searching + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
     ranked = promising_sets(at_prior, settings.max_effects)
-    for members, _ in ranked[: max(settings.num_refits, LEAST_REFITS)]:
+    for k, (members, _) in enumerate(ranked[: max(settings.num_refits, LEAST_REFITS)]):
         # what an earlier round fitted begins at its own end and costs little
-        is_late = search.steps >= until and members not in made.fitted
+        is_late = k > 0 and search.steps >= until and members not in made.fitted
         search = search.with_late() if is_late else refit(search, members, at_prior, begin=cooled)
     return search
 
@@ -182,7 +202,9 @@ def refit(
     for center in starts if begin is None else starts[:1]:
         try:
             start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
-            fit, at = search.simulations.fitted_from(members, start, search.best_cost(), begin)
+            fit, at = search.simulations.fitted_from(
+                members, start, search.best_cost(), begin, search.settings.refit_steps
+            )
         except DiffsimError as error:
             message = str(error)
             continue
@@ -248,7 +270,8 @@ def repaired(search: Search) -> Search:
         try:
             slopes = made.screened.get(subset, search.plain.at)
             start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
-            fit, at = made.fitted_from(members, start, search.best_cost())
+            most = search.settings.refit_steps
+            fit, at = made.fitted_from(members, start, search.best_cost(), most=most)
         except DiffsimError as error:  # that end cannot be moved: what it is must be said
             failed = {**search.failed, Hypothesis(members): str(error)}
             search = replace(search, failed=failed)
@@ -309,14 +332,6 @@ def _with_linear(
     return nats, replace(search, linear={**search.linear, **new})
 
 
-def _promising(search: Search, center: Center) -> tuple[list[Members], Search]:
-    """Neighbors that could be better than the center, best first."""
-    slack = search.linear_slack(center.members)
-    enough = search.nats(Hypothesis(center.members)) + KEEP_NATS - slack
-    nats, search = _with_linear(search, center, search.neighbors(center.members))
-    return sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s]), search
-
-
 def _refit_promising(
     search: Search, center: Center, ranked: Sequence[Members], until: float
 ) -> Search:
@@ -333,16 +348,13 @@ def _refit_promising(
     most = wanted if np.isinf(until) else max(wanted, LEAST_REFITS)
     for k, members in enumerate(ranked[:most]):
         is_within = k == 0 or (k < wanted and search.steps < until)
-        if not is_within and any(_is_near_prior(search, tried) for tried in ranked[:k]):
+        made = [
+            w.fit for m in ranked[:k] if (w := search.posteriors.get(Hypothesis(m))) is not None
+        ]
+        if not is_within and any(fit is not None and not has_left_prior(fit) for fit in made):
             break
         search = refit(search, members, center)
     return search
-
-
-def _is_near_prior(search: Search, members: Members) -> bool:
-    """Whether the fit of a set left all base parameters near their priors."""
-    posterior = search.posteriors.get(Hypothesis(members))
-    return posterior is not None and posterior.fit is not None and not has_left_prior(posterior.fit)
 
 
 def _refit_rivals(search: Search, center: Center, until: float) -> Search:

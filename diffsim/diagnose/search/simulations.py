@@ -161,6 +161,7 @@ class Simulations:
         start: Linearization,
         best_cost: float,
         begin: Callable[[Problem, Linearization], Linearization] | None = None,
+        most: float = np.inf,
     ) -> tuple[Fit, Linearization]:
         """Fit a set of effects.
 
@@ -169,6 +170,7 @@ class Simulations:
             start: Start point in coordinates of all candidates, zero outside the set.
             best_cost: Least cost of all sets so far; a set that cannot reach it ends early [nats].
             begin: Finds a better start from there; None: the fit begins there.
+            most: Weighted steps after which the fit ends where it is.
         """
         own = self.coordinates(members)
         at = Linearization(
@@ -179,8 +181,9 @@ class Simulations:
             label, first = f"begin of {self._label(members)}", partial(begin, narrow, at)
             at = self.remembered(label, first)
         if self.store is None:
-            return gauss_newton(narrow, at, best_cost=best_cost)
-        return gauss_newton_kept(self.store, narrow, at, best_cost)
+            until = self.wide.model.simulations.steps + most
+            return gauss_newton(narrow, at, best_cost=best_cost, until=until)
+        return gauss_newton_kept(self.store, narrow, at, best_cost, most)
 
     def with_weak_slopes(self, members: Members) -> Linearization:
         """A fitted set's linearization with right slopes along weak directions; the same object

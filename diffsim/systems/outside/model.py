@@ -235,6 +235,7 @@ class OutsideModel(SimModel):
         workers: int = 1,
     ):
         super().__init__(self._build_scene, base, source.label)
+        self.leaves_zeros = True
         self.step_cost = SAMPLE
         self.clocks, self.made = dict(clocks or {}), Records()
         self.source, self.in_run = source, in_run

@@ -8,7 +8,8 @@ import numpy as np
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose import diagnose, diagnosis
 from diffsim.diagnose.checks.gates import budget_gates
-from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA
+from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, could_be_misfit, numerics_gate
+from diffsim.diagnose.search import coarse
 from diffsim.diagnose.search import search as searching
 from diffsim.diagnose.search.coarse import corrected, renewed_at
 from diffsim.diagnose.search.evidence import Hypothesis
@@ -51,17 +52,30 @@ def correct_toy(once=1.0):
 
 
 def test_corrected_records_are_the_finer_ones_around_where_they_were_told():
-    coarse, null, found = correct_toy()
+    before, null, found = correct_toy()
     assert all(g.passed for g in found.gates if g.name != "time_step")
-    fine = replace(coarse.fit.problem, numerics=found.correction.finest)
+    fine = replace(before.fit.problem, numerics=found.correction.finest)
     assert found.correction.finest.time_step < 1.0
     rng = np.random.default_rng(0)
     for _ in range(3):
-        x = coarse.fit.x + 0.1 * rng.normal(size=len(coarse.fit.x))
+        x = before.fit.x + 0.1 * rng.normal(size=len(before.fit.x))
         off = whitened(fine, record_at(null.fit.problem, x) - record_at(fine, x))
-        without = whitened(fine, record_at(coarse.fit.problem, x) - record_at(fine, x))
+        without = whitened(fine, record_at(before.fit.problem, x) - record_at(fine, x))
         assert np.linalg.norm(off) < 0.1 * np.linalg.norm(without)
     assert renewed_at(null.fit)[2] < NUMERICS_LAMBDA
+
+
+def test_where_no_end_is_in_sight_the_whole_change_counts(monkeypatch):
+    monkeypatch.setattr(coarse, "MAX_LEVELS", 1)
+    monkeypatch.setattr(coarse, "_next", lambda sizes: 1.0)  # each refinement changes as much again
+    given, null, found = correct_toy()
+    (gate,) = (g for g in found.gates if g.name == "time_step")
+    assert not gate.passed
+    finer = replace(given.fit.problem, numerics=Numerics(time_step=0.5))
+    change = record_at(finer, given.at.x) - given.at.record
+    (once,) = numerics_gate(given.fit, {"time_step": change})
+    assert gate.value > 1.5 * once.value  # refits and one more refinement: nearly twice as much
+    assert could_be_misfit(null.fit, found.gates)
 
 
 def test_slopes_and_many_points_of_a_corrected_problem_agree_with_its_records():

@@ -127,13 +127,14 @@ def test_sets_from_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
     whole = _fit_from_prior(begun(SearchSettings()))
     assert not whole.is_cut_short and len(whole.fits) > 1
     short = _fit_from_prior(begun(SearchSettings(refit_steps=2.0 * 1.001 * table_of(whole))))
-    assert short.num_late == len(whole.fits) - 1 and set(short.fits) == {NONE}
+    # the first is fitted in any case: of a table of which nothing is fitted nobody has anything
+    assert short.num_late == len(whole.fits) - 2 and len(short.fits) == 2
     assert short.is_cut_short
 
 
 def test_slopes_at_the_data_sheet_after_which_no_set_could_be_fitted_are_not_made(left):
     search = begun(SearchSettings())
-    short = begun(SearchSettings(refit_steps=2.0 * 0.999 * table_of(search)))
+    short = begun(SearchSettings(refit_steps=0.999 * table_of(search)))
     before = short.steps
     after = _fit_from_prior(short)
     assert after.steps == before and after.num_late == 1 and after.is_cut_short

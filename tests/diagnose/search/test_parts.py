@@ -1,0 +1,69 @@
+"""What is left of a set of causes: parts that nobody had fitted, effects at zero, fits that end."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from diffsim.diagnose.judge.gain import validation_of
+from diffsim.diagnose.judge.judge import judge
+from diffsim.diagnose.search.fit import Case, null_fit
+from diffsim.diagnose.search.search import _with_parts, begin, refit
+from diffsim.diagnose.search.simulations import NONE, Simulations
+from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel
+from tests.diagnose import toy
+
+BOTH, DELAY = frozenset({0, 1}), frozenset({0})
+
+
+def search_of_a_pair():
+    """A delay alone is missing; with a drag beside it, it is the only set that was fitted."""
+    study = toy.generate(4, {"delay": 0.03})
+    settings = DiagnosisSettings(search=SearchSettings(max_effects=2))
+    model = toy.model(study.runs)
+    null = null_fit(Case(study, model, (toy.DELAY, toy.DRAG), (), settings))
+    search = refit(begin(null, Simulations(null.wide)), BOTH)
+    assert set(search.fits) == {NONE, BOTH}
+    return search, study
+
+
+def test_the_best_set_is_fitted_without_each_member():
+    search, _ = search_of_a_pair()
+    best, after = _with_parts(search, search.plain)
+    assert best == DELAY and set(after.fits) == {NONE, BOTH, DELAY, frozenset({1})}
+
+
+def test_a_part_that_is_enough_is_named_though_only_the_judge_fits_it():
+    search, study = search_of_a_pair()
+    validation = validation_of(search.fit_of(NONE), study.select_runs)
+    assert validation is not None
+    assert judge(search, validation, 0).decision.best == DELAY
+
+
+def test_a_fit_ends_where_its_steps_are_spent():
+    search, _ = search_of_a_pair()
+    made = search.simulations
+    start = made.start(DELAY, search.plain.at, search.plain.weigh(DELAY).x)
+    cut, _ = made.fitted_from(DELAY, start, np.inf, most=0.0)
+    assert cut.ended == "budget" and cut.num_evaluations == 1
+    whole, _ = made.fitted_from(DELAY, start, np.inf)
+    assert whole.converged and whole.num_evaluations > 1
+
+
+def test_effects_act_only_at_points_where_they_are_not_zero():
+    study, seen = toy.generate(4), []
+    given = toy.model(study.runs)
+    model = SimModel(given.build, given.base, given.name)
+    model.leaves_zeros = True
+
+    def apply(scene, size, run):
+        seen.append(float(size))
+        return toy.DELAY.apply(scene, size, run)
+
+    delay = replace(toy.DELAY, apply=apply)
+    points = torch.zeros(3, len(model.base), dtype=torch.float64)
+    sizes = torch.tensor([[0.0], [0.02], [0.0]], dtype=torch.float64)
+    with torch.no_grad():
+        plain, late, again = model.predict_many(study.runs[0], points, {delay: sizes})
+    assert seen == [0.02]
+    assert torch.equal(plain, again) and not torch.equal(plain, late)
