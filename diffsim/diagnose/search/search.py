@@ -94,7 +94,7 @@ def search_sets(search: Search) -> Search:
         enough -= search.linear_slack(center.members)
         ranked = sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s])
         search = repaired(_refit_promising(search, center, ranked, until))
-        best, search = _with_parts(search, center)
+        best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
         if best == center.members:
             break
         center, search = _center(search, best, center)
@@ -103,24 +103,7 @@ def search_sets(search: Search) -> Search:
             break
     else:  # nor are they where moves to a better set are used up
         search = search.with_late()
-    best, search = _with_parts(repaired(_refit_rivals(search, center, until)), center)
-    if best != center.members:
-        center, search = _center(search, best, center)
-    return weigh_unknowns(search, center)
-
-
-def _with_parts(search: Search, center: Center) -> tuple[Members, Search]:
-    """The best set, and the search with it fitted without each of its members where it has several;
-    again where one of these is better. Linear evidence is no guide to what is left without a member
-    that has a kink: two that do nearly the same would be named together."""
-    tried = NONE
-    while True:
-        best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
-        if len(best) < 2 or best == tried:
-            return best, search
-        for i in sorted(best):
-            search = refit(search, best - {i}, center)
-        search, tried = repaired(search), best
+    return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
 
 
 def with_numerics(search: Search, members: Members, *, is_late: bool = False) -> Search:

@@ -8,7 +8,7 @@ import torch
 from diffsim.diagnose.judge.gain import validation_of
 from diffsim.diagnose.judge.judge import judge
 from diffsim.diagnose.search.fit import Case, null_fit
-from diffsim.diagnose.search.search import _with_parts, begin, refit
+from diffsim.diagnose.search.search import begin, refit
 from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel
 from tests.diagnose import toy
@@ -25,12 +25,6 @@ def search_of_a_pair():
     search = refit(begin(null, Simulations(null.wide)), BOTH)
     assert set(search.fits) == {NONE, BOTH}
     return search, study
-
-
-def test_the_best_set_is_fitted_without_each_member():
-    search, _ = search_of_a_pair()
-    best, after = _with_parts(search, search.plain)
-    assert best == DELAY and set(after.fits) == {NONE, BOTH, DELAY, frozenset({1})}
 
 
 def test_a_part_that_is_enough_is_named_though_only_the_judge_fits_it():
