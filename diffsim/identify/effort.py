@@ -65,7 +65,7 @@ class DiagnosisSettings:
         dear_steps: Weighted steps of a simulation of all fitted runs from which an answer begins
             with ``first_mesh``, and is told once what finer settings change (``Correction``)
             instead of simulating everything with them; infinite: never.
-        plain_steps: Weighted steps after which a fit of the plain model ends where it is; infinite:
+        plain_steps: Weighted steps after which a single fit ends where it is; infinite:
             at its end.
         again_steps: Weighted steps of a search up to which it is repeated where the best set needs
             finer numerical settings; else the page says what these change. Infinite: repeated.

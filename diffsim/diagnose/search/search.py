@@ -186,7 +186,7 @@ def refit(
         try:
             start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
             fit, at = search.simulations.fitted_from(
-                members, start, search.best_cost(), begin, search.settings.refit_steps
+                members, start, search.best_cost(), begin, search.null.case.settings.plain_steps
             )
         except DiffsimError as error:
             message = str(error)
@@ -253,7 +253,7 @@ def repaired(search: Search) -> Search:
         try:
             slopes = made.screened.get(subset, search.plain.at)
             start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
-            most = search.settings.refit_steps
+            most = search.null.case.settings.plain_steps
             fit, at = made.fitted_from(members, start, search.best_cost(), most=most)
         except DiffsimError as error:  # that end cannot be moved: what it is must be said
             failed = {**search.failed, Hypothesis(members): str(error)}
