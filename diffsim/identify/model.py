@@ -393,11 +393,8 @@ class SimModel:
         this."""
         # of a table's points nearly all sizes are zero; derivatives need all of them
         every = torch.is_grad_enabled() or not self.leaves_zeros
-        acts = {e: s.new_ones(len(q)) if every else s.any(-1) for e, s in sizes.items()}
-        scenes = [
-            self.scene(run, q[k], {e: s[k] for e, s in sizes.items() if acts[e][k]}, numerics)
-            for k in range(len(q))
-        ]
+        acting = [{e: s[k] for e, s in sizes.items() if every or s[k].any()} for k in range(len(q))]
+        scenes = [self.scene(run, q[k], own, numerics) for k, own in enumerate(acting)]
         return torch.stack(self.simulate_scenes(scenes))
 
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:

@@ -74,7 +74,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class BandVariance:
     """What parts tell of an unseen run.
 
     Attributes:
@@ -160,7 +160,7 @@ class Band:
         noise = np.array([self.noise[c.name] for c in channels])
         rest = np.array([self.rest.get(c.name, np.nan) for c in channels])
         here = Part(run.measured, spread, times)
-        variance = Told(rest**2, self.excess**2).variance(noise, here)
+        variance = BandVariance(rest**2, self.excess**2).variance(noise, here)
         return np.asarray(self.factor * np.sqrt(variance))
 
 
@@ -243,7 +243,7 @@ def settled(parts: Sequence[Part]) -> list[Part]:
     return told if len(told) >= LEAST_PARTS else list(parts)
 
 
-def factor_of(parts: Sequence[Part], noise: Array) -> tuple[Told, float]:
+def factor_of(parts: Sequence[Part], noise: Array) -> tuple[BandVariance, float]:
     """What parts tell, and the band's factor.
 
     Args:
@@ -280,7 +280,7 @@ def noise_of(parts: Sequence[Part], noise: Array) -> Array:
     return np.where(np.sqrt(calmest) < OVERSTATED * noise, found, noise)
 
 
-def variances_of(parts: Sequence[Part], noise: Array) -> Told:
+def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
     """The variances that make what parts leave most likely, each part weighing the same.
 
     With mean squares m of a part and channel and v its mean variance they maximize -(log v + m / v)
@@ -308,7 +308,7 @@ def variances_of(parts: Sequence[Part], noise: Array) -> Told:
         rest = rest * np.sqrt(ahead / back)
         ahead, back = (told * spread).sum() + NONE, (asked * spread).sum() + NONE
         excess *= float(np.sqrt(ahead / back))
-    return Told(np.where(seen.any(axis=0), rest, np.nan), excess)
+    return BandVariance(np.where(seen.any(axis=0), rest, np.nan), excess)
 
 
 def _mean_squares(values: Array, among: Array | None = None) -> Array:

@@ -16,8 +16,8 @@ from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge import band as judged
 from diffsim.diagnose.judge.band import (
     Band,
+    BandVariance,
     Part,
-    Told,
     _changes,
     _principal_moves,
     band_from,
@@ -164,7 +164,7 @@ def test_the_variances_are_the_most_likely_ones():
     known = np.array([1.0 / (1.0 + p.spread[0, 0]) for p in parts])
 
     def likelihood(rest, excess, weight):
-        told = Told(np.array([rest]), excess)
+        told = BandVariance(np.array([rest]), excess)
         v = np.array([told.variance(ONE, p)[0, 0] for p in parts])
         return np.sum(weight * (-np.log(v) - np.array([p.left[0, 0] ** 2 for p in parts]) / v))
 
