@@ -262,6 +262,23 @@ def winding(**changed):
     return replace(plain_study(), runs=runs, model={"system": "ode", **WINDING, **changed})
 
 
+def test_a_place_that_states_no_units_turns_where_a_channel_reads_it_as_an_angle():
+    """A law that repeats each turn is asked for there, and forces are torques."""
+    plain = plain_study()
+    angle = replace(plain, channels=(Channel("position_m", "rad", "angle", 1e-3),))
+    half = {**plain.model["places"][0], "unit": "N m"}
+    stated = replace(angle, model={**plain.model, "places": [half]})
+    own = replace(angle, model={**plain.model, "places": [{**half, "position_unit": "deg"}]})
+    units = []
+    for study in (plain, angle, stated, own):
+        found = setup_of(study)
+        unit = next(e.unit for e in found.effects if e.name.startswith("added_spring"))
+        variable = next(v for v in found.laws.variables() if v.name == "x")
+        units.append((unit, variable.unit))
+    turns = ("N m/rad", "rad")
+    assert units == [("N/m", "m"), turns, turns, ("N m/deg", "deg")]
+
+
 def test_equations_too_fast_for_the_samples_are_stepped_more_often():
     study = winding()
     (note,) = description_of(study).problems(study)

@@ -50,9 +50,25 @@ class DescribedMotion:
     clocks: Mapping[str, Quantity] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, description: Any) -> DescribedMotion:
-        """What moves in a description that has these keys."""
-        return cls(**{key.name: getattr(description, key.name) for key in fields(cls)})
+    def of(cls, description: Any, study: Study) -> DescribedMotion:
+        """What moves in a description that has these keys; a place that does not state its units
+        turns where a channel reads its position as an angle."""
+        read = {c.name: c.unit for c in study.channels}
+        turning = {
+            text.strip() for name, text in description.readings.items() if read.get(name) == "rad"
+        }
+        given = {key.name: getattr(description, key.name) for key in fields(cls)}
+        given["places"] = tuple(
+            place.model_copy(
+                update={
+                    "unit": place.unit or ("N m" if place.position in turning else "N"),
+                    "position_unit": place.position_unit
+                    or ("rad" if place.position in turning else "m"),
+                }
+            )
+            for place in description.places
+        )
+        return cls(**given)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

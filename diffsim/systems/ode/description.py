@@ -128,7 +128,7 @@ class OdeDescription(FormulaKeys):
         return f"{self.function} is code, which is not run unless you say so: --setup {file}"
 
     def _read_model(self, inputs: tuple[Input, ...], study: Study, reader: Reader) -> FormulaSystem:
-        return read_system(self, inputs, DescribedMotion.of(self), study, reader)
+        return read_system(self, inputs, DescribedMotion.of(self, study), study, reader)
 
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""

@@ -111,8 +111,12 @@ class Place(Part):
         "they reach every rate it stands in, as in a cart with a pendulum. None: they are added to "
         "the rate of the velocity alone",
     )
-    unit: str = Field("N", description="Unit of the force: N, N m, or any text")
-    position_unit: str = Field("m", description="Unit of the position")
+    unit: str = Field(
+        "", description="Unit of the force: N, N m, or any text; none: N, or N m of what turns"
+    )
+    position_unit: str = Field(
+        "", description="Unit of the position; none: m, or rad where a channel reads it as an angle"
+    )
     stick_velocity: float | None = Field(
         None,
         gt=0,
