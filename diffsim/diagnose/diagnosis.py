@@ -40,7 +40,7 @@ from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
 from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
-from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, screen
+from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, screen
 from diffsim.diagnose.search.fit import (
     MAX_RENEWALS,
     Case,
@@ -330,7 +330,11 @@ def _with_laws(
     nats, of_law = again.nats_with(names)
     before, now = (one.search.null.noise.whitener for one in (answer, again))
     if now.is_like(before):  # that search may not have come to the best set without laws
-        nats = max(nats, answer.search.nats(Hypothesis(answer.best)))
+        first = answer.search.nats(Hypothesis(answer.best))
+        # or, where it began at a law, to a far better one
+        if not names & set(held) and frozen.verdict in NAMES and nats > first + KEEP_NATS:
+            return again, again
+        nats = max(nats, first)
     is_ahead = of_law > nats
     if is_ahead and names & set(held) and _may_take_over(frozen, answer.frozen, names):
         return again, again

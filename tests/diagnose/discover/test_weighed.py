@@ -64,9 +64,20 @@ def test_a_law_stands_where_nothing_was_named():
     assert diagnosis._may_take_over(answer_of((LAW,), gain=gaining(0.1)), before, {LAW})
 
 
-@pytest.mark.parametrize("ahead", [1.0, -1.0])
-def test_a_law_is_held_against_the_best_set_that_was_found_before(monkeypatch, ahead):
-    """A hull's square drag left noise; the search with laws never came to it, and told a power."""
+@pytest.mark.parametrize(
+    ("named", "nats", "takes_over"),
+    [
+        (LAW, (50.0, 101.0), True),
+        # a hull's square drag left noise; the search with laws never came to it, and told a power
+        (LAW, (50.0, 99.0), False),
+        # causes of the library, come to from a law: a gimbal's weight and dry friction
+        (MIMIC, (105.0, 50.0), True),
+        (MIMIC, (103.0, 50.0), False),
+    ],
+)
+def test_what_a_search_with_laws_found_is_held_against_the_best_set_before(
+    monkeypatch, named, nats, takes_over
+):
     noise = SimpleNamespace(whitener=SimpleNamespace(is_like=lambda other: True))
     search = SimpleNamespace(
         nats=lambda hypothesis: 100.0,
@@ -75,10 +86,10 @@ def test_a_law_is_held_against_the_best_set_that_was_found_before(monkeypatch, a
     )
     before = SimpleNamespace(frozen=BEFORE, search=search, best=frozenset({0}))
     again = SimpleNamespace(
-        frozen=answer_of((LAW,), gain=gaining(0.91)),
+        frozen=answer_of((named,), gain=gaining(0.91)),
         found=search,
         search=search,
-        nats_with=lambda laws: (50.0, 100.0 + ahead),
+        nats_with=lambda laws: nats,
     )
     setup = SimpleNamespace(model=SimpleNamespace(), effects=(), unknowns=())
     port = SimpleNamespace(setup_with=lambda blocks: setup, block=lambda law: law)
@@ -86,7 +97,7 @@ def test_a_law_is_held_against_the_best_set_that_was_found_before(monkeypatch, a
     monkeypatch.setattr(diagnosis, "_answer", lambda *asked: again)
     monkeypatch.setattr(diagnosis, "_doubted_beside", lambda answer, *nats: answer)
     given: Any = (None, before, port, laws, diagnosis._LawBudget(1.0, None, is_short=False))
-    assert diagnosis._with_laws(*given)[0] is (again if ahead > 0.0 else before)
+    assert diagnosis._with_laws(*given)[0] is (again if takes_over else before)
 
 
 def spending(share, **settings):
