@@ -140,7 +140,9 @@ def _endings(
         return [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
     changed = changed or answer.before_test is not None  # what was taken back made a change
-    return _on_unseen(errors, changed, gained) if errors else [""]
+    said = _on_unseen(errors, changed, gained) if errors else [""]
+    # beside a name that was taken back the error is why, no "but"
+    return [text.replace("; but", ":", 1) for text in said] if answer.is_taken_back else said
 
 
 def _second(
@@ -230,8 +232,8 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
         what = _join(names) or "What was named"
         verb = "are" if len(names) > 1 else "is"
         return [
-            f"{capital(what)} {verb} withdrawn: unseen runs get worse",
-            "What was named is withdrawn: unseen runs get worse",
+            f"{capital(what)} {verb} withdrawn",
+            "What was named is withdrawn",
         ]
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:

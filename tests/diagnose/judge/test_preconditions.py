@@ -324,7 +324,7 @@ def test_a_gain_that_test_runs_withdraw_takes_the_verdict_back():
     assert report.to_dict()["before_test"]["statuses"] == {"push": "certain"}
     assert "the verdict was named, push certain." in report.sentences[1]
     assert "does not hold" in report.sentences[0]
-    assert report.headline.startswith("Push is withdrawn") and "rises from" in report.headline
+    assert report.headline.startswith("Push is withdrawn: the error on unseen runs rises from ")
 
 
 def test_an_error_far_above_the_noise_that_does_not_fall_takes_the_verdict_back():
