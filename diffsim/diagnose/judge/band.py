@@ -50,7 +50,7 @@ from diffsim.identify.fitting import posterior_covariance
 OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated too large
 LEAST_PARTS = 2  # one does not tell how parts differ
 GROWTH = np.polynomial.Polynomial((-1.0, 0.0, 2.0))  # of what is left, by times: Chebyshev's T2
-NONE = 1e-300  # added to sums of what is asked: their ratio is 1 where nothing is
+TINY = 1e-300  # added to sums of what is asked: their ratio is 1 where nothing is
 ROUNDS = 200  # of the variances: each multiplies them, three digits are settled after a hundred
 
 
@@ -274,8 +274,8 @@ def noise_of(parts: Sequence[Part], noise: Array) -> Array:
         parts: One or more.
         noise: Standard deviation as stated, (num_channels,) [unit of the channel].
     """
-    calmest = np.fmin.reduce([_mean_squares(part.left) for part in parts])
-    steps = [0.5 * _mean_squares(np.diff(part.left, axis=0)) for part in parts]
+    calmest = np.fmin.reduce([_mean_measured(part.left**2) for part in parts])
+    steps = [0.5 * _mean_measured(np.diff(part.left, axis=0) ** 2) for part in parts]
     found = np.sqrt(np.fmin(calmest, np.fmin.reduce(steps)))
     return np.where(np.sqrt(calmest) < OVERSTATED * noise, found, noise)
 
@@ -293,9 +293,10 @@ def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
         parts: One or more.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
     """
-    left = np.array([_mean_squares(part.left) for part in parts])
+    left = np.array([_mean_measured(part.left**2) for part in parts])
     seen = np.isfinite(left)
-    spread = np.array([_mean_squares(np.sqrt(part.spread), part.left) for part in parts])
+    moved = [np.where(np.isfinite(part.left), part.spread, np.nan) for part in parts]
+    spread = np.array([_mean_measured(values) for values in moved])
     left, spread = (np.where(seen, table, 0.0) for table in (left, spread))
     weight = seen / np.maximum(seen.sum(axis=1, keepdims=True), 1)
     known = 1.0 / (1.0 + np.sum(weight * spread / noise**2, axis=1, keepdims=True))
@@ -304,23 +305,19 @@ def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
     for _ in range(ROUNDS):
         variance = noise**2 + spread + grown * (rest + excess * spread)
         told, asked = weight * grown * left / variance**2, weight * grown / variance
-        ahead, back = (known * told).sum(axis=0) + NONE, (known * asked).sum(axis=0) + NONE
+        ahead, back = (known * told).sum(axis=0) + TINY, (known * asked).sum(axis=0) + TINY
         rest = rest * np.sqrt(ahead / back)
-        ahead, back = (told * spread).sum() + NONE, (asked * spread).sum() + NONE
+        ahead, back = (told * spread).sum() + TINY, (asked * spread).sum() + TINY
         excess *= float(np.sqrt(ahead / back))
     return BandVariance(np.where(seen.any(axis=0), rest, np.nan), excess)
 
 
-def _mean_squares(values: Array, among: Array | None = None) -> Array:
-    """Mean square by channel of the readings that were measured, (num_channels,); NaN: none.
-
-    Args:
-        values: (num_readings, num_channels); NaN: not measured.
-        among: Readings to ask which were measured; None: the values themselves.
-    """
-    seen = np.isfinite(values if among is None else among)
+def _mean_measured(values: Array) -> Array:
+    """Mean by channel of values of readings, (num_readings, num_channels), of which those that were
+    not measured are NaN; NaN: none was."""
+    seen = np.isfinite(values)
     count = seen.sum(axis=0)
-    total = np.sum(np.where(seen, values, 0.0) ** 2, axis=0)
+    total = np.sum(np.where(seen, values, 0.0), axis=0)
     return np.where(count, total / np.maximum(count, 1), np.nan)
 
 

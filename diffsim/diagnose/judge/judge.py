@@ -217,18 +217,17 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             continue
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
-        less: dict[int, float] = {}
         for i in sorted(decision.best):
             without = search.posteriors.get(Hypothesis(decision.best - {i}))
             if without is None or without.fit is None:
                 continue
-            less[i] = search.nats(Hypothesis(decision.best - {i}))
             if (gain := gain_over(validation, without.fit, best, seed)) is not None:
                 now[i] = gain
         gains = gains | now
         harmful = {i: g.value for i, g in now.items() if g.status == "withdrawn"}
         if validation.residuals(best) is None:  # it diverges there: without the one missed least
-            harmful = {i: -nats for i, nats in less.items()}
+            less = {i: Hypothesis(decision.best - {i}) for i in sorted(decision.best)}
+            harmful = {i: -search.nats(h) for i, h in less.items() if h in search.posteriors}
         if not harmful:
             total = gain_over(validation, search.fit_of(frozenset()), best, seed)
             judgment = replace(judgment, search=search, gain=total, gains=gains)

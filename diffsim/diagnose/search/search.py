@@ -331,13 +331,16 @@ def _refit_promising(
     most = wanted if np.isinf(until) else max(wanted, LEAST_REFITS)
     for k, members in enumerate(ranked[:most]):
         is_within = k == 0 or (k < wanted and search.steps < until)
-        made = [
-            w.fit for m in ranked[:k] if (w := search.posteriors.get(Hypothesis(m))) is not None
-        ]
-        if not is_within and any(fit is not None and not has_left_prior(fit) for fit in made):
+        if not is_within and any(_is_near_prior(search, tried) for tried in ranked[:k]):
             break
         search = refit(search, members, center)
     return search
+
+
+def _is_near_prior(search: Search, members: Members) -> bool:
+    """Whether the fit of a set left all base parameters near their priors."""
+    posterior = search.posteriors.get(Hypothesis(members))
+    return posterior is not None and posterior.fit is not None and not has_left_prior(posterior.fit)
 
 
 def _refit_rivals(search: Search, center: Center, until: float) -> Search:

@@ -180,10 +180,10 @@ class Simulations:
         if begin is not None:
             label, first = f"begin of {self._label(members)}", partial(begin, narrow, at)
             at = self.remembered(label, first)
+        until = narrow.model.simulations.steps + most
         if self.store is None:
-            until = self.wide.model.simulations.steps + most
             return gauss_newton(narrow, at, best_cost=best_cost, until=until)
-        return gauss_newton_kept(self.store, narrow, at, best_cost, most)
+        return gauss_newton_kept(self.store, narrow, at, best_cost, until)
 
     def with_weak_slopes(self, members: Members) -> Linearization:
         """A fitted set's linearization with right slopes along weak directions; the same object

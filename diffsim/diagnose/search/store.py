@@ -118,7 +118,7 @@ def _parts(study: Study, model: SimModel, settings: Iterable[object]) -> Iterabl
 
 
 def gauss_newton_kept(
-    store: Store, problem: Problem, start: Linearization, best_cost: float, most: float = np.inf
+    store: Store, problem: Problem, start: Linearization, best_cost: float, until: float = np.inf
 ) -> tuple[Fit, Linearization]:
     """``gauss_newton``, read back where an earlier process ended the same fit.
 
@@ -130,11 +130,10 @@ def gauss_newton_kept(
         problem: Fitting problem that is minimized.
         start: Start point, with the slopes of all coordinates.
         best_cost: As of ``gauss_newton`` [nats].
-        most: Weighted steps after which it ends where it is.
+        until: As of ``gauss_newton``.
     """
 
     def ended() -> Arrays:
-        until = problem.model.simulations.steps + most
         fit, at = gauss_newton(problem, start, best_cost=best_cost, until=until)
         return {
             **packed(at),

@@ -58,16 +58,12 @@ class DescribedMotion:
             text.strip() for name, text in description.readings.items() if read.get(name) == "rad"
         }
         given = {key.name: getattr(description, key.name) for key in fields(cls)}
-        given["places"] = tuple(
-            place.model_copy(
-                update={
-                    "unit": place.unit or ("N m" if place.position in turning else "N"),
-                    "position_unit": place.position_unit
-                    or ("rad" if place.position in turning else "m"),
-                }
-            )
-            for place in description.places
-        )
+        places = []
+        for place in description.places:
+            force, position = ("N m", "rad") if place.position in turning else ("N", "m")
+            units = {"unit": place.unit or force, "position_unit": place.position_unit or position}
+            places.append(place.model_copy(update=units))
+        given["places"] = tuple(places)
         return cls(**given)
 
 
