@@ -17,7 +17,7 @@ from diffsim.cli.diagnose_inputs import inputs_of, read_study
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.search.fit import Case
 from diffsim.identify import Problem, WhiteNoise
-from diffsim.identify.linearization import linearization_at, record_at
+from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model import Work
 
 ROW = "{:20s} {:>5s} {:>8s} {:>12s} {:>14s} {:>12s} {:>14s}"
@@ -40,7 +40,7 @@ def counted(problem: Problem, slopes: bool) -> tuple[Work, float]:
     if slopes:
         linearization_at(problem, x, screen=True)
     else:
-        record_at(problem, x)
+        problem.record(x)
     return tally.since(before), time.process_time() - start
 
 

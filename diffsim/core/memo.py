@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import tempfile
 import weakref
 from collections import OrderedDict
@@ -19,6 +20,7 @@ from diffsim.core.arrays import Array
 
 _Value = TypeVar("_Value")
 LARGE = 4 << 20  # bytes from which on an array is laid aside
+WAITING = 64 * LARGE  # bytes of arrays in memory: with none a first answer wrote 155 files
 AT_HAND = 2  # arrays that were asked for last and stay in memory
 MOST_KEPT = 4096  # more than any study asks for: a bound against growing for ever, no choice
 
@@ -66,9 +68,10 @@ def memo_field(most: int = MOST_KEPT) -> Any:
 
 
 class SpilledArray:
-    """An array that is read from a file each time it is asked for, to the same bits.
+    """An array that waits in memory for its turn to go to a file, and comes back to the same bits.
 
-    It stays in memory where no file can be written.
+    The newest stay in memory, up to ``WAITING`` bytes of all: most are dropped before their turn.
+    One for which no file can be written stays, too.
 
     Args:
         array: It must not change any more.
@@ -80,19 +83,33 @@ class SpilledArray:
         if not (array.flags.c_contiguous or array.flags.f_contiguous):
             array = np.ascontiguousarray(array)  # products of another layout round otherwise
         self._kept: Array | None = array
+        with _turn:  # the newest wait, those in front go to their files
+            _waiting.append(weakref.ref(self))
+            alive = [(ref, place) for ref in _waiting if (place := ref()) is not None]
+            sizes = np.cumsum([8 * math.prod(place.shape) for _, place in alive][::-1])[::-1]
+            first = int(np.sum(sizes > WAITING))
+            _waiting[:] = [ref for ref, _ in alive[first:]]
+            for _, place in alive[:first]:
+                place.write()
+
+    def write(self) -> None:
+        """To its file, out of memory."""
+        if (array := self._kept) is None:
+            return
         try:
             with tempfile.NamedTemporaryFile(prefix="diffsim-", delete=False) as file:
                 weakref.finalize(self, Path(file.name).unlink, missing_ok=True)
                 np.save(file, array, allow_pickle=False)
         except OSError:  # the disk is full
             return
-        self._kept, self._path = None, file.name
+        self._path = file.name
+        self._kept = None  # last: another thread may read it meanwhile
         _give_back()
 
     def array(self) -> Array:
         """The array as it was given; not to be written to."""
-        if self._kept is not None:
-            return self._kept
+        if (kept := self._kept) is not None:
+            return kept
         return _at_hand(self._key, lambda: np.load(self._path, allow_pickle=False))
 
     @property
@@ -105,8 +122,8 @@ class SpilledArray:
 
     def __getitem__(self, rows: slice) -> Array:
         """Rows of the array, (stop - start, ...), without reading the others."""
-        if self._kept is not None:
-            return self._kept[rows]
+        if (kept := self._kept) is not None:
+            return kept[rows]
         mapped = np.load(self._path, mmap_mode="r", allow_pickle=False)
         return np.array(mapped[rows], order="K")
 
@@ -144,3 +161,5 @@ class Aside:
 
 
 _at_hand: Memo[Array] = Memo(AT_HAND)
+_waiting: list[weakref.ref[SpilledArray]] = []
+_turn = Lock()

@@ -60,6 +60,8 @@ def step_of(readings: Array) -> float | None:
         return None
     gaps = np.diff(values)
     step = float(gaps[gaps > ROUND * np.ptp(values)].min(initial=np.inf))
+    # a file of few digits has that gap to a percent: too little to count a thousand of them at once
+    step = float(np.ptp(values) / np.maximum(np.round(gaps / step).sum(), 1.0))
     places = (values - values[0]) / step
     if not np.isfinite(step) or np.abs(places - np.round(places)).max() > ON_STEP:
         return None

@@ -11,7 +11,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
@@ -20,14 +19,6 @@ from diffsim.data.study import Run
 from diffsim.identify.problem import PredictionError, Problem
 
 ROUNDING = 1e-6  # noise sd: a change of the whole record below it is rounding
-
-
-class NoWhitener:
-    """Takes every sample as it is, missing ones too."""
-
-    def matrix(self, run: Run) -> sparse.csr_array:
-        """Identity, as the whitening of residuals by run."""
-        return sparse.eye_array(run.measured.size, format="csr")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +71,7 @@ def linearization_at(
         PredictionError: a simulation left the range of numbers.
     """
     idx = tuple(range(len(x))) if only is None else tuple(only)
-    left, slopes = _raw(problem).linearize_scaled(x, screen=screen, only=idx)
-    slopes = slopes[:, list(idx)]
+    record, slopes = problem.linearize_record(x, screen=screen, only=idx)
     # the square of all slopes, over noise of 1e-9 and less, is a number
     is_number = (np.abs(slopes) < 1e140).all(0)  # false for NaN, too
     if not is_number.all():
@@ -90,12 +80,7 @@ def linearization_at(
             "the prediction leaves the range of numbers a small step along "
             f"{', '.join(bad)}; narrow their bounds, priors or typical sizes, or mend the scene"
         )
-    return Linearization(x, measured_of(problem) - left, idx, slopes)
-
-
-def record_at(problem: Problem, x: Array) -> Array:
-    """Predicted samples of all runs at x, (N,) [unit of the channel]."""
-    return measured_of(problem) - _raw(problem).residual(x)
+    return Linearization(x, record, idx, slopes)
 
 
 def records_at(problem: Problem, points: Array) -> Array:
@@ -118,11 +103,6 @@ def records_at(problem: Problem, points: Array) -> Array:
         return rows
 
 
-def measured_of(problem: Problem) -> Array:
-    """Measured samples of all runs, (N,) [unit of the channel]; 0 where nothing was recorded."""
-    return np.concatenate([np.nan_to_num(run.measured).ravel() for run in problem.runs])
-
-
 def residuals_by_run(runs: Sequence[Run], record: Array) -> dict[str, Array]:
     """Measured minus predicted by name of the run, (num_samples, num_channels) each.
 
@@ -135,14 +115,3 @@ def residuals_by_run(runs: Sequence[Run], record: Array) -> dict[str, Array]:
     return {
         r.name: r.measured - p.reshape(r.measured.shape) for r, p in zip(runs, parts, strict=True)
     }
-
-
-def whitened(problem: Problem, rows: Array) -> Array:
-    """Rows (N, ...) of all runs, whitened: (num_valid, ...)."""
-    edges = np.cumsum([run.measured.size for run in problem.runs])[:-1]
-    parts = np.split(rows, edges)
-    return np.concatenate([problem.whiten(r, p) for r, p in zip(problem.runs, parts, strict=True)])
-
-
-def _raw(problem: Problem) -> Problem:
-    return replace(problem, whitener=NoWhitener())

@@ -221,15 +221,23 @@ class Problem(Coordinates, WhitenedRuns):
             )
         return out
 
-    def residual(self, x: Array) -> Array:
-        """(num_valid,) whitened residual of all runs."""
+    def record(self, x: Array) -> Array:
+        """Predicted samples of all runs at x, (N,) [unit of the channel].
+
+        Raises:
+            PredictionError: samples that are no numbers.
+        """
         point = torch.from_numpy(np.ascontiguousarray(x))
 
         def one(run: Run) -> Array:
             with torch.no_grad():
-                return self.whiten(run, _misfit(run, self.predict(run, point).numpy()))
+                return _finite(run, self.predict(run, point).numpy())
 
         return np.concatenate(self._compute_each(one))
+
+    def residual(self, x: Array) -> Array:
+        """(num_valid,) whitened residual of all runs."""
+        return self.whiten_all(self.measured - self.record(x))
 
     def cost(self) -> float:
         """Weighted steps of one simulation of all runs."""
@@ -261,27 +269,44 @@ class Problem(Coordinates, WhitenedRuns):
         Args:
             x: Standardized coordinates, (n,).
             screen: Non-smooth effects by their secant from here to a tenth of the typical size.
-            only: Coordinates to differentiate; the other columns are zero.
+            only: Coordinates to differentiate, in this order; all if None.
 
         Returns:
-            (num_valid,) and (num_valid, n).
+            (num_valid,) and (num_valid, len(only)).
         """
         residual, slopes = self.linearize_scaled(x, screen=screen, only=only)
-        return residual, slopes * self.stretch(x)
+        stretch = self.stretch(x)
+        slopes *= stretch if only is None else stretch[list(only)]
+        return residual, slopes
 
     def linearize_scaled(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
         """Residual and d(W S)/du at x, by the scaled coordinates u; arguments of ``linearize``."""
+        record, columns = self.linearize_record(x, screen=screen, only=only)
+        return self.whiten_all(self.measured - record), self.whiten_all(columns)
+
+    def linearize_record(
+        self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
+    ) -> tuple[Array, Array]:
+        """Predicted samples of all runs and dS/du at x; arguments of ``linearize``.
+
+        Returns:
+            (N,) and (N, len(only)) [unit of the channel].
+        """
         point = torch.from_numpy(np.ascontiguousarray(self.scaled(x), dtype=np.float64))
         names, there = self.names, {name for e in self.effects for name in e.shapes}
         idle = {p.name for p in self.model.base if p.of_effect} - there  # shapes of no effect
-        wanted = range(len(x)) if only is None else sorted(set(only))
-        stencils = self._choose_stencils(x, [i for i in wanted if names[i] not in idle], screen)
+        place = {i: k for k, i in enumerate(range(len(x)) if only is None else only)}
+        wanted = [i for i in sorted(place) if names[i] not in idle]
+        stencils = self._choose_stencils(x, wanted, screen)
         effects = self._effect_of_each
         quick = {i for i in stencils if (e := effects[i]) is None or e.smooth}
+        edges = np.cumsum([0, *(run.measured.size for run in self.runs)])
+        begins = dict(zip((run.name for run in self.runs), edges, strict=False))
+        slopes = np.zeros((edges[-1], len(place)))
 
-        def one(run: Run) -> tuple[Array, Array]:
+        def one(run: Run) -> Array:
             own = {i: s for i, s in stencils.items() if touches(names[i], run)}
             here, columns = self.jacobian.columns(
                 lambda points: self._predict_many(
@@ -294,13 +319,11 @@ class Problem(Coordinates, WhitenedRuns):
                 quick=quick.intersection(own),
                 tangents=lambda stencils: self._tangents(run, point, stencils),
             )
-            matrix = self.whitener.matrix(run)
-            full = np.zeros((matrix.shape[0], len(x)))
-            full[:, list(own)] = matrix @ columns
-            return np.asarray(matrix @ _misfit(run, here)), full
+            rows = slice(begins[run.name], begins[run.name] + run.measured.size)
+            slopes[rows, [place[i] for i in own]] = columns
+            return _finite(run, here)
 
-        parts = self._compute_each(one)
-        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+        return np.concatenate(self._compute_each(one)), slopes
 
     def _choose_stencils(self, x: Array, idx: Sequence[int], screen: bool) -> dict[int, Stencil]:
         """Difference formulas along scaled coordinates, inward at bounds."""
@@ -411,8 +434,8 @@ class Problem(Coordinates, WhitenedRuns):
         return [job(run) for run in self.runs]
 
 
-def _misfit(run: Run, predicted: Array) -> Array:
-    """Measured less predicted samples, (num_samples * num_channels,).
+def _finite(run: Run, predicted: Array) -> Array:
+    """Predicted samples, (num_samples * num_channels,).
 
     Raises:
         PredictionError: samples that are no numbers.
@@ -424,4 +447,4 @@ def _misfit(run: Run, predicted: Array) -> Array:
             f"the prediction of run {run.name} has {bad} NaN or infinite entries; narrow the "
             "priors or bounds of the parameters, shorten the time step, or mend the scene"
         )
-    return np.asarray(np.nan_to_num(run.measured).ravel() - flat)
+    return flat

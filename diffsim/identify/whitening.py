@@ -75,3 +75,13 @@ class WhitenedRuns:
     def whiten(self, run: Run, record: Array) -> Array:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
         return np.asarray(self.whitener.matrix(run) @ record)
+
+    @property
+    def measured(self) -> Array:
+        """Measured samples of all runs, (N,) [unit of the channel]; 0 where nothing was read."""
+        return np.concatenate([np.nan_to_num(run.measured).ravel() for run in self.runs])
+
+    def whiten_all(self, rows: Array) -> Array:
+        """Rows of the samples of all runs, (N, ...), whitened: (num_valid, ...)."""
+        matrices = [self.whitener.matrix(run) for run in self.runs]
+        return np.asarray(sparse.block_diag(matrices, format="csr") @ rows)

@@ -89,7 +89,8 @@ def large(order="C", rows=700):
 
 @pytest.fixture
 def forgotten(monkeypatch):
-    """Nothing is at hand: every look reads the file."""
+    """Nothing waits, nothing is at hand: every look reads the file."""
+    monkeypatch.setattr(memo, "WAITING", 0)
     monkeypatch.setattr(memo, "_at_hand", memo.Memo(0))
 
 
@@ -131,7 +132,25 @@ def test_what_nobody_holds_leaves_no_file(forgotten):
     assert not path.exists()
 
 
-def test_what_was_asked_for_last_is_at_hand():
+def test_the_newest_wait_in_memory_and_the_oldest_go_to_files(monkeypatch):
+    monkeypatch.setattr(memo, "WAITING", 2 * large().nbytes)
+    arrays = [large() + k for k in range(4)]
+    places = [SpilledArray(array) for array in arrays]
+    assert [place.array() is array for place, array in zip(places, arrays, strict=True)] == [
+        False,
+        False,
+        True,
+        True,
+    ]
+    assert all(np.array_equal(p.array(), a) for p, a in zip(places, arrays, strict=True))
+    del places[3]
+    gc.collect()
+    SpilledArray(large())
+    assert places[2].array() is arrays[2]  # what is gone takes no room
+
+
+def test_what_was_asked_for_last_is_at_hand(monkeypatch):
+    monkeypatch.setattr(memo, "WAITING", 0)
     places = [SpilledArray(large()) for _ in range(memo.AT_HAND + 1)]
     first = places[0].array()
     assert first is places[0].array()
@@ -148,7 +167,7 @@ def test_small_ones_and_those_of_a_full_disk_stay_in_memory(forgotten):
     assert place.array() is array and np.array_equal(place[3:5], array[3:5])
 
 
-def test_slopes_of_many_places_take_no_memory():
+def test_slopes_of_many_places_take_no_memory(forgotten):
     """A diagnosis keeps those of every set that it tried: 7.5 GB of a positioning system."""
     width = 80
 

@@ -9,6 +9,9 @@ import yaml
 
 from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
+from diffsim.data.record.columns import find_units
+from diffsim.data.record.signals import Record, Samples, Signal
+from diffsim.data.study import Study
 from diffsim.data.study_check import check_study
 from diffsim.data.study_file import load_study
 from labs.records import blame
@@ -27,6 +30,22 @@ def test_a_damaged_copy_is_named_with_its_remedy(damage, tmp_path):
 @pytest.mark.parametrize("make", (*SOUND, *ALIKE), ids=lambda m: getattr(m, "__name__", "rig"))
 def test_a_sound_record_is_not_accused(make, tmp_path):
     assert told(make(np.random.default_rng(11)), tmp_path / "rig") == []
+
+
+@pytest.mark.parametrize(("step", "is_unit"), [(0.00879, False), (1e-6, True)])
+def test_a_sensor_whose_step_stays_is_in_no_other_unit(step, is_unit):
+    """A swing-up that failed: torques and their scatter were a fiftieth of those of other runs."""
+    rng, time = np.random.default_rng(5), 0.005 * np.arange(1000.0)
+
+    def torque(run: str, size: float, sd: float) -> Samples:
+        values = size * np.sin(3.0 * time) + rng.normal(0.0, sd, len(time))
+        return Samples(run, np.arange(1000), time, step * np.round(values / step))
+
+    scatter = {"a": 0.3, "b": 0.15, "c": 0.01, "d": 0.9}
+    runs = [torque(run, 3.0, sd) for run, sd in scatter.items()]
+    seen = Signal("torque", "channel", "torque", "N m", (*runs, torque("e", 0.052, 0.004)))
+    found = list(find_units(Record(Study("rig", "ode", (), ()), (seen,), ())))
+    assert [f.where for f in found] == (["run e"] if is_unit else [])
 
 
 def mended(folder, tmp_path, **channel):

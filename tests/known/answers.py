@@ -76,7 +76,6 @@ def coarse_searches(folder: Path) -> dict[str, Any]:
     """First answers by coarse simulations, corrected; searches that begin where others ended."""
     from diffsim.diagnose.search.coarse import renewed_at
     from diffsim.diagnose.search.search import begin_from, search_sets
-    from diffsim.identify.linearization import record_at
     from tests.diagnose.checks import test_refine as refined
     from tests.diagnose.search import test_begin_from as begun
     from tests.diagnose.search import test_coarse as case
@@ -91,7 +90,7 @@ def coarse_searches(folder: Path) -> dict[str, Any]:
     return {
         "gates": [(g.name, g.value, g.limit, g.passed) for g in [*found.gates, *checked.gates]],
         "finest": [vars(found.correction.finest), checked.changes],
-        "record": [record_at(problem, x), renewed_at(null.fit)[2]],
+        "record": [problem.record(x), renewed_at(null.fit)[2]],
         **{f"coarse {k}": v for k, v in facts_of_search(coarse).items()},
         **{f"begun {k}": v for k, v in facts_of_search(again).items()},
     }

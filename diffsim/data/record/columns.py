@@ -173,6 +173,8 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
             continue
         if not is_sharp and beside > abs(off_noise):
             continue  # where runs differ anyway, noise nearer to unchanged than to the factor
+        if _sensor_step(samples) in {_sensor_step(s) for s in runs if s is not samples} - {None}:
+            continue  # another unit would have scaled it, too
         yield Finding(
             f"run {samples.run}",
             f"channel {channel.name} is about {np.exp(off):.3g} times what it is in other runs, "
@@ -181,6 +183,13 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
             f" in run {samples.run}, or {{column, unit: ...}}",
             True,
         )
+
+
+def _sensor_step(samples: Samples) -> float | None:
+    """Step of a sensor in five digits; None where there is none, or a file's last decimal."""
+    step = samples.step
+    leading = 0.0 if step is None else step / 10.0 ** np.floor(np.log10(step) + 1e-6)
+    return float(f"{step:.4e}") if step and abs(leading - 1.0) > 1e-4 else None
 
 
 def _gain(record: Record, samples: Samples) -> float:

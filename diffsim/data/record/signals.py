@@ -86,6 +86,11 @@ class Samples:
         gaps = gaps[gaps > 1e-12 * max(abs(self.low), abs(self.high))]
         return float(gaps.min()) if len(gaps) else 0.0
 
+    @cached_property
+    def step(self) -> float | None:
+        """Step on whole numbers of which all values lie; None: there is none."""
+        return step_of(self.values)
+
     def around(self, k: int, width: int = 3) -> Array:
         """Changes near the k-th, that one left out."""
         return np.concatenate(

@@ -259,5 +259,5 @@ def _extrapolate_scores(slopes: _Slopes, only: list[int], share: float) -> Array
     step, scores = share * slopes.problem.jacobian.step, []
     for h in (step, step / 2):
         finer = replace(slopes.problem, jacobian=Jacobian(method="differences", step=h))
-        scores.append(finer.linearize(slopes.x, only=only)[1][:, only].T @ slopes.cotangent)
+        scores.append(finer.linearize(slopes.x, only=only)[1].T @ slopes.cotangent)
     return np.asarray((4.0 * scores[1] - scores[0]) / 3.0)

@@ -23,7 +23,7 @@ from diffsim.diagnose.checks.gates import GateResult
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.linearization import ROUNDING, Linearization, record_at, whitened
+from diffsim.identify.linearization import ROUNDING, Linearization
 from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
 NUMERICS_LAMBDA = 2.0
@@ -49,15 +49,15 @@ def numerics_changes(
     out = {}
     for name in names:
         finer = (problem.numerics or Numerics()).refined(REFINEMENTS[name])
-        out[name] = record_at(replace(problem, numerics=finer), at.x) - at.record
+        out[name] = replace(problem, numerics=finer).record(at.x) - at.record
         while getattr(finer, name) >= 1.0 and _is_rounding(problem, out[name]):
             finer = finer.refined(REFINEMENTS[name])
-            out[name] = record_at(replace(problem, numerics=finer), at.x) - at.record
+            out[name] = replace(problem, numerics=finer).record(at.x) - at.record
     return out
 
 
 def _is_rounding(problem: Problem, change: Array) -> bool:
-    return length(whitened(problem, change)) < ROUNDING
+    return length(problem.whiten_all(change)) < ROUNDING
 
 
 def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
@@ -72,7 +72,7 @@ def numerics_gate(fit: Fit, changes: Mapping[str, Array]) -> list[GateResult]:
     """
     out = []
     for name, raw in changes.items():
-        change = whitened(fit.problem, raw)
+        change = fit.problem.whiten_all(raw)
         size = length(left_over(change, fit.jacobian))
         for i in range(len(fit.problem.effects)):
             size = max(size, could_be(fit, i, change))
@@ -155,7 +155,7 @@ def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
     j = fit.jacobian
     total = np.zeros(j.shape[1])
     for raw in changes.values():
-        total += (posterior_covariance(j) @ (j.T @ whitened(fit.problem, raw))) ** 2
+        total += (posterior_covariance(j) @ (j.T @ fit.problem.whiten_all(raw))) ** 2
     return np.asarray(np.sqrt(total))
 
 
@@ -245,7 +245,7 @@ def refine_within(
             if tried.cost() > budget * once:
                 unaffordable.add(name)
             else:
-                numerics, paid, record = finer, tried.cost() / once, record_at(tried, x)
+                numerics, paid, record = finer, tried.cost() / once, tried.record(x)
                 if is_any_enough:
                     return numerics, changes, gates, paid
         if record is None:

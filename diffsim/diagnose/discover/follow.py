@@ -26,7 +26,7 @@ from diffsim.data.study import Run
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 from diffsim.identify.law import Entry, Gains, Variable
-from diffsim.identify.linearization import linearization_at, measured_of, record_at, whitened
+from diffsim.identify.linearization import linearization_at
 from diffsim.identify.setup import LawPort
 
 MOST_KNOTS = 300  # of a run's course, over all its entries
@@ -178,7 +178,7 @@ class FollowedRecord:
             own = list(range(len(x), len(x) + len(effect.components)))
             start = np.concatenate([x, np.zeros(len(own))])
             at = linearization_at(wide, start, own, screen=True)
-            parts.append(whitened(problem, at.columns) / unit)
+            parts.append(problem.whiten_all(at.columns) / unit)
         return np.concatenate(parts)
 
     def courses(self, port: LawPort, variables: Sequence[Variable]) -> list[Array]:
@@ -224,8 +224,8 @@ def follow(fit: Fit, port: LawPort, max_steps: int = MAX_STEPS) -> FollowedRecor
         problem, x = _drive(fit, run, port, max_steps)
         count = len(fit.x)
         at = linearization_at(problem, x)
-        columns = whitened(problem, at.columns)
-        r = whitened(problem, measured_of(problem) - at.record)
+        columns = problem.whiten_all(at.columns)
+        r = problem.whiten_all(problem.measured - at.record)
         moved = problem.scaled(x)[count:]
         problems.append(problem)
         points.append(x)
@@ -264,8 +264,8 @@ def _drive(fit: Fit, run: Run, port: LawPort, max_steps: int) -> tuple[Problem, 
     cost = _cost(problem, x, own)
     for _ in range(max_steps):
         at = linearization_at(problem, x, own)
-        slopes = whitened(problem, at.columns)
-        r = whitened(problem, measured_of(problem) - at.record)
+        slopes = problem.whiten_all(at.columns)
+        r = problem.whiten_all(problem.measured - at.record)
         u = problem.scaled(x)
         gram = slopes.T @ slopes + np.eye(len(own))
         step = linalg.solve(gram, slopes.T @ r - u[own], assume_a="pos")
@@ -293,7 +293,7 @@ def _shorten(
 
 def _cost(problem: Problem, x: Array, own: Sequence[int]) -> float:
     try:
-        r = whitened(problem, measured_of(problem) - record_at(problem, x))
+        r = problem.whiten_all(problem.measured - problem.record(x))
     except DiffsimError:
         return np.inf
     with np.errstate(over="ignore"):

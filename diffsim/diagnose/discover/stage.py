@@ -34,7 +34,7 @@ from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
 from diffsim.identify.fitting import summary
 from diffsim.identify.law import Entry, Law, Shape
-from diffsim.identify.linearization import linearization_at, measured_of, records_at, whitened
+from diffsim.identify.linearization import linearization_at, records_at
 from diffsim.identify.setup import LawPort
 
 PARTS_OF_WAY = (1.0, 0.5, 0.25, 0.125)  # of a law's first step, the longest that holds is taken
@@ -151,8 +151,8 @@ def at_data_sheet(plain: Fit) -> list[Fit]:
         at = linearization_at(problem, x)
     except DiffsimError:
         return []
-    missing = whitened(problem, measured_of(problem) - at.record)
-    slopes = whitened(problem, at.columns) * problem.stretch(x)
+    missing = problem.whiten_all(problem.measured - at.record)
+    slopes = problem.whiten_all(at.columns) * problem.stretch(x)
     return [summary(problem, x, missing, slopes, "converged", "the data sheet, not fitted", 1)]
 
 
@@ -496,7 +496,7 @@ def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
     costs = []
     with np.errstate(over="ignore", invalid="ignore"):
         for x, record in zip(points, records_at(problem, points), strict=True):
-            r = whitened(problem, measured_of(problem) - record)
+            r = problem.whiten_all(problem.measured - record)
             costs.append(float(r @ r + x @ x))
     return points[int(np.nanargmin(costs))]
 

@@ -264,7 +264,6 @@ def rows_at(problem: Problem, layout: Layout, point: Array, causes: Sequence[Eff
     common, scatter = layout.of(problem.runs)
     idx = [*common, *scatter, *(problem.columns_of(e)[0] for e in causes)]
     residual, slopes = problem.linearize_scaled(problem.standardized(point), only=idx)
-    slopes = slopes[:, idx]
     absolute = residual + slopes @ point[idx]  # residual at z = 0 of the linear model
     goals, keep = _goals_of(problem)
     return Rows(

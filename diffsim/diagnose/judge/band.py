@@ -454,7 +454,7 @@ def _posterior_variance(
     directions[:, places] = _principal_moves(among).T
     columns = _changes(at, x, sd * directions, run)
     if own:  # what the run's own values take up, with their prior, does not show
-        slopes = replace(at.problem, runs=(run,)).linearize(x, only=own)[1][:, own]
+        slopes = replace(at.problem, runs=(run,)).linearize(x, only=own)[1]
         taken = _take_up(slopes, at.problem.whiten(run, columns))
         columns = columns - np.nan_to_num(_unwhiten(at.problem, run, taken))
     return np.asarray(np.sum(columns**2, axis=1).reshape(run.measured.shape))

@@ -180,7 +180,7 @@ def own_point(
 
     def columns(part: Array) -> Array:
         """Slopes of the residual and of the prior below, (num_valid + num_own, num_own)."""
-        at = -problem.linearize(full(part), only=own)[1][:, own] if held is None else held
+        at = -problem.linearize(full(part), only=own)[1] if held is None else held
         return np.vstack([at, np.eye(len(own))])
 
     low, high = (bound[own] for bound in problem.bounds)

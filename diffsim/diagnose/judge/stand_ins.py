@@ -38,7 +38,6 @@ from diffsim.diagnose.search.evidence import (
 )
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit
-from diffsim.identify.linearization import whitened
 
 FORM = 0.05  # share of what a cause does to the record that its form may be wrong by
 
@@ -56,7 +55,7 @@ def without_forms(
     """
     if decision.verdict not in NAMES:
         return decision
-    changes = {name: whitened(fit.problem, raw) for name, raw in (unrefined or {}).items()}
+    changes = {name: fit.problem.whiten_all(raw) for name, raw in (unrefined or {}).items()}
     places = form_of(fit, changes)
     if not places:
         return decision

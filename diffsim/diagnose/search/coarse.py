@@ -24,7 +24,6 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
 from diffsim.identify.correction import Correction, Finer
 from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.linearization import record_at, whitened
 from diffsim.identify.numerics import REFINEMENTS, Numerics
 
 Array = NDArray[np.float64]
@@ -62,7 +61,7 @@ def corrected(null: Null, once: float) -> tuple[Null, NullCorrection]:
     x = null.at.x - found.correction.shift.numpy()
     problem = case.problem(null.noise.whitener)
     x = np.clip(x, *problem.bounds)
-    fit, at = gauss_newton(problem, replace(null.at, x=x, record=record_at(problem, x)))
+    fit, at = gauss_newton(problem, replace(null.at, x=x, record=problem.record(x)))
     return replace(null, case=case, fit=fit, at=at), found
 
 
@@ -112,7 +111,7 @@ def _refine_setting(null: Null, name: str, once: float) -> _RefinedSetting:
     for _ in range(MAX_LEVELS):
         there = here.numerics.refined(REFINEMENTS[name])
         finer = replace(problem, numerics=there)
-        record = record_at(finer, at.x)
+        record = finer.record(at.x)
         raw = numerics_gate(null.fit, {name: record - at.record})[0].value
         if not here.sizes and raw < NEGLIGIBLE:  # or the model has no such setting
             return replace(here, sizes=(raw,), change=record - at.record)
@@ -138,11 +137,11 @@ def _fit_shift(null: Null, record: Array, shift: Array) -> tuple[Array, Array]:
         shift: First guess, (num_base,).
     """
     problem, x = null.fit.problem, null.at.x
-    left = record - record_at(problem, x + shift)
+    left = record - problem.record(x + shift)
     for _ in range(SHIFTS):
         moved = shift + _shift(null.fit, left)
-        after = record - record_at(problem, x + moved)
-        if np.linalg.norm(whitened(problem, after)) >= np.linalg.norm(whitened(problem, left)):
+        after = record - problem.record(x + moved)
+        if np.linalg.norm(problem.whiten_all(after)) >= np.linalg.norm(problem.whiten_all(left)):
             break
         shift, left = moved, after
     return shift, left
@@ -181,7 +180,7 @@ def _gate(refined: _RefinedSetting, coarse: Numerics) -> GateResult:
 def _shift(fit: Fit, change: Array) -> Array:
     """(num_base,) parameters that make coarse records most like finer ones."""
     j = fit.jacobian
-    return np.asarray(posterior_covariance(j) @ (j.T @ whitened(fit.problem, change)))
+    return np.asarray(posterior_covariance(j) @ (j.T @ fit.problem.whiten_all(change)))
 
 
 def renewed_at(fit: Fit) -> tuple[Correction, Array, float]:

@@ -37,12 +37,7 @@ from diffsim.identify import Fit, Problem, Whitener, WhiteNoise
 from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
-from diffsim.identify.linearization import (
-    Linearization,
-    linearization_at,
-    record_at,
-    residuals_by_run,
-)
+from diffsim.identify.linearization import Linearization, linearization_at, residuals_by_run
 from diffsim.identify.model import NOTHING, SimModel, Work
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown
@@ -264,7 +259,7 @@ def _make_problem(case: Case) -> Problem:
 def _can_be_simulated(problem: Problem) -> bool:
     """Whether the model at its prior can, by one run."""
     try:
-        record_at(replace(problem, runs=problem.runs[:1]), np.zeros(problem.num_base))
+        replace(problem, runs=problem.runs[:1]).record(np.zeros(problem.num_base))
     except (DiffsimError, ValueError):
         return False
     return True

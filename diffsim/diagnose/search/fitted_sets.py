@@ -25,13 +25,7 @@ from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulatio
 from diffsim.identify import Fit, Problem
 from diffsim.identify.bandwidth import num_cosines_of
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.linearization import (
-    Linearization,
-    linearization_at,
-    measured_of,
-    record_at,
-    whitened,
-)
+from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.unknown import Unknown
 
 
@@ -241,7 +235,7 @@ def _record_set(search: Search, members: Members, x: Array) -> tuple[Linearizati
     made = search.simulations
     at = made.near(members, x, STEP_ATOL)
     if at is None:
-        record = record_at(made.narrow(members), x)
+        record = made.narrow(members).record(x)
         at = Linearization(x, record, (), np.zeros((len(record), 0)))
         search = replace(search, simulations=made.noted(members, at))
     return at, search
@@ -251,8 +245,8 @@ def _weigh_beside(
     search: Search, problem: Problem, at: Linearization, response: Array, own: list[int]
 ) -> SetPosterior:
     """Evidence of all effects of a problem with an unknown cause, in wide coordinates."""
-    residual = whitened(problem, measured_of(problem) - at.record)
-    jacobian = whitened(problem, at.columns) * problem.stretch(at.x)
+    residual = problem.whiten_all(problem.measured - at.record)
+    jacobian = problem.whiten_all(at.columns) * problem.stretch(at.x)
     families, unknowns = search.num_families, len(search.unknowns)
     evidence = LaplaceEvidence(problem, at.x, residual, jacobian, [response], families, unknowns)
     narrow = evidence.weigh(Hypothesis(frozenset(range(len(problem.effects))), 0))

@@ -20,17 +20,12 @@ from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import TIE_DIGITS, SetPosterior
 from diffsim.diagnose.search.fit import HARD_START_CHI2
-from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.gauss_newton import iterated
 from diffsim.diagnose.search.scan import groups, num_points
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Problem, Whitener
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.linearization import (
-    Linearization,
-    linearization_at,
-    measured_of,
-    whitened,
-)
+from diffsim.identify.linearization import Linearization, linearization_at
 
 Array = NDArray[np.float64]
 LEAST_REFITS = 4  # sets that are fitted from there
@@ -120,15 +115,14 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
         problem: Problem of a set.
         start: Start point in its coordinates.
     """
-    residual = whitened(problem, measured_of(problem) - start.record)
+    residual = problem.whiten_all(problem.measured - start.record)
     excess = float(residual @ residual) / max(len(residual), 1)
     if not np.isfinite(excess) or excess < HARD_START_CHI2:
         return start
     at = start
     for factor in (excess**0.5, excess**0.25):
         warm = replace(problem, whitener=_Warm(problem.whitener, factor))
-        _, at = gauss_newton(warm, at)
-        at = linearization_at(problem, at.x)
+        at = linearization_at(problem, iterated(warm, at)[0].at.x)
     return at
 
 

@@ -21,13 +21,7 @@ from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.fitting import summary
-from diffsim.identify.linearization import (
-    Linearization,
-    linearization_at,
-    measured_of,
-    record_at,
-    whitened,
-)
+from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.model import has_tangents
 
 Array = NDArray[np.float64]
@@ -79,7 +73,7 @@ class _Iterate:
     def refreshed(self) -> _Iterate:
         """The iterate with slopes simulated here."""
         at = linearization_at(self.problem, self.at.x)
-        return replace(self, at=at, jacobian=whitened(self.problem, at.columns))
+        return replace(self, at=at, jacobian=self.problem.whiten_all(at.columns))
 
     def promised(self, step: Array) -> float:
         """Nats that a step gains by the slopes."""
@@ -104,10 +98,10 @@ class _Iterate:
         longest = float((np.abs(step) / self.problem.step_factors).max())
         shorter = replace(self, radius=0.25 * longest)
         try:
-            record = record_at(self.problem, x)
+            record = self.problem.record(x)
         except DiffsimError:  # too far to be simulated
             return shorter, 0.0
-        r = whitened(self.problem, measured_of(self.problem) - record)
+        r = self.problem.whiten_all(self.problem.measured - record)
         with np.errstate(over="ignore"):  # of an unstable simulation: too far as well
             cost = float(r @ r + x @ x)
         if not cost < self.cost:
@@ -127,7 +121,7 @@ class _Iterate:
         """At x, the end of a step; Broyden's update of the slopes."""
         here = self.at
         off = record - here.record - here.columns @ step
-        white_off = whitened(self.problem, off)
+        white_off = self.problem.whiten_all(off)
         moved = float(linalg.norm(self.jacobian @ step))
         along = step / float(step @ step)
         at = Linearization(
@@ -173,6 +167,16 @@ def gauss_newton(
     Raises:
         DiffsimError: the slopes cannot be simulated.
     """
+    s, ended, message, evaluations = iterated(problem, start, best_cost, until)
+    slopes = s.jacobian * problem.stretch(s.at.x)
+    return summary(problem, s.at.x, s.residual, slopes, ended, message, evaluations), s.at
+
+
+def iterated(
+    problem: Problem, start: Linearization, best_cost: float | None = None, until: float = np.inf
+) -> tuple[_Iterate, Ended, str, int]:
+    """The last iterate of ``gauss_newton``, how and why it ended, and the number of trial points:
+    all of it but the uncertainties."""
     low, high = problem.bounds
     s = _first(problem, start)
     ended: Ended = "budget"
@@ -199,16 +203,15 @@ def gauss_newton(
             break
         if s.at.slope_error > limit:
             s = s.refreshed()
-    slopes = s.jacobian * problem.stretch(s.at.x)
-    return summary(problem, s.at.x, s.residual, slopes, ended, message, evaluations), s.at
+    return s, ended, message, evaluations
 
 
 def _first(problem: Problem, start: Linearization) -> _Iterate:
     coordinates = tuple(range(len(start.x)))
     slopes = start.slopes(coordinates)
     at = replace(start, idx=coordinates, columns=slopes)
-    residual = whitened(problem, measured_of(problem) - at.record)
-    return _Iterate(problem, at, residual, whitened(problem, slopes))
+    residual = problem.whiten_all(problem.measured - at.record)
+    return _Iterate(problem, at, residual, problem.whiten_all(slopes))
 
 
 def _step(s: _Iterate, low: Array, high: Array) -> Array:

@@ -22,13 +22,7 @@ from diffsim.data.study import Run
 from diffsim.diagnose.search.scan import BORROWED, Scan, costs_of, narrowed
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, Locator, coordinate_of
-from diffsim.identify.linearization import (
-    Linearization,
-    linearization_at,
-    measured_of,
-    records_at,
-    whitened,
-)
+from diffsim.identify.linearization import Linearization, linearization_at, records_at
 from diffsim.identify.locate import Course, Proposal
 
 Array = NDArray[np.float64]
@@ -45,8 +39,8 @@ def course_at(wide: Problem, own: Sequence[int], center: Linearization, locator:
         center: Linearization there, with all slopes.
         locator: How the effect finds where it lies.
     """
-    residual = whitened(wide, measured_of(wide) - center.record)
-    j = whitened(wide, center.slopes(own)) * wide.stretch(center.x)[list(own)]
+    residual = wide.whiten_all(wide.measured - center.record)
+    j = wide.whiten_all(center.slopes(own)) * wide.stretch(center.x)[list(own)]
     inner = linalg.inv(j.T @ j + np.eye(len(own)))
     k = len(locator.times)
     gram, score, cross = np.zeros((k, k)), np.zeros(k), np.zeros((len(own), k))

@@ -20,13 +20,7 @@ from diffsim.data.study import Run
 from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
-from diffsim.identify.linearization import (
-    Linearization,
-    linearization_at,
-    measured_of,
-    records_at,
-    whitened,
-)
+from diffsim.identify.linearization import Linearization, linearization_at, records_at
 from diffsim.identify.numerics import NumericalEffect
 
 Array = NDArray[np.float64]
@@ -203,7 +197,7 @@ def _most_moved(
     moved = np.nan_to_num(_records_at(wide, own, center, columns, some) - center.record)
     rows = _rows_of(wide.runs)
     one = [replace(wide, runs=(run,)) for run in wide.runs]
-    moves = [linalg.norm(whitened(p, moved[:, r].T)) for p, r in zip(one, rows, strict=True)]
+    moves = [linalg.norm(p.whiten_all(moved[:, r].T)) for p, r in zip(one, rows, strict=True)]
     return int(np.argmax(moves))
 
 
@@ -301,16 +295,16 @@ def costs_of(
     wide: Problem, center: Linearization, rest: Sequence[int], records: Array, sizes: Array
 ) -> Array:
     """chi2 and prior of records after a linear refit of the rest, (num_points,)."""
-    slopes = whitened(wide, center.slopes(rest))
+    slopes = wide.whiten_all(center.slopes(rest))
     u = wide.scaled(center.x)[list(rest)]
     low, high = (bound[list(rest)] for bound in wide.bounds)
     is_size = np.array(rest) >= wide.num_base
-    gram, measured = slopes.T @ slopes, measured_of(wide)
+    gram, measured = slopes.T @ slopes, wide.measured
     costs = np.full(len(records), np.inf)
     for k, record in enumerate(records):
         if not np.isfinite(record).all():
             continue
-        residual = whitened(wide, measured - record)
+        residual = wide.whiten_all(measured - record)
         v = optimum(gram, slopes.T @ residual + gram @ u, low, high, is_size, u)
         left = residual - slopes @ (v - u)
         x = np.where(is_size, coordinate_of(v), v)

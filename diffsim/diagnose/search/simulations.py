@@ -27,13 +27,7 @@ from diffsim.diagnose.search.weak_slopes import mended
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.linearization import (
-    Linearization,
-    linearization_at,
-    measured_of,
-    record_at,
-    whitened,
-)
+from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.locate import Course
 from diffsim.identify.unknown import Unknown
 
@@ -227,11 +221,11 @@ class Simulations:
         narrow = self.narrow(members)
         x = x.copy()
         x[own] = np.clip(x[own], *narrow.bounds)  # a linear optimum knows no bounds
-        record = record_at(narrow, x[own])
+        record = narrow.record(x[own])
         step = self.wide.scaled(x) - self.wide.scaled(center.x)
         predicted = center.slopes(range(len(x))) @ step
-        off = linalg.norm(whitened(self.wide, record - center.record - predicted))
-        moved = linalg.norm(whitened(self.wide, predicted))
+        off = linalg.norm(self.wide.whiten_all(record - center.record - predicted))
+        moved = linalg.norm(self.wide.whiten_all(predicted))
         return replace(center, x=x, record=record, slope_error=float(off / max(moved, 1.0)))
 
     def screen(
@@ -361,8 +355,8 @@ class Simulations:
         self, at: Linearization, blocks: Sequence[Array | SpilledArray], num_families: int
     ) -> LaplaceEvidence:
         wide = self.wide
-        residual = whitened(wide, measured_of(wide) - at.record)
-        jacobian = whitened(wide, at.slopes(range(len(at.x)))) * wide.stretch(at.x)
+        residual = wide.whiten_all(wide.measured - at.record)
+        jacobian = wide.whiten_all(at.slopes(range(len(at.x)))) * wide.stretch(at.x)
         return LaplaceEvidence(wide, at.x, residual, jacobian, blocks, num_families)
 
     def _label(self, members: Members) -> str:
@@ -388,8 +382,8 @@ class Simulations:
         nearly collinear with a member."""
         wide = self.wide
         own = [i for i in range(len(at.x)) if i < wide.num_base or at.x[i] != 0.0]
-        residual = whitened(wide, measured_of(wide) - at.record)
-        slopes = whitened(wide, at.slopes(range(len(at.x))))
+        residual = wide.whiten_all(wide.measured - at.record)
+        slopes = wide.whiten_all(at.slopes(range(len(at.x))))
         j = slopes[:, own]
         inner = linalg.inv(j.T @ j + np.eye(len(own)))
         tilde = slopes - j @ (inner @ (j.T @ slopes))

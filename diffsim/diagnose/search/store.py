@@ -18,7 +18,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
 from diffsim.identify.fitting import summary
-from diffsim.identify.linearization import Linearization, measured_of, whitened
+from diffsim.identify.linearization import Linearization
 from diffsim.identify.model import SimModel, Tally
 
 Array = NDArray[np.float64]
@@ -160,7 +160,7 @@ def gauss_newton_kept(
 
 def _digest(problem: Problem, start: Linearization, best_cost: float) -> str:
     """Of all that decides where a fit ends; the noise floor shows in the whitened residual."""
-    residual = whitened(problem, measured_of(problem) - start.record)
+    residual = problem.whiten_all(problem.measured - start.record)
     digest = hashlib.sha256(repr((problem.names, best_cost, start.slope_error)).encode())
     for array in (start.x, start.record, start.slopes(range(len(start.x))), residual):
         digest.update(np.ascontiguousarray(array).tobytes())

@@ -16,7 +16,7 @@ from scipy import linalg
 
 from diffsim.core.arrays import Array
 from diffsim.identify import Problem
-from diffsim.identify.linearization import Linearization, records_at, whitened
+from diffsim.identify.linearization import Linearization, records_at
 
 WEAK = 0.05  # of the strongest direction: below it an error of a percent or two is a good part
 CLAIMED = 0.1  # share of a direction's information that its slopes claim, the prior has the rest
@@ -46,7 +46,7 @@ def mended(problem: Problem, at: Linearization) -> Linearization:
 def _change(problem: Problem, at: Linearization) -> Array:
     """What slopes lack along weak directions, (N, n); those along all others, orthogonal, stay."""
     stretch = problem.stretch(at.x)
-    _, strength, axes = linalg.svd(whitened(problem, at.columns) * stretch, full_matrices=False)
+    _, strength, axes = linalg.svd(problem.whiten_all(at.columns) * stretch, full_matrices=False)
     told = strength**2 / (1.0 + strength**2)
     weak = (told > CLAIMED) & (strength < WEAK * strength.max(initial=0.0))
     sd = 1.0 / np.sqrt(1.0 + strength[weak] ** 2)
@@ -61,7 +61,7 @@ def _change(problem: Problem, at: Linearization) -> Array:
     for k, step in enumerate(steps):
         off = 0.5 * (ahead[k] - behind[k]) / max(share[k], LEAST_STEP) - at.columns @ step
         is_known = share[k] >= LEAST_STEP and bool(np.isfinite(off).all())
-        if is_known and np.linalg.norm(whitened(problem, off)) > WRONG:
+        if is_known and np.linalg.norm(problem.whiten_all(off)) > WRONG:
             out += np.outer(off, axes[weak][k] / (sd[k] * stretch))
     return out
 

@@ -12,7 +12,7 @@ from diffsim.diagnose.checks.numerics import numerics_changes
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY
 from diffsim.diagnose.search.fit import Case, check_numerics, null_fit, refit_under
 from diffsim.identify import DiagnosisSettings, Effect, Numerics, SearchSettings, SimModel
-from diffsim.identify.linearization import Linearization, record_at
+from diffsim.identify.linearization import Linearization
 from tests.diagnose import linear, toy
 
 QUICK = DiagnosisSettings(search=SearchSettings(max_effects=2, num_refits=2))
@@ -219,5 +219,5 @@ def test_a_step_that_is_no_coarser_in_effect_is_refined_beyond_the_models_own():
     model = SimModel(build, plain.base, "stepped")
     problem = replace(linear.problem(), model=model, numerics=Numerics(time_step=2.0))
     x = np.zeros(len(problem.names))
-    at = Linearization(x, record_at(problem, x), (), np.zeros((len(x), 0)))
+    at = Linearization(x, problem.record(x), (), np.zeros((len(x), 0)))
     np.testing.assert_allclose(numerics_changes(problem, at)["time_step"], -4.5)

@@ -12,7 +12,7 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.law import Entry, Variable
-from diffsim.identify.linearization import linearization_at, record_at, whitened
+from diffsim.identify.linearization import linearization_at
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.registry import setup_of
 from tests.diagnose.discover.turntable import NOISE, described, turntable_study
@@ -57,7 +57,7 @@ def test_it_lies_on_the_record(fitted, followed):
     count = len(followed.missing)
     assert followed.chi2 < 1.1 * count < 0.01 * fitted[0].chi2
     problem, x = followed.problems[0], followed.points[0]
-    off = problem.runs[0].measured.ravel() - record_at(problem, x)
+    off = problem.runs[0].measured.ravel() - problem.record(x)
     assert np.sqrt(np.mean(off**2)) < 1.1 * 10.0 * NOISE
 
 
@@ -79,7 +79,7 @@ def test_columns_are_what_the_simulator_does(fitted, followed, entry, step):
             sizes = np.zeros((2, len(more.names)))
             sizes[:, : len(x)] = problem.scaled(x)
             sizes[:, len(x) + k] = np.array([1.0, -1.0]) * step / PRIOR_WIDTH
-            up, down = (whitened(more, record_at(more, more.standardized(s))) for s in sizes)
+            up, down = (more.whiten_all(more.record(more.standardized(s))) for s in sizes)
             rows.append((up - down) / (2.0 * step))
         expected = np.concatenate(rows)
         off = np.linalg.norm(found[:, k] - expected) / np.linalg.norm(expected)
@@ -95,7 +95,7 @@ def test_a_course_is_a_detour(fitted, followed):
         own = problem.columns_of(course)
         knots = [i - len(fitted[0].x) for i in own]
         done = done + followed.responses[0][:, knots] @ (PRIOR_WIDTH * course.typical * u[own])
-    left = whitened(problem, problem.runs[0].measured.ravel() - record_at(problem, x))
+    left = problem.whiten_all(problem.runs[0].measured.ravel() - problem.record(x))
     assert np.linalg.norm(done) > 10.0 * np.linalg.norm(left)
     np.testing.assert_allclose(followed.missing[: len(left)], left + done, rtol=1e-9, atol=1e-9)
 

@@ -28,7 +28,6 @@ from diffsim.diagnose.say.causes import _why_not_refuted
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
 from diffsim.diagnose.search.search import fitted_exactly
 from diffsim.identify import DiagnosisSettings
-from diffsim.identify.linearization import record_at
 from tests.diagnose import linear
 from tests.diagnose.say.test_causes import OTHER, PUSH, QUICK, causes, diagnosed, recorded
 
@@ -161,7 +160,7 @@ def test_more_than_all_of_the_error_removed_is_no_doubt(grounds):
 def test_a_best_set_that_was_far_behind_another_one_is_fitted_to_its_end(grounds):
     made, fit = grounds.search.simulations, grounds.search.fit_of(PUSHED)
     at = made.fitted[PUSHED]
-    record = record_at(made.narrow(PUSHED), 0.8 * at.x[made.coordinates(PUSHED)])
+    record = made.narrow(PUSHED).record(0.8 * at.x[made.coordinates(PUSHED)])
     moved = replace(at, x=0.8 * at.x, record=record)
     short = with_slope_error(
         with_search(grounds, simulations=replace(made, fitted={**made.fitted, PUSHED: moved})), 0.2

@@ -17,12 +17,7 @@ from diffsim.diagnose.search.fit import Case, coarsen_first_look, null_fit
 from diffsim.diagnose.search.search import _center, _refit_promising, _refit_rivals, begin, refit
 from diffsim.diagnose.search.simulations import Simulations
 from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
-from diffsim.identify.linearization import (
-    linearization_at,
-    record_at,
-    records_at,
-    whitened,
-)
+from diffsim.identify.linearization import linearization_at, records_at
 from tests.diagnose import toy
 
 STEP = 0.01  # implicit Euler of 10 ms: far too coarse for the toy
@@ -59,8 +54,8 @@ def test_corrected_records_are_the_finer_ones_around_where_they_were_told():
     rng = np.random.default_rng(0)
     for _ in range(3):
         x = before.fit.x + 0.1 * rng.normal(size=len(before.fit.x))
-        off = whitened(fine, record_at(null.fit.problem, x) - record_at(fine, x))
-        without = whitened(fine, record_at(before.fit.problem, x) - record_at(fine, x))
+        off = fine.whiten_all(null.fit.problem.record(x) - fine.record(x))
+        without = fine.whiten_all(before.fit.problem.record(x) - fine.record(x))
         assert np.linalg.norm(off) < 0.1 * np.linalg.norm(without)
     assert renewed_at(null.fit)[2] < NUMERICS_LAMBDA
 
@@ -72,7 +67,7 @@ def test_where_no_end_is_in_sight_the_whole_change_counts(monkeypatch):
     (gate,) = (g for g in found.gates if g.name == "time_step")
     assert not gate.passed
     finer = replace(given.fit.problem, numerics=Numerics(time_step=0.5))
-    change = record_at(finer, given.at.x) - given.at.record
+    change = finer.record(given.at.x) - given.at.record
     (once,) = numerics_gate(given.fit, {"time_step": change})
     assert gate.value > 1.5 * once.value  # refits and one more refinement: nearly twice as much
     assert could_be_misfit(null.fit, found.gates)
@@ -82,12 +77,12 @@ def test_slopes_and_many_points_of_a_corrected_problem_agree_with_its_records():
     _, null, _ = correct_toy()
     problem, x = null.wide, np.append(null.fit.x, [0.2, 0.1])
     at = linearization_at(problem, x)
-    record = record_at(problem, x)
+    record = problem.record(x)
     np.testing.assert_allclose(at.record, record, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(records_at(problem, x[None])[0], record, rtol=0.0, atol=1e-12)
     moved = x.copy()
     moved[0] += 1e-4
-    slope = (record_at(problem, moved) - record) / 1e-4
+    slope = (problem.record(moved) - record) / 1e-4
     np.testing.assert_allclose(slope, at.columns[:, 0], atol=1e-3 * np.abs(slope).max())
 
 

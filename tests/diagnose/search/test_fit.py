@@ -11,13 +11,7 @@ from diffsim.diagnose.search.fit import first_fit
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise, fit
-from diffsim.identify.linearization import (
-    Linearization,
-    linearization_at,
-    measured_of,
-    record_at,
-    whitened,
-)
+from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.problem import PredictionError
 from tests.diagnose import linear, toy
 
@@ -96,7 +90,7 @@ def test_slopes_from_elsewhere_find_the_same_place(study):
     wrong = replace(
         linearization_at(problem, far),
         x=np.zeros(len(far)),
-        record=record_at(problem, 0 * far),
+        record=problem.record(0 * far),
         slope_error=1.0,
     )
     found, _ = gauss_newton(problem, wrong)
@@ -149,8 +143,8 @@ def test_records_do_not_depend_on_the_noise(study):
     double = [replace(c, sd=2.0 * c.sd) for c in study.channels]
     other = replace(problem, whitener=WhiteNoise(double))
     residual, jacobian = other.linearize(np.zeros(len(problem.names)))
-    np.testing.assert_allclose(whitened(other, measured_of(other) - at.record), residual)
-    np.testing.assert_allclose(whitened(other, at.columns), jacobian)
+    np.testing.assert_allclose(other.whiten_all(other.measured - at.record), residual)
+    np.testing.assert_allclose(other.whiten_all(at.columns), jacobian)
 
 
 def test_only_effects_that_stand_out_are_differentiated_again(study):
@@ -197,7 +191,7 @@ def test_a_linear_answer_beyond_a_bound_starts_at_the_bound():
     center = linearization_at(wide, np.array([0.1, 0.0, 0.5, 0.0]))
     start = made.start(swapped, center, np.array([9.0, 0.0, 0.0, 0.3]))
     np.testing.assert_allclose(start.x, [1.0 / 7.0, 0.0, 0.0, 0.3])
-    np.testing.assert_allclose(start.record, record_at(wide, start.x))
+    np.testing.assert_allclose(start.record, wide.record(start.x))
     found, _ = made.fitted_from(swapped, start, 0.0)
     assert found.converged and found.values["mass"] <= 0.4 + 1e-12
 

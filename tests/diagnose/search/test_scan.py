@@ -34,7 +34,7 @@ from diffsim.diagnose.search.simulations import Simulations
 from diffsim.diagnose.search.store import Store
 from diffsim.identify import DiagnosisSettings, Effect, SearchSettings, UnknownDrift
 from diffsim.identify.fitting import summary
-from diffsim.identify.linearization import linearization_at, measured_of, record_at
+from diffsim.identify.linearization import linearization_at
 from tests.diagnose import linear
 
 TYPICAL = 0.5
@@ -140,7 +140,7 @@ def test_many_sizes_are_tried_in_one_run_and_looked_around():
     found = scan(problem, [0, 1], at, [0])
     coarse = scan(replace(problem, effects=(clipped(),)), [0, 1], at, [0])
     assert found.num_points == num_points([close], len(first_runs(problem.runs)))
-    costs = [np.sum(np.square(measured_of(problem) - f.at.record)) for f in (found, coarse)]
+    costs = [np.sum(np.square(problem.measured - f.at.record)) for f in (found, coarse)]
     assert costs[0] < costs[1]
     assert least_tried(close) == pytest.approx(0.15 * TYPICAL) and least_tried(clipped()) == 0.0
 
@@ -301,7 +301,7 @@ def test_of_repeats_only_the_first_is_simulated():
     runs[1] = replace(runs[1], group="r1")  # linear.run: a group each
     problem = linear.problem((linear.line("push"),), runs)
     points = np.array([[0.1, -0.2, 0.5], [0.0, 0.0, 2.0]])
-    here = record_at(problem, np.zeros(3))
+    here = problem.record(np.zeros(3))
     before = problem.model.simulations.count
     first, repeat, other = np.split(records_for(problem, points, here), 3, axis=1)
     assert problem.model.simulations.count - before == 2 * len(points)
@@ -322,5 +322,5 @@ def test_other_commands_and_setups_are_simulated(change):
     runs = (first, replace(first, **{"name": "r2", **change}))
     problem = linear.problem((linear.line("push"),), runs)
     points = np.array([[0.1, -0.2, 0.5]])
-    made = records_for(problem, points, record_at(problem, np.zeros(3)))
+    made = records_for(problem, points, problem.record(np.zeros(3)))
     np.testing.assert_array_equal(made, problem.records(points))

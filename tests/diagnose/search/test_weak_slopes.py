@@ -7,7 +7,7 @@ import torch
 from diffsim.diagnose.search.weak_slopes import mended
 from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise
 from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.linearization import linearization_at, whitened
+from diffsim.identify.linearization import linearization_at
 from tests.diagnose import linear
 
 STRONG = 1000.0  # noise sd that a prior sd of the difference moves
@@ -33,7 +33,7 @@ def problem_of(edges: float, low: float = -np.inf) -> Problem:
 
 
 def sd_of(problem, at):
-    slopes = whitened(problem, at.columns) * problem.stretch(at.x)
+    slopes = problem.whiten_all(at.columns) * problem.stretch(at.x)
     return np.sqrt(np.diag(posterior_covariance(slopes)))
 
 
@@ -46,7 +46,7 @@ def test_what_cancels_in_the_record_is_as_uncertain_as_its_priors_say():
     np.testing.assert_allclose(sd_of(problem, better)[:2], np.sqrt(0.5), rtol=0.05)
     np.testing.assert_array_equal(better.record, at.record)
     # what the data tell stays told: the difference, and w beside it
-    slopes = whitened(problem, better.columns)
+    slopes = problem.whiten_all(better.columns)
     correlation = posterior_covariance(slopes)[0, 1] / sd_of(problem, better)[:2].prod()
     assert correlation == pytest.approx(1.0, abs=1e-4)
     exact = linearization_at(problem_of(edges=0.0), np.zeros(3))
