@@ -299,14 +299,15 @@ def costs_of(
     u = wide.scaled(center.x)[list(rest)]
     low, high = (bound[list(rest)] for bound in wide.bounds)
     is_size = np.array(rest) >= wide.num_base
-    gram, measured = slopes.T @ slopes, wide.measured
+    gram = slopes.T @ slopes
     costs = np.full(len(records), np.inf)
-    for k, record in enumerate(records):
-        if not np.isfinite(record).all():
-            continue
-        residual = wide.whiten_all(measured - record)
-        v = optimum(gram, slopes.T @ residual + gram @ u, low, high, is_size, u)
-        left = residual - slopes @ (v - u)
-        x = np.where(is_size, coordinate_of(v), v)
-        costs[k] = left @ left + x @ x + sizes[k] @ sizes[k]
+    known = np.flatnonzero(np.isfinite(records).all(axis=1))
+    if not len(known):
+        return costs
+    residuals = wide.whiten_all((wide.measured - records[known]).T)
+    pulls = (residuals.T @ slopes) + gram @ u
+    ends = np.array([optimum(gram, pull, low, high, is_size, u) for pull in pulls])
+    left = residuals - slopes @ (ends - u).T
+    x = np.where(is_size, coordinate_of(ends), ends)
+    costs[known] = (left**2).sum(0) + (x**2).sum(1) + (sizes[known] ** 2).sum(1)
     return costs
