@@ -73,9 +73,13 @@ def is_recorded() -> bool:
 
 def is_watched() -> bool:
     """Whether a compiler, tracer, profiler or mode follows the calls of ops."""
+    return has_compiler() or is_traced()
+
+
+def is_traced() -> bool:
+    """Whether a tracer, profiler or mode follows them."""
     return (
-        has_compiler()
-        or has_modes()
+        has_modes()
         or has_function_modes()
         or torch._C._get_tracing_state() is not None
         or torch.autograd._profiler_enabled()  # type: ignore[attr-defined]
