@@ -147,12 +147,8 @@ def say_interval(found: Range) -> str:
         return ""
     if low <= 0.0 < value and high <= MANY * value:
         return f" (at most {high:.2g})"
-    if value > 0.0 and high > MANY * value:
-        if low <= 0.0 or value > MANY * low:
-            return " (the runs do not bound it)"
-        return f" (at least {low:.2g}; the runs do not bound it above)"
-    if low > 0.0 and value > MANY * low:
-        return f" (at most {high:.2g}; the runs do not bound it below)"
+    if low <= 0.0 < value and high > MANY * value:
+        return " (the runs do not bound it)"
     return f" ({ends(Interval(*found))})"
 
 

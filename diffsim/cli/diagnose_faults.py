@@ -9,7 +9,7 @@ from typing import Any
 from diffsim.cli.arguments import study_file
 from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.core.check import require_choice
-from diffsim.core.figures import list_first
+from diffsim.core.figures import limits, list_first
 from diffsim.core.files import write_json_atomic
 from diffsim.core.units import after_number
 from diffsim.data.study import Study
@@ -125,7 +125,7 @@ def lines(report: FaultReport) -> list[str]:
     out = ["Scatter (one sd, 90 % interval):"]
     for row in report.spreads:
         i = row.interval
-        out.append(f"  {row.quantities}: {i.value:.3g} ({i.low:.2g} to {i.high:.2g})")
+        out.append(f"  {row.quantities}: {i.value:.3g} ({limits(i.value, i.low, i.high, 2)})")
     for verdict in report.verdicts:
         out += ["", *_paragraph(verdict)]
     known = [v for v in report.verdicts if v.is_right is not None]
@@ -141,7 +141,8 @@ def _paragraph(verdict: FaultVerdict) -> list[str]:
     out += [f"  {verdict.words}", f"  next: {verdict.next_words}"]
     for size in verdict.sizes:
         i, unit = size.interval, after_number(size.unit)
-        out.append(f"  {size.words}: {i.value:.3g}{unit} (90 %: {i.low:.3g} to {i.high:.3g})")
+        within = limits(i.value, i.low, i.high)
+        out.append(f"  {size.words}: {i.value:.3g}{unit} (90 %: {within})")
     if verdict.causes:
         by_runs, by_labels = verdict.lead_by_runs, verdict.lead_by_labels
         out.append(

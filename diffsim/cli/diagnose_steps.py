@@ -30,6 +30,7 @@ from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
 from diffsim.cli.diagnose_task import command, worth
 from diffsim.cli.export_targets import export_to, only_target
+from diffsim.core.figures import limits
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -296,7 +297,8 @@ def _extend(args: argparse.Namespace) -> None:
         unit = "" if units[name] == "-" else f" {units[name]}"
         value, low, high = extension.ranges[name]
         was = f"was {saved.values[name]:.6g}" if name in saved.values else "of a new run"
-        print(f"{name:<32} {value:>12.6g}{unit} ({low:.4g} to {high:.4g}; 90 % interval; {was})")
+        within = limits(value, low, high, 4)
+        print(f"{name:<32} {value:>12.6g}{unit} ({within}; 90 % interval; {was})")
     before, after = extension.null.chi2, extension.fit.chi2
     print(f"chi2 of the runs fitted: {before:.6g} before, {after:.6g} extended")
     if extension.gain is not None:

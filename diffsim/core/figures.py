@@ -8,6 +8,8 @@ from collections.abc import Sequence
 DIGITS = 3  # of a number that stands alone
 MOST_DIGITS = 7  # of the ends of a narrow interval
 _PLAIN = 1e7  # numbers below it are written without an exponent
+#: times: an end of an interval that is so far off its value limits nothing
+NO_LIMIT = 10.0
 
 
 def figure(value: float, digits: int = DIGITS) -> str:
@@ -36,8 +38,30 @@ def figure(value: float, digits: int = DIGITS) -> str:
 def with_interval(value: float, low: float, high: float) -> str:
     """A value with its interval, in as many digits as tell the ends apart."""
     digits = digits_of(low, high)
-    ends = f"{figure(low, digits)} to {figure(high, digits)}"
-    return f"{figure(value, digits)} ({ends})"
+    return f"{figure(value, digits)} ({limits(value, low, high, digits)})"
+
+
+def limits(value: float, low: float, high: float, digits: int = DIGITS, unit: str = "") -> str:
+    """The ends of an interval in words: "1.1 to 1.3 N", "at least 1.1 N; the data give no upper
+    limit". An end limits nothing where an interval of one sign ends far off its value.
+
+    Args:
+        value: Lies between the ends.
+        low, high: Ends, which may be infinite.
+        digits: Digits of either end.
+        unit: As it follows a number, with its space.
+    """
+    below, above = math.isinf(low), math.isinf(high)
+    if low > 0.0:
+        below, above = value > NO_LIMIT * low, high > NO_LIMIT * value
+    elif high < 0.0:
+        below, above = low < NO_LIMIT * value, value < NO_LIMIT * high
+    if above and not below:
+        return f"at least {figure(low, digits)}{unit}; the data give no upper limit"
+    if below and not above:
+        return f"at most {figure(high, digits)}{unit}; the data give no lower limit"
+    said = f"{figure(low, digits)} to {figure(high, digits)}{unit}"
+    return f"{said}; the data give no limit" if below else said
 
 
 def with_sd(value: float, sd: float) -> str:

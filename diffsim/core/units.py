@@ -340,7 +340,9 @@ def _match_quantity(value: float | int | str) -> re.Match[str] | None:
     return _QUANTITY.fullmatch(text)
 
 
-SMALL, SMALL_UNITS = 0.1, {"m": "mm", "s": "ms", "kg": "g"}  # what is below 0.1 is read in these
+SMALL = 0.1  # what is below is read in the first of these that keeps it above, else in the last
+FLOWS = ("l/s", "ml/s", "ul/s")
+SMALL_UNITS = {"m": ("mm",), "s": ("ms",), "kg": ("g",), "m3/s": FLOWS, "m^3/s": FLOWS}
 
 
 def after_number(unit: str) -> str:
@@ -349,7 +351,8 @@ def after_number(unit: str) -> str:
 
 
 def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
-    """Unit in which values are read: small lengths in mm, short times in ms, small masses in g.
+    """Unit in which values are read: small lengths in mm, short times in ms, small masses in g,
+    small flows in ml/s.
 
     Args:
         unit: SI unit of the values.
@@ -358,5 +361,9 @@ def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
     Returns:
         The unit, and what values are multiplied by to be in it.
     """
-    shown = SMALL_UNITS.get(unit, unit) if max(map(abs, values), default=1.0) < SMALL else unit
-    return shown, 1.0 if shown == unit else factor(unit, shown)
+    shown, times, most = unit, 1.0, max(map(abs, values), default=1.0)
+    for smaller in SMALL_UNITS.get(unit, ()):
+        if times * most >= SMALL:
+            break
+        shown, times = smaller, factor(unit, smaller)
+    return shown, times

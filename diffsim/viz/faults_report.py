@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.core.figures import figure, probability, unit_of
+from diffsim.core.figures import figure, limits, probability, unit_of
 from diffsim.diagnose.faults.verdict import UNLISTED, FaultReport, FaultVerdict, SetRow, Size
 from diffsim.viz import charts
 from diffsim.viz import report as page
@@ -163,4 +163,4 @@ def _scatter(report: FaultReport) -> page.Section:
 
 
 def _ends(interval: Any) -> str:
-    return f"{figure(interval.low)} to {figure(interval.high)}"
+    return limits(interval.value, interval.low, interval.high)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from diffsim.core.figures import figure, probability, signed, with_interval, with_sd
+from diffsim.core.figures import figure, limits, probability, signed, with_interval, with_sd
 
 
 @pytest.mark.parametrize(
@@ -28,6 +28,20 @@ def test_an_interval_has_as_many_digits_as_tell_its_ends_apart():
     assert with_interval(0.10481, 0.104712, 0.104905) == "0.1048 (0.1047 to 0.1049)"
     assert with_interval(0.021, 0.0193, 0.0227) == "0.021 (0.0193 to 0.0227)"
     assert with_interval(2.0, 2.0, 2.0) == "2 (2 to 2)"
+
+
+def test_an_end_that_limits_nothing_is_said_to_be_none():
+    assert limits(0.06, 0.054, 2.9e6, unit=" N m/A") == (
+        "at least 0.054 N m/A; the data give no upper limit"
+    )
+    assert limits(-0.06, -2.9e6, -0.054) == "at most -0.054; the data give no lower limit"
+    assert limits(1.0, 1e-9, 1.2) == "at most 1.2; the data give no lower limit"
+    assert limits(1.0, 0.9, math.inf) == "at least 0.9; the data give no upper limit"
+    assert limits(1.0, 1e-9, 1e9, unit=" N") == "1e-9 to 1e9 N; the data give no limit"
+    # around zero both ends are limits, however small the value between them
+    assert limits(0.001, -0.5, 0.5) == "-0.5 to 0.5"
+    assert limits(0.001, 0.0, 0.5) == "0 to 0.5"
+    assert with_interval(1.18, 1.1, 2e10) == "1.18 (at least 1.1; the data give no upper limit)"
 
 
 def test_a_value_has_the_digits_of_its_standard_deviation():

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from diffsim.core.units import factor, in_si, in_unit, to_si
+from diffsim.core.units import factor, in_si, in_unit, small_scale, to_si
 
 
 @pytest.mark.parametrize(
@@ -160,3 +160,19 @@ def test_a_unit_beyond_what_numbers_hold_is_refused(unit):
     """Their factors were 0, so that every reading became 0, or an error of Python's."""
     with pytest.raises(ValueError, match="of its SI unit"):
         to_si(unit)
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "shown", "read"),
+    [
+        ("m3/s", 1.49e-10, "ul/s", 0.149),  # stood as 1.49e-10 m3/s in a first sentence
+        ("m^3/s", 3e-6, "ml/s", 3.0),
+        ("m3/s", 2e-2, "l/s", 20.0),
+        ("m3/s", 0.5, "m3/s", 0.5),
+        ("m", 1e-6, "mm", 1e-3),
+        ("N", 1e-3, "N", 1e-3),
+    ],
+)
+def test_what_is_small_is_read_in_the_unit_that_keeps_its_digits(unit, value, shown, read):
+    found, times = small_scale(unit, (0.5 * value, -value))
+    assert found == shown and times * value == pytest.approx(read)

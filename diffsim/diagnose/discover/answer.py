@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diffsim.core.figures import figure
+from diffsim.core.figures import figure, limits
 from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
@@ -233,8 +233,8 @@ def _amount(size: Number, unit: str) -> str:
     """A size with its interval, small lengths in mm and the like."""
     values = (size.value, size.low, size.high)
     shown, times = small_scale(unit, values)
-    value, low, high = (figure(times * v) for v in values)
-    return f"{value}{after_number(shown)} ({low} to {high})"
+    value, low, high = (times * v for v in values)
+    return f"{figure(value)}{after_number(shown)} ({limits(value, low, high)})"
 
 
 def _write_term(law: Law, fit: Fit) -> str:

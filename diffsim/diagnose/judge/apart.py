@@ -17,7 +17,7 @@ import torch
 from scipy.special import chdtri, ndtri
 from torch import Tensor
 
-from diffsim.core.figures import figure
+from diffsim.core.figures import figure, limits
 from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.records import HALF_LEVEL, SURE, Interval
@@ -179,10 +179,11 @@ def _say_difference(row: ApartRow, others: str) -> str:
     _, over, unit = row.as_read()
     sign = 1.0 if over.value > 0.0 else -1.0
     low, high = sorted((sign * over.low, sign * over.high))
+    within = limits(abs(over.value), low, high)
     word = "more" if over.value > 0.0 else "less"
     verb = "have" if row.others else "has"
     return (
         f"{row.fact.capitalize()} {row.label} {verb} {figure(abs(over.value))}{after_number(unit)} "
         f"{word} {words_of(row.name)} than {others} "
-        f"({figure(low)} to {figure(high)}; 90 % interval)."
+        f"({within}; 90 % interval)."
     )

@@ -141,8 +141,10 @@ def _endings(
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
     changed = changed or answer.before_test is not None  # what was taken back made a change
     said = _on_unseen(errors, changed, gained) if errors else [""]
-    # beside a name that was taken back the error is why, no "but"
-    return [text.replace("; but", ":", 1) for text in said] if answer.is_taken_back else said
+    if answer.is_taken_back:  # the error is why, no "but"
+        return [text.replace("; but", ":", 1) for text in said]
+    # nor is it one beside what has no name
+    return [text.replace("; but", ";", 1) for text in said] if answer.verdict == "unknown" else said
 
 
 def _second(
@@ -238,10 +240,9 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
         them = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
-        verb = "help" if len(helping) > 1 else "helps"
         return [
-            f"{capital(them)} {verb}, but something without a name is missing, too",
-            "Causes of the library help, but something without a name is missing, too",
+            f"Something without a name is missing beside {them}",
+            "Something without a name is missing beside causes of the library",
         ]
     return [
         "Something is missing that no cause of the library explains",
@@ -272,6 +273,8 @@ def _open(answer: Answer) -> list[str]:
         if w.startswith(WRONG_DATA_SHEET)
     ]
     also = f" or {off[0]} is off its data sheet" if off else ""
+    if off == [shown]:  # the cause changes the very number
+        also = ", or its data sheet is off"
     return [
         f"{capital(shown)} is missing{also}; these runs cannot tell which",
         "One of several causes is missing; these runs cannot tell which",
@@ -291,11 +294,13 @@ def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
     value, unit = next(iter(row.size.values())).value, after_number(row.unit)
     prior = row.sheet.partition(" +-")[0]
     number = next((n for d in (3, 4, 5) if (n := figure(value, d)) != prior), figure(value, 6))
-    off = f"{row.words} is {number}{unit}, not {prior}{unit}"
+    numbers = f"{number}{unit}, not {prior}{unit}"
     if len(rows) == 1:
+        off = f"{row.words} is {numbers}"
         return [f"Only a data sheet is off: {off}", opened(off)]
     count = f"{capital(_count(len(rows)))} data sheets are off"
-    return [f"{count}, first {off}", f"{count}, first {row.words}", count]
+    such = f"{count}, such as {row.words}"
+    return [f"{such}: {numbers}", such, count]
 
 
 def _missing(

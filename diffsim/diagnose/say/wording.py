@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.core.figures import figure
+from diffsim.core.figures import figure, limits
 from diffsim.core.units import after_number
 from diffsim.diagnose.checks.gates import (
     COARSE,
@@ -149,9 +149,13 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
         return f"{', '.join(sizes)}{after_number(row.unit)}"
     if has_many_sizes(row) or (brief and len(row.size) > 1):
         return _spread(row)
-    alone = len(row.size) == 1
-    sizes = (f"{'' if alone else component_words(c) + ' '}{ends(s)}" for c, s in row.size.items())
-    return f"{', '.join(sizes)}{after_number(row.unit)}"
+    unit = after_number(row.unit)
+    if len(row.size) == 1:
+        return ends(next(iter(row.size.values())), unit)
+    sizes = [f"{component_words(c)} {ends(s)}" for c, s in row.size.items()]
+    if any(";" in said for said in sizes):  # an end is no limit
+        return "; ".join(f"{component_words(c)} {ends(s, unit)}" for c, s in row.size.items())
+    return f"{', '.join(sizes)}{unit}"
 
 
 def has_many_sizes(row: CauseRow) -> bool:
@@ -188,14 +192,20 @@ def component_words(component: str) -> str:
     return component.strip("[]").replace("=", " ").replace("_", " ")
 
 
-def ends(size: Interval) -> str:
-    """Both ends with as many digits as tell them apart, two at least."""
+def ends(size: Interval, unit: str = "") -> str:
+    """Both ends with as many digits as tell them apart, two at least; one that limits nothing is
+    said to be none.
+
+    Args:
+        size: Interval.
+        unit: As it follows a number, with its space.
+    """
     width = size.high - size.low
     for digits in range(2, 6):
         low, high = figure(size.low, digits), figure(size.high, digits)
         if low != high and abs(float(high) - float(low) - width) <= 0.25 * width:
-            return f"{low} to {high}"
-    return figure(size.value, 4)
+            return limits(size.value, size.low, size.high, digits, unit)
+    return f"{figure(size.value, 4)}{unit}"
 
 
 def capital(text: str) -> str:
@@ -364,7 +374,7 @@ def _data_sheets(answer: Answer) -> list[str]:
         if row.origin == DATA_SHEET:
             unit = after_number(row.unit)
             size = next(iter(row.size.values()))
-            said = f"{opened(row.words)} is {ends(size)}{unit}"
+            said = f"{opened(row.words)} is {ends(size, unit)}"
             text = f"{said}, the data sheet says {row.sheet}{unit}"
             if row.rivals:
                 text += f" (or {', '.join(row.rivals)} acts in its place)"

@@ -101,6 +101,43 @@ def test_a_data_sheet_has_digits_that_tell_it_from_the_answer():
     assert text.startswith("Only a data sheet is off: mass is 1.5004 kg, not 1.5 kg; the error")
 
 
+def test_one_of_several_data_sheets_is_said_as_one_of_them():
+    """It said: Two data sheets are off, first modulus is 5.09e+05 Pa, not 800000 Pa."""
+    rows = [
+        replace(cause(name, {"size": Interval(v, v, v)}, unit="Pa"), origin="data sheet", note=note)
+        for name, v, note in (
+            ("modulus", 5.09e5, "data sheet: 800000 +- 10000 (one standard deviation)"),
+            ("density", 900.0, "data sheet: 1000 +- 10 (one standard deviation)"),
+        )
+    ]
+    assert said("data_sheet", rows, ()).startswith(
+        "Two data sheets are off, such as modulus: 509000 Pa, not 800000 Pa."
+    )
+
+
+def test_a_cause_and_the_data_sheet_of_its_own_number_are_said_once():
+    """It said: Viscosity is missing or viscosity is off its data sheet."""
+    forms = {0: "a wrong data sheet of viscosity"}
+    assert said("ambiguous", [cause("viscosity")], rivals=((),), forms=forms).startswith(
+        "Viscosity is missing, or its data sheet is off; these runs cannot tell which"
+    )
+    forms = {0: "a wrong data sheet of density"}
+    assert said("ambiguous", [cause("viscosity")], rivals=((),), forms=forms).startswith(
+        "Viscosity is missing or density is off its data sheet; these runs cannot tell which"
+    )
+
+
+def test_beside_what_has_no_name_an_error_that_stays_is_no_objection():
+    """It said: Slow share helps, but something without a name is missing, too; but the error
+    stays."""
+    stays = replace(FELL, after=72.4)
+    row = cause("slow_share", helps=True, removes=0.9)
+    assert said("unknown", [row], [stays]).startswith(
+        "Something without a name is missing beside slow share; the error on unseen runs stays at "
+        "72.4 um, noise 1 um."
+    )
+
+
 def test_what_removes_most_is_named_first_and_never_one_of_the_rest():
     """Of an arm it said: Square drag at bend, slow share and 1 more; the one was all of its sag."""
     rows = [

@@ -35,6 +35,10 @@ def test_small_sizes_without_a_unit_of_the_user_are_read_in_mm_ms_and_g():
     assert size_range(plain) == "0.87 to 0.91 mm"
     assert size_range(replace(plain, unit="s")) == "0.87 to 0.91 ms"
     assert size_range(replace(plain, unit="N")) == "0.00087 to 0.0009 N"
+    open_ = replace(plain, unit="N", size={"size": Interval(1.2, 1.1, 3e7)})
+    assert size_range(open_) == "at least 1.1 N; the data give no upper limit"
+    both = replace(open_, size={"x": Interval(2.0, 1.0, 3.0), **open_.size})
+    assert size_range(both) == "x 1 to 3 N; size at least 1.1 N; the data give no upper limit"
     far = {**PLAY.size, "z": Interval(0.3, 0.2, 0.4)}
     assert size_range(replace(plain, size=far)) == "size 0.00087 to 0.0009, z 0.2 to 0.4 m"
     unseen = replace(plain, size={}).as_read()
