@@ -20,7 +20,7 @@ from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import TIE_DIGITS, SetPosterior
 from diffsim.diagnose.search.fit import HARD_START_CHI2
-from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.gauss_newton import LEAST_RECORDS, gauss_newton
 from diffsim.diagnose.search.scan import groups, num_points
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Problem, Whitener
@@ -124,10 +124,11 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
     excess = float(residual @ residual) / max(len(residual), 1)
     if not np.isfinite(excess) or excess < HARD_START_CHI2:
         return start
-    at = start
+    at, cost = start, problem.cost()
     for factor in (excess**0.5, excess**0.25):
         warm = replace(problem, whitener=_Warm(problem.whitener, factor))
-        _, at = gauss_newton(warm, at)
+        until = problem.model.simulations.steps + LEAST_RECORDS * cost
+        _, at = gauss_newton(warm, at, until=until)
         at = linearization_at(problem, at.x)
     return at
 
