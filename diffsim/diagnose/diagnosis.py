@@ -76,7 +76,6 @@ from diffsim.identify.unknown import Unknown, drifts
 
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
 ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws are short of it
-FINER_TIMES = 4.0  # what a search under finer numerical settings costs, at least
 LEAST_ROOM = 0.2  # of it, without which laws are not looked for
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
@@ -207,8 +206,7 @@ class _Question:
             return case, 0.0
         spent = ROOM_SHARE * own.refit_steps
         search = replace(own, refit_steps=spent, scan_steps=min(own.scan_steps, spent))
-        again = min(settings.again_steps, spent / FINER_TIMES)
-        settings = replace(settings, search=search, again_steps=again)
+        settings = replace(settings, search=search)
         return replace(case, settings=settings), own.refit_steps - spent
 
 
@@ -282,11 +280,11 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
     """
     spent, settings = answer.search.steps - begun, answer.search.settings
     given = settings.refit_steps + answer.kept
-    room = given - spent
+    room = max(given - spent, answer.kept)  # what is kept for laws is theirs
     is_short = room < ROOM_SHARE * given
     if settings.law_steps is not None:
         return _LawBudget(settings.law_steps, None, is_short)
-    until, is_over = begun + given, room < LEAST_ROOM * given
+    until, is_over = answer.search.steps + room, room < LEAST_ROOM * given
     return _LawBudget(0.0 if is_over else ROOM_SHARE * room, until, is_short)
 
 
@@ -553,14 +551,21 @@ def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()
         checked = search.numerics.get(best)
         if checked is None or checked.finer is None:
             break
+        if not is_late:
+            finer = replace(null.wide, numerics=checked.finer)
+            is_short = finer.cost() / null.wide.cost() * steps > _steps_left(search)
+            # beyond the budget only where the settings may be what the set does not explain
+            is_late = is_short and not could_be_misfit(search.fit_of(best), checked.gates)
         if is_late:
             return replace(search, numerics={**search.numerics, best: checked.postponed()})
         null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
-        coarse = null.wide.cost()
         null = _store_anew(refit_under(null, checked.finer), simulations)
-        times = null.wide.cost() / coarse
-        is_short = times * steps > _steps_left(search)
-        found = [(best, search.fit_of(best).x)] if is_short or first else []
+        # beside the best set the best ones without one of its members: coarse steps may have put
+        # one that does the same behind
+        fits = sorted(search.fits, key=lambda s: -search.nats(Hypothesis(s)))
+        least = [next(s for s in fits if i not in s) for i in sorted(best)]
+        sets = [s for s in dict.fromkeys([best, *least]) if s != NONE]
+        found = [(s, search.fit_of(s).x) for s in sets] if is_short or first else []
         simulations = Simulations(null.wide, null.case.store).under(null)
     return search
 

@@ -28,7 +28,7 @@ from diffsim.diagnose.discover.forms import FORM_PRIOR_SD, Curve, FittedForm, fi
 from diffsim.diagnose.discover.screen import ONE_TURN, Candidate, Screen, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
-from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.gauss_newton import LEAST_RECORDS, gauss_newton
 from diffsim.diagnose.search.search import has_left_prior
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
@@ -467,7 +467,9 @@ def _fit_law(
         right = followed.missing + followed.jacobian @ followed.fit.x
         gram = every.T @ every + np.eye(every.shape[1])
         asked = np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
-        ended, _ = gauss_newton(problem, linearization_at(problem, _begin(problem, before, asked)))
+        start = linearization_at(problem, _begin(problem, before, asked))
+        until = problem.model.simulations.steps + LEAST_RECORDS * problem.cost()
+        ended, _ = gauss_newton(problem, start, until=until)
     except DiffsimError:
         return None
     u = np.concatenate(list(screen.values(candidate)))

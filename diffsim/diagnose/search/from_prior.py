@@ -20,7 +20,7 @@ from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import TIE_DIGITS, SetPosterior
 from diffsim.diagnose.search.fit import HARD_START_CHI2
-from diffsim.diagnose.search.gauss_newton import iterated
+from diffsim.diagnose.search.gauss_newton import LEAST_RECORDS, iterated
 from diffsim.diagnose.search.scan import groups, num_points
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Problem, Whitener
@@ -119,10 +119,11 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
     excess = float(residual @ residual) / max(len(residual), 1)
     if not np.isfinite(excess) or excess < HARD_START_CHI2:
         return start
-    at = start
+    at, cost = start, problem.cost()
     for factor in (excess**0.5, excess**0.25):
         warm = replace(problem, whitener=_Warm(problem.whitener, factor))
-        at = linearization_at(problem, iterated(warm, at)[0].at.x)
+        until = problem.model.simulations.steps + LEAST_RECORDS * cost
+        at = linearization_at(problem, iterated(warm, at, until=until)[0].at.x)
     return at
 
 

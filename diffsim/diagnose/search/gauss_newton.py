@@ -34,6 +34,7 @@ REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
 KEPT_PROMISE = 0.75  # share of the promised nats
 KEPT_RTOL = 1.0  # relative error from which slopes are simulated again
 MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
+LEAST_RECORDS = 60.0  # simulations of all runs, by their weight, that any fit may take
 MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
 

@@ -34,7 +34,7 @@ from diffsim.diagnose.search.from_prior import (
     is_prior_too_dear,
     promising_sets,
 )
-from diffsim.diagnose.search.gauss_newton import has_exact_slopes
+from diffsim.diagnose.search.gauss_newton import LEAST_RECORDS, has_exact_slopes
 from diffsim.diagnose.search.scan import BORROWED
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
@@ -149,10 +149,13 @@ def _fit_from_prior(search: Search) -> Search:
     if at_prior is None:
         return search
     until = search.null.case.searching + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
-    ranked = promising_sets(at_prior, settings.max_effects)
-    for k, (members, _) in enumerate(ranked[: max(settings.num_refits, LEAST_REFITS)]):
+    ranked = [members for members, _ in promising_sets(at_prior, settings.max_effects)]
+    # backlash stands in for friction, an offset for a force: one other way is fitted in any case
+    others = [members for members in ranked[1:] if not members & ranked[0]]
+    ranked = list(dict.fromkeys([*ranked[:1], *others[:1], *ranked]))
+    for k, members in enumerate(ranked[: max(settings.num_refits, LEAST_REFITS)]):
         # what an earlier round fitted begins at its own end and costs little
-        is_late = k > 0 and search.steps >= until and members not in made.fitted
+        is_late = k > 1 and search.steps >= until and members not in made.fitted
         search = search.with_late() if is_late else refit(search, members, at_prior, begin=cooled)
     return search
 
@@ -182,11 +185,15 @@ def refit(
     message, best = "", None
     starts = _starts(search, members, near)
     begin = None if members in search.simulations.fitted else begin
+    # as many as are fitted from the data sheet have their turn, however hopeless the first one is
+    turn = FROM_PRIOR / LEAST_REFITS * search.settings.refit_steps
+    most = max(turn, LEAST_RECORDS * search.wide.cost())
+    most = min(search.null.case.settings.plain_steps, most)
     for center in starts if begin is None else starts[:1]:
         try:
             start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
             fit, at = search.simulations.fitted_from(
-                members, start, search.best_cost(), begin, search.null.case.settings.plain_steps
+                members, start, search.best_cost(), begin, most
             )
         except DiffsimError as error:
             message = str(error)

@@ -54,14 +54,16 @@ class Center:
     scanned: Mapping[Members, Center] = field(default_factory=dict)
 
     def towards(self, members: Members) -> Center:
-        """Where a fit of a set starts: at the sizes of what it adds, if they were scanned."""
-        return self.scanned.get(members - self.members, self)
+        """Where a fit of a set starts: here, or at the sizes that were scanned of what it adds or
+        of a part of that, as linear evidence has it: beside a large size of one cause another one
+        promises what it does there, not what it does at zero."""
+        added = members - self.members
+        places = (self, *(at for group, at in self.scanned.items() if group <= added))
+        return max(places, key=lambda at: at.evidence.weigh(Hypothesis(members)).nats)
 
     def weigh(self, members: Members) -> SetPosterior:
-        """Linear evidence of a set, from here or from the sizes that were scanned, if better."""
-        here, there = self.evidence, self.towards(members).evidence
-        entries = [e.weigh(Hypothesis(members)) for e in dict.fromkeys((here, there))]
-        return max(entries, key=lambda w: w.nats)
+        """Linear evidence of a set, from where its fit starts."""
+        return self.towards(members).evidence.weigh(Hypothesis(members))
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,6 +139,10 @@ def test_laws_that_share_a_budget_have_what_is_left_of_it():
     short = diagnosis._budget_of_laws(spending(0.6, law_steps=None), 5)
     assert short == diagnosis._LawBudget(pytest.approx(0.2 * GIVEN), 5 + GIVEN, True)
     assert diagnosis._budget_of_laws(spending(0.85, law_steps=None), 5).steps == 0.0
+    # what was kept for them is theirs, whatever causes have spent
+    answer = spending(1.5, law_steps=None)
+    answer.kept = GIVEN
+    assert diagnosis._budget_of_laws(answer, 5).steps == pytest.approx(0.5 * GIVEN)
 
 
 @pytest.mark.parametrize(

@@ -76,4 +76,6 @@ def test_only_a_search_that_would_be_cut_short_begins_at_an_earlier_end(monkeypa
         null = plain(steps)
         null = replace(null, case=replace(null.case, model=toy.model(null.case.study.runs, 0.02)))
         diagnosis._search_fine_enough(null, Simulations(null.wide).under(null))
-        assert begun == expected
+        assert begun[:1] == expected
+        # and at the best set without each of its causes: coarse steps may have put one behind
+        assert len(begun) == 3 * len(expected) and not any(less >= BOTH for less in begun[1:])

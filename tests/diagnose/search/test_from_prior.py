@@ -13,6 +13,7 @@ from diffsim.diagnose import diagnose
 from diffsim.diagnose.search import search as searching
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.diagnose.search.fitted_sets import Search
+from diffsim.diagnose.search.from_prior import FROM_PRIOR, LEAST_REFITS
 from diffsim.diagnose.search.search import _fit_from_prior, begin, search_sets
 from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
@@ -127,9 +128,34 @@ def test_sets_from_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
     whole = _fit_from_prior(begun(SearchSettings()))
     assert not whole.is_cut_short and len(whole.fits) > 1
     short = _fit_from_prior(begun(SearchSettings(refit_steps=2.0 * 1.001 * table_of(whole))))
-    # the first is fitted in any case: of a table of which nothing is fitted nobody has anything
-    assert short.num_late == len(whole.fits) - 2 and len(short.fits) == 2
+    # two are fitted in any case: of a table of which nothing is fitted nobody has anything
+    assert short.num_late == len(whole.fits) - 3 and len(short.fits) == 3
     assert short.is_cut_short
+
+
+def fits_in_order(monkeypatch, effort: SearchSettings) -> list[tuple[frozenset[int], float]]:
+    """Sets that are fitted from the data sheet, each with the steps after which its fit ends."""
+    seen = []
+    fitted = Simulations.fitted_from
+
+    def noting(made, members, start, best_cost, begin=None, most=np.inf):
+        seen.append((members, most))
+        return fitted(made, members, start, best_cost, begin, most)
+
+    monkeypatch.setattr(Simulations, "fitted_from", noting)
+    _fit_from_prior(begun(effort))
+    return seen
+
+
+def test_the_second_set_that_is_fitted_there_shares_no_cause_with_the_first(left, monkeypatch):
+    (first, _), (second, _), *_ = fits_in_order(monkeypatch, SearchSettings())
+    assert second and not first & second
+
+
+def test_no_fit_of_a_set_takes_the_turn_of_the_others(left, monkeypatch):
+    budget = 1e9
+    for _, most in fits_in_order(monkeypatch, SearchSettings(refit_steps=budget)):
+        assert most == FROM_PRIOR / LEAST_REFITS * budget
 
 
 def test_slopes_at_the_data_sheet_after_which_no_set_could_be_fitted_are_not_made(left):

@@ -11,7 +11,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.checks.gates import budget_gates
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.search import fitted_sets as beside_unknowns
-from diffsim.diagnose.search.evidence import Hypothesis
+from diffsim.diagnose.search.evidence import KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fit import Case, Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.scan import (
@@ -111,6 +111,20 @@ def searched(effects, truth, settings=None, unknowns=()):
 
 def best_of(search):
     return max(search.posteriors, key=search.nats).effects
+
+
+def test_a_pair_is_weighed_and_begins_at_the_size_that_was_tried_of_one_of_both():
+    effects = (linear.line("push"), clipped())
+    search = searched(effects, {effects[0]: 0.3, effects[1]: 4.0})
+    made, plain = search.simulations, search.plain
+    at_zero = made.center(frozenset(), plain.at, 1)
+    center, _ = replace(made, scans={}).scanned(at_zero, search.settings, 1)
+    both = frozenset({0, 1})
+    assert center.towards(both) is center.scanned[frozenset({1})]
+    more = center.weigh(both).nats - at_zero.weigh(both).nats
+    alone = center.weigh(frozenset({1})).nats - at_zero.weigh(frozenset({1})).nats
+    assert more > 0.5 * alone > KEEP_NATS
+    assert center.towards(frozenset({0})) is center  # its own size was not tried
 
 
 @pytest.mark.parametrize(("signed", "size"), [(False, 4.0), (False, 0.6), (True, -3.0)])
