@@ -166,6 +166,7 @@ def report_of(
         best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside="" if beside is None or search is None else search.unknowns[beside].name,
         plain_twin=_plain_twin(null.fit, best) if members else (),
+        drives=case.model.drives,
         left=float(np.sqrt(best.chi2 / best.num_samples)),
         with_unknown=_with_unknown(search, members, best.num_samples),
         chosen_by=chosen_by,

@@ -254,6 +254,9 @@ class OutsideModel(SimModel):
         self._count_steps = getattr(simulator, "count_steps", None)
         #: Bodies that may carry a payload, with mass and length, where the simulator says so
         self.carriers: Mapping[str, Carrier] = getattr(simulator, "carriers", {})
+        names, ways = [p.name for p in base], getattr(simulator, "drives", ())
+        if all(way & set(names) for way in ways):
+            self.drives = tuple(n for n in names if any(n in way for way in ways))
         self.zeros: tuple[str, ...] = ()  # numbers that causes alone change
         self._pool: Processes | None = None
 
