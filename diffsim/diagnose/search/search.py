@@ -223,6 +223,21 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     return replace(search, simulations=made).with_fit(members, fit)
 
 
+def fitted_to_end(search: Search, parts: Sequence[Members]) -> Search:
+    """The search with parts of its best set fitted on, whose fits a budget had ended: a member
+    gains by what its part lacks, not by what the part's fit has left. The best part first, as long
+    as one more budget of a fit lasts."""
+    until = search.steps + search.null.case.settings.plain_steps
+    for members in sorted(parts, key=lambda p: -search.nats(Hypothesis(p))):
+        made = search.simulations
+        if search.steps >= until:
+            break
+        most = until - search.steps
+        fit, at = made.fitted_from(members, made.fitted[members], search.best_cost(), most=most)
+        search = replace(search, simulations=made.kept(members, at)).with_fit(members, fit)
+    return search
+
+
 def _starts(search: Search, members: Members, near: Center) -> list[Center]:
     """Centers to start from: scanned sizes, the center itself, the plain model; the first that
     lead to a good end are enough."""
