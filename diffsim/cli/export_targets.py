@@ -44,6 +44,7 @@ from diffsim.systems.outside.mjcf_laws import OWN_LAWS, path_of_law
 from diffsim.systems.registry import description_of
 
 BAM, URDF, YAML = "bam", "urdf", "yaml"
+ONLY = "size"  # of a cause's components
 #: Constants of a drive that a target's own equations have; MuJoCo's callback has all
 _RIG = (
     "kp",
@@ -192,10 +193,11 @@ def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[CarriedCau
     numbers = {**known, **numbers}
     carried = []
     for cause, components in answer.causes().items():
-        size = sum(answer.saved.values[c] for c in components)
-        path = _carry(sim, described, cause, size, numbers)
-        by = () if path is None else (path,)
-        carried.append(CarriedCause(cause, by, answer.cost(components)))
+        paths = _paths_of(sim, described, cause)
+        for component in components if paths else ():
+            path = paths.get(component.rpartition(".")[2], paths.get(ONLY, ""))
+            numbers[path] = numbers.get(path, sim.value_of(path)) + answer.saved.values[component]
+        carried.append(CarriedCause(cause, tuple(paths.values()), answer.cost(components)))
     text, files = sim.restated(numbers)
     wrote = [write_text_atomic(out / "model.xml", text)]
     wrote += [write_bytes_atomic(out / name, content) for name, content in files.items()]
@@ -203,26 +205,19 @@ def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[CarriedCau
     return wrote, carried, [_fly_mjcf(answer, described, again, run) for run in answer.runs]
 
 
-def _path_of(sim: Mjcf, described: OutsideDescription, cause: str) -> str | None:
-    """The number of the model that a cause adds to; None: there is none."""
+def _paths_of(sim: Mjcf, described: OutsideDescription, cause: str) -> dict[str, str]:
+    """The numbers of the model that a cause adds to, by its sizes; {}: there are none."""
     for body in sim.carriers:
         if cause == f"payload_at_{spell_plainly(body)}":
-            return f"body.{body}.payload"
+            return {ONLY: f"body.{body}.payload"}
+        if cause == f"unbalance_at_{spell_plainly(body)}":
+            return {axis: f"body.{body}.unbalance[{k}]" for k, axis in enumerate("xyz")}
     for law in OWN_LAWS:
         for place in described.hooks.force:
             if cause == f"{law}_at_{spell_plainly(place)}":
-                return path_of_law(sim.mujoco, sim.numbers, law, place)
-    return None
-
-
-def _carry(
-    sim: Mjcf, described: OutsideDescription, cause: str, size: float, numbers: dict[str, float]
-) -> str | None:
-    """Let a number of the model hold a cause; the path of the number, None: there is none."""
-    path = _path_of(sim, described, cause)
-    if path is not None:
-        numbers[path] = numbers.get(path, sim.value_of(path)) + size
-    return path
+                path = path_of_law(sim.mujoco, sim.numbers, law, place)
+                return {} if path is None else {ONLY: path}
+    return {}
 
 
 def _readings(options: Mapping[str, Any]) -> dict[str, Any]:

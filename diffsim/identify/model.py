@@ -248,6 +248,9 @@ class SimModel:
 
     #: Whether effects at size zero need not act: nothing else changes, such as how it is stepped
     leaves_zeros = False
+    #: Base parameters that are the strengths of all drives: times these, every mass, inertia and
+    #: loss, too, the motion is the same; (): unknown, or one is no parameter
+    drives: tuple[str, ...] = ()
 
     def __init__(
         self,

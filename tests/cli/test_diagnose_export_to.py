@@ -40,7 +40,8 @@ UNITS = {"delay_of_goal": "s", "rate_limit_of_goal": "s/command", "quantization_
          "error_gain": "1/rad", "kt": "N m/A", "resistance": "ohm", "armature": "kg m^2",
          "coulomb": "N m", "zero": "rad", "open_drag": "N m s",
          "viscous_friction_at_hinge": "N m s/rad", "added_spring_at_hinge": "N m/rad",
-         "dry_friction_at_hinge": "N m", "payload_at_rod": "kg"}  # fmt: skip
+         "dry_friction_at_hinge": "N m", "payload_at_rod": "kg",
+         **{f"unbalance_at_rod.{axis}": "kg m" for axis in "xyz"}}  # fmt: skip
 
 
 def entries(values):
@@ -159,7 +160,9 @@ def test_a_study_of_a_mujoco_model_gets_its_own_model_back(tmp_path, capsys):
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     numbers = {"body.rod.mass": 0.5, "joint.hinge.damping": 0.03, "joint.hinge.start@a": 0.1}
     causes = {"viscous_friction_at_hinge": 0.05, "dry_friction_at_hinge": 0.02,
-              "added_spring_at_hinge": 0.4, "payload_at_rod": 0.1, "lag_of_command": 0}  # fmt: skip
+              "added_spring_at_hinge": 0.4, "payload_at_rod": 0.1, "lag_of_command": 0,
+              "unbalance_at_rod.x": 0.003, "unbalance_at_rod.y": 0.012,
+              "unbalance_at_rod.z": 0.006}  # fmt: skip
     write_answer(tmp_path, numbers, {n: v for n, v in causes.items() if v})
     found = export(tmp_path, "mujoco")
     assert {c["cause"]: c["by"] for c in found["causes"]} == {
@@ -167,11 +170,13 @@ def test_a_study_of_a_mujoco_model_gets_its_own_model_back(tmp_path, capsys):
         "dry_friction_at_hinge": ["joint.hinge.frictionloss"],
         "added_spring_at_hinge": ["joint.hinge.stiffness"],
         "payload_at_rod": ["body.rod.payload"],
+        "unbalance_at_rod": [f"body.rod.unbalance[{k}]" for k in range(3)],
     }
     (flight,) = found["flights"]
     assert flight["apart"] < 2e-4 < flight["export"], "six digits, forces of RK4 and of the joint"
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "answer/model.xml"))
     assert model.dof_damping[0] == pytest.approx(0.08) and model.body("rod").mass == 0.6
+    np.testing.assert_allclose(model.body("rod").ipos[:2], [0.005, 0.02], atol=1e-6)
     study["channels"][0]["shown_unit"] = "mrad"
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     (shown,) = export(tmp_path, "mujoco")["flights"]

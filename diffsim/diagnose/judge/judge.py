@@ -16,7 +16,12 @@ from diffsim.diagnose.judge.gain import Gain, Validation, gain_over
 from diffsim.diagnose.judge.records import LEVEL
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fitted_sets import Search
-from diffsim.diagnose.search.search import fitted_exactly, refit, weigh_unknowns_beside
+from diffsim.diagnose.search.search import (
+    fitted_exactly,
+    fitted_to_end,
+    refit,
+    weigh_unknowns_beside,
+)
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify.effect import is_of_run
 
@@ -210,8 +215,12 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             return judgment
         if decision.verdict not in NAMES:
             return _with_help(judgment, validation, seed)
-        for i in sorted(decision.best):
-            search = refit(search, decision.best - {i})
+        parts = [decision.best - {i} for i in sorted(decision.best)]
+        for part in parts:
+            search = refit(search, part)
+        fits = search.fits
+        if cut := [p for p in parts if p and p in fits and fits[p].ended == "budget"]:
+            search = fitted_to_end(search, cut)
         if (better := decision_of(search, withdrawn).best) != decision.best:
             search = _ready_without(search, better)  # a part is enough, which nobody had fitted
             continue

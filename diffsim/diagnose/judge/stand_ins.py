@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from diffsim.core.arrays import Array
+from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.checks.numerics import (
     NUMERICS_LAMBDA,
     could_be,
@@ -32,18 +33,24 @@ from diffsim.diagnose.judge.judge import NAMES, Decision
 from diffsim.diagnose.judge.records import WRONG_DATA_SHEET
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
+    KEEP_NATS,
     Hypothesis,
     LaplaceEvidence,
     unrealized,
 )
 from diffsim.diagnose.search.fitted_sets import Search
+from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
+OWN_STEP = "the model's own time step"
 FORM = 0.05  # share of what a cause does to the record that its form may be wrong by
 
 
 def without_forms(
-    decision: Decision, fit: Fit, unrefined: Mapping[str, Array] | None = None
+    decision: Decision,
+    fit: Fit,
+    unrefined: Mapping[str, Array] | None = None,
+    stepped: Mapping[int, str] | None = None,
 ) -> Decision:
     """The decision with the set that leaves out what may be another cause's form as a rival.
 
@@ -52,18 +59,45 @@ def without_forms(
         fit: Fit of its best set; its effects are those of the set, by ascending index.
         unrefined: Change of the record by refining numerical settings for which the gate failed at
             that fit, (N,) each by its name.
+        stepped: Members that the model's own steps may be, as of ``own_steps``.
     """
     if decision.verdict not in NAMES:
         return decision
     changes = {name: fit.problem.whiten_all(raw) for name, raw in (unrefined or {}).items()}
-    places = form_of(fit, changes)
-    if not places:
-        return decision
     index = sorted(decision.best)
-    forms = {index[i]: what for i, what in places.items()}
+    forms = {index[i]: what for i, what in form_of(fit, changes).items()} | dict(stepped or {})
+    if not forms:
+        return decision
     rest = Hypothesis(decision.best - set(forms))
     rivals = (rest, *(h for h in decision.rivals if h != rest))
     return replace(decision, verdict="ambiguous", rivals=rivals, forms=forms)
+
+
+def own_steps(search: Search, best: Members) -> dict[int, str]:
+    """Members of the best set that the model's own time step may be, where finer steps correct it.
+
+    A recording that the same simulator made, as when one simulation is to follow another, holds
+    the error of its steps: half a step of an implicit Euler method is a sensor that is too early.
+    Without the correction a set without such a member has the evidence, too.
+
+    Args:
+        search: Sets that were weighed, of corrected simulations; those without one member of the
+            best are fitted.
+        best: The set that the evidence asks for.
+    """
+    least, found = search.nats(Hypothesis(best)) - KEEP_NATS, dict[int, str]()
+    for i in sorted(best):
+        part = best - {i}
+        if (fit := search.fits.get(part)) is None or search.nats(Hypothesis(part)) > least:
+            continue
+        plain = replace(fit.problem, correction=None)
+        try:
+            step = plain.record(fit.x) - fit.problem.record(fit.x)
+        except DiffsimError:  # nothing is known there
+            continue
+        if search.nats_moved(part, step) > least:
+            found[i] = OWN_STEP
+    return found
 
 
 def form_of(fit: Fit, changes: Mapping[str, Array]) -> dict[int, str]:

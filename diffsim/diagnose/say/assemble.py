@@ -47,7 +47,7 @@ from diffsim.diagnose.judge.records import (
     CauseRow,
     ErrorRow,
 )
-from diffsim.diagnose.judge.stand_ins import without_forms, without_wrong_data_sheets
+from diffsim.diagnose.judge.stand_ins import own_steps, without_forms, without_wrong_data_sheets
 from diffsim.diagnose.judge.unseen import constants_of, on_unseen, spans_of
 from diffsim.diagnose.say.causes import REST, CauseEvidence, cause_rows, open_rivals, ranked
 from diffsim.diagnose.say.factors import is_same_factor
@@ -166,6 +166,7 @@ def report_of(
         best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside="" if beside is None or search is None else search.unknowns[beside].name,
         plain_twin=_plain_twin(null.fit, best) if members else (),
+        drives=case.model.drives,
         left=float(np.sqrt(best.chi2 / best.num_samples)),
         with_unknown=_with_unknown(search, members, best.num_samples),
         chosen_by=chosen_by,
@@ -405,7 +406,9 @@ def _verdict(
 
 def _with_forms(judgment: Judgment, search: Search, unrefined: Mapping[str, Array]) -> Judgment:
     """The judgment, what may be another cause's form left open; the set without it is fitted."""
-    decision = without_forms(judgment.decision, search.fit_of(judgment.decision.best), unrefined)
+    best = judgment.decision.best
+    stepped = own_steps(search, best) if search.null.case.correction is not None else {}
+    decision = without_forms(judgment.decision, search.fit_of(best), unrefined, stepped)
     decision = without_wrong_data_sheets(decision, search)
     if decision.forms:  # of several forms, the search need not have come by
         search = refit(search, decision.best - set(decision.forms))

@@ -27,6 +27,7 @@ from diffsim.diagnose.judge.records import (
     CauseRow,
     Interval,
 )
+from diffsim.diagnose.judge.stand_ins import OWN_STEP
 from diffsim.diagnose.search.evidence import KEEP_NATS, VISIBLE, Hypothesis, Screen
 from diffsim.diagnose.search.scan import least_tried
 from diffsim.diagnose.search.simulations import NONE
@@ -240,6 +241,7 @@ def _status(
     elif i in decision.best or any(i in h.effects for h in known.rivals):
         rivals, is_best = _rivals_of(known, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
+        is_named &= decision.forms.get(i) != OWN_STEP  # which is no cause at all
         return (LIKELY if is_named else UNTOLD), rivals
     if i in decision.forms and i not in decision.best:  # a wrong data sheet leads by far
         return REFUTED, (decision.forms[i],)

@@ -60,11 +60,12 @@ def gain_words(row: CauseRow) -> str:
     return factor_words(Interval(1.0 + size.value, 1.0 + size.low, 1.0 + size.high))
 
 
-def sheet_words(rows: Sequence[tuple[CauseRow, float]]) -> list[str]:
+def sheet_words(rows: Sequence[tuple[CauseRow, float]], drives: Sequence[str] = ()) -> list[str]:
     """Numbers of a data sheet that are off by a factor of a slip, those by one factor as one.
 
     Args:
         rows: Findings in the unit in which they are read, and what the data sheet says.
+        drives: Parameters that are the strengths of all drives of the model; (): unknown.
     """
     found: dict[str, tuple[float, list[CauseRow]]] = {}
     others: list[tuple[Interval, CauseRow]] = []
@@ -80,22 +81,26 @@ def sheet_words(rows: Sequence[tuple[CauseRow, float]]) -> list[str]:
             found.setdefault(key, (value, []))[1].append(row)
         else:
             others.append((Interval(value, low, high), row))
-    said = [_say(words, value, rows) for words, (value, rows) in found.items()]
-    return [*said, *_say_common(others)] if len(others) > 1 else said
+    said = [_say(words, value, rows, drives) for words, (value, rows) in found.items()]
+    return [*said, *_say_common(others, drives)] if others else said
 
 
-def _say_common(found: Sequence[tuple[Interval, CauseRow]]) -> list[str]:
-    """Numbers that one factor would put right, though it is that of no slip, as one finding."""
-    if len({row.unit for _, row in found}) > 1:
+def _say_common(found: Sequence[tuple[Interval, CauseRow]], drives: Sequence[str]) -> list[str]:
+    """Numbers that one factor would put right, though it is that of no slip, as one finding; of a
+    single one only where it has a twin."""
+    names = [row.name for _, row in found]
+    if len({row.unit for _, row in found}) > 1 or (len(found) == 1 and [*drives] != names):
         return []
     low, high = max(f.low for f, _ in found), min(f.high for f, _ in found)
     if low > high or high - low > WIDEST * abs(low):
         return []
     value = 0.5 * (low + high)
-    return [_say(f"{figure(value)} times their data sheets.", value, [row for _, row in found])]
+    sheets = "its data sheet" if len(found) == 1 else "their data sheets"
+    rows = [row for _, row in found]
+    return [_say(f"{figure(value)} times {sheets}.", value, rows, drives)]
 
 
-def _say(words: str, value: float, rows: Sequence[CauseRow]) -> str:
+def _say(words: str, value: float, rows: Sequence[CauseRow], drives: Sequence[str]) -> str:
     names = [row.words for row in rows]
     several = ", ".join(names[:-1]) + f" and {names[-1]} are all" if len(names) > 1 else ""
     out = f"{several or f'{names[0]} is'} {words}"
@@ -103,6 +108,11 @@ def _say(words: str, value: float, rows: Sequence[CauseRow]) -> str:
         out += (
             f" The twin of inertias {figure(value)} times as large is a drive "
             f"{figure(1.0 / value)} times as strong: a scale, or a measured force, decides."
+        )
+    elif value > 0.0 and drives and set(drives) <= {row.name for row in rows}:
+        out += (
+            f" The twin of all drives {figure(value)} times as strong is every mass, inertia and "
+            f"loss {figure(1.0 / value)} times as large: a scale, or a measured force, decides."
         )
     return out[:1].upper() + out[1:]
 

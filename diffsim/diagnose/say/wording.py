@@ -94,6 +94,7 @@ class Answer:
         before_test: What the test runs changed; None: nothing.
         plain_twin: Base parameters of the plain model, off their data sheets, that explain the
             fitted runs as well as the best set does; empty where they do not.
+        drives: Base parameters that are the strengths of all drives; empty where that is unknown.
     """
 
     verdict: str
@@ -110,6 +111,7 @@ class Answer:
     with_unknown: Mapping[str, float] = field(default_factory=dict)
     before_test: BeforeTest | None = None
     plain_twin: tuple[BaseRow, ...] = ()
+    drives: tuple[str, ...] = ()
 
     @property
     def is_taken_back(self) -> bool:
@@ -145,7 +147,7 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
     """
     row = row.as_read()
     if (own := _sizes_of_groups(row)) and not brief and len(own) <= MOST_LISTED:
-        sizes = (f"{component_words(c)} {figure(value)}" for c, value in own.items())
+        sizes = [f"{component_words(c)} {figure(value)}" for c, value in own.items()]
         return f"{', '.join(sizes)}{after_number(row.unit)}"
     if has_many_sizes(row) or (brief and len(row.size) > 1):
         return _spread(row)
@@ -382,7 +384,8 @@ def _data_sheets(answer: Answer) -> list[str]:
     if twin := twin_words(answer):
         out.append(f"{capital(twin)}: only these data sheets decide.")
     found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]
-    return [*out, *sheet_words([(row, v) for row in found if (v := stated_of(row)) is not None])]
+    stated = [(row, v) for row in found if (v := stated_of(row)) is not None]
+    return [*out, *sheet_words(stated, answer.drives)]
 
 
 def twin_words(answer: Answer) -> str:

@@ -129,6 +129,16 @@ class Search:
         """Half the lowest cost of all fits [nats]."""
         return 0.5 * min(f.chi2 + f.prior for f in self.fits.values())
 
+    def nats_moved(self, members: Members, change: NDArray[np.float64]) -> float:
+        """Evidence of a fitted set if its records differed by a change, (N,), by its slopes."""
+        fit, every = self.fit_of(members), Hypothesis(frozenset(range(len(members))))
+        moved = fit.residual - fit.problem.whiten_all(change)
+        before, after = (
+            LaplaceEvidence(fit.problem, fit.x, r, fit.jacobian, [], self.num_families).weigh(every)
+            for r in (fit.residual, moved)
+        )
+        return self.nats(Hypothesis(members)) + after.nats - before.nats
+
     def with_late(self) -> Search:
         """The search with one more set that nobody fitted, as a budget was spent."""
         return replace(self, num_late=self.num_late + 1)

@@ -209,16 +209,18 @@ def refit(
 
 
 def fitted_exactly(search: Search, members: Members) -> Search:
-    """The search with a set fitted on from its end, where slopes there are not exact: of a set that
-    was far behind another one they need not be, and differences are not along weak directions."""
+    """The search with a set fitted on from its end, where a budget had ended it, or slopes there
+    are not exact: of a set that was far behind another one they need not be, and differences are
+    not along weak directions."""
     made, fit = search.simulations, search.fit_of(members)
-    at = made.fitted[members]
-    is_exact = has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
+    at, most = made.fitted[members], search.null.case.settings.plain_steps
+    is_exact = fit.ended != "budget"
+    is_exact &= has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
     model = search.wide.model
     by_differences = not (model.batched or has_tangents(model))
     for _ in range(MAX_MENDED):
         if not is_exact:
-            fit, end = made.fitted_from(members, at, np.inf)
+            fit, end = made.fitted_from(members, at, np.inf, most=most)
             made = made.kept(members, end)
             at = made.fitted[members]
         better = made.with_weak_slopes(members) if by_differences else at
@@ -228,6 +230,21 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     if at is search.simulations.fitted[members]:
         return search
     return replace(search, simulations=made).with_fit(members, fit)
+
+
+def fitted_to_end(search: Search, parts: Sequence[Members]) -> Search:
+    """The search with parts of its best set fitted on, whose fits a budget had ended: a member
+    gains by what its part lacks, not by what the part's fit has left. The best part first, as long
+    as one more budget of a fit lasts."""
+    until = search.steps + search.null.case.settings.plain_steps
+    for members in sorted(parts, key=lambda p: -search.nats(Hypothesis(p))):
+        made = search.simulations
+        if search.steps >= until:
+            break
+        most = until - search.steps
+        fit, at = made.fitted_from(members, made.fitted[members], search.best_cost(), most=most)
+        search = replace(search, simulations=made.kept(members, at)).with_fit(members, fit)
+    return search
 
 
 def _starts(search: Search, members: Members, near: Center) -> list[Center]:

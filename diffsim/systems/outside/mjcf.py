@@ -116,7 +116,12 @@ class Mjcf:
         ratios = _list_ratios(mujoco, text, files) if "dampratio" in text else ()
         self.numbers = Numbers(mujoco, self.plain, ratios)
         self.channels, self.commands, self.held = channels, commands, held
-        self.carriers = carriers_of(self.plain)
+        self.carriers = carriers_of(mujoco, self.plain)
+        #: What may set the strength of each actuator
+        self.drives = [
+            {f"actuator.{self.plain.actuator(i).name}.{gain}" for gain in ("kp", "gain")}
+            for i in range(self.plain.nu)
+        ]
         is_rk4 = int(self.plain.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_RK4)
         self._stages = 4 if is_rk4 else 1  # of a step
         self._models: list[Any] = []

@@ -7,6 +7,7 @@
 | ``body.NAME.inertia``, ``.inertia[k]`` | largest principal moment, the others grow alike; or one |
 | ``body.NAME.pos[k]`` | place in the frame of the body that carries it |
 | ``body.NAME.payload``, ``.payload_at`` | point mass more; where on the way from joint to far end |
+| ``body.NAME.unbalance[k]`` | mass times what its center of mass is off, payload included |
 | ``joint.NAME.damping``, ``.armature``, ``.frictionloss``, ``.stiffness`` | of all its axes |
 | ``joint.NAME.start``, ``.start_rate`` | at the first sample; ``[k]`` of a free or ball joint |
 | ``actuator.NAME.kp``, ``.kv`` | gains of a servo |
@@ -27,10 +28,10 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean, require_number
-from diffsim.systems.outside.mjcf_payloads import put_payload, reach_of
+from diffsim.systems.outside.mjcf_payloads import put_payload, put_unbalance, reach_of
 
 KINDS = {
-    "body": ("mass", "inertia", "pos", "payload", "payload_at"),
+    "body": ("mass", "inertia", "pos", "payload", "payload_at", "unbalance"),
     "joint": ("damping", "armature", "frictionloss", "stiffness", "start", "start_rate"),
     "actuator": ("kp", "kv", "gain", "gainprm", "biasprm", "forcerange", "delay"),
 }
@@ -46,7 +47,11 @@ NOT_NEGATIVE = (
     "forcerange",
     "delay",
 )
-_VECTORS = {"inertia": 3, "pos": 3, "start": 7, "start_rate": 6, "gainprm": 10, "biasprm": 10}
+_VECTORS = {
+    **dict.fromkeys(("inertia", "pos", "unbalance"), 3),
+    **{"start": 7, "start_rate": 6},
+    **dict.fromkeys(("gainprm", "biasprm"), 10),
+}
 _OF_DOF = {
     "damping": "dof_damping",
     "armature": "dof_armature",
@@ -109,7 +114,7 @@ class Path:
             )
         if entry is not None and int(entry) >= _VECTORS.get(what, 0):
             raise ValueError(f"parameter {text!r}: {what} has no entry {entry}")
-        if entry is None and what in ("pos", "gainprm", "biasprm"):
+        if entry is None and what in ("pos", "unbalance", "gainprm", "biasprm"):
             raise ValueError(f"parameter {text!r}: name one entry, such as {text}[0]")
         return cls(text, kind, name, what, None if entry is None else int(entry))
 
@@ -123,6 +128,7 @@ class Setting:
         delays: Time by which an actuator hears its command late, by its index [s].
         payloads: Mass that a body carries more, by the body's index [kg].
         payloads_at: Where it hangs, 0 at the body's joint, 1 at its far end.
+        unbalances: Mass times what its center of mass is off, by the body's index, (3,) [kg m].
     """
 
     positions: dict[int, float] = field(default_factory=dict)
@@ -130,6 +136,7 @@ class Setting:
     delays: dict[int, float] = field(default_factory=dict)
     payloads: dict[int, float] = field(default_factory=dict)
     payloads_at: dict[int, float] = field(default_factory=dict)
+    unbalances: dict[int, Array] = field(default_factory=dict)
 
 
 class Numbers:
@@ -169,13 +176,13 @@ class Numbers:
 
     def value_of(self, text: str) -> float:
         """What the file states for damping, armature, friction or stiffness of a joint; a payload
-        of a body is none.
+        or unbalance of a body is none.
 
         Raises:
             ValueError: there is no such parameter.
         """
         path = Path.of(text)
-        if path.what == "payload":
+        if path.what in ("payload", "unbalance"):
             return 0.0
         joint = self.find(path.kind, path.name, "parameters")
         if path.what == "stiffness":
@@ -209,6 +216,8 @@ class Numbers:
             act(model, path, index, value, out)
         for body, mass in out.payloads.items():
             put_payload(self.mujoco, model, body, mass, self._reach(body, out.payloads_at))
+        for body, moment in out.unbalances.items():
+            put_unbalance(model, body, moment)
         stated = {p.name for p, _ in paths if p.what in ("kv", "biasprm", "gainprm")}
         self._put_ratios(model, [p for p, _ in paths], stated)
         self.mujoco.mj_setConst(model, self._data)
@@ -267,6 +276,8 @@ class Numbers:
             )
         if path.what == "payload":
             out.payloads[i] = value
+        elif path.what == "unbalance":
+            out.unbalances.setdefault(i, np.zeros(3))[path.entry] = value
         elif path.what == "mass":
             m.body_inertia[i] = self.plain.body_inertia[i] * value / self.plain.body_mass[i]
             m.body_mass[i] = value

@@ -1,12 +1,13 @@
 """Payloads of the bodies of a MuJoCo model: which may carry one, where, and what that changes.
 
 A payload is a point mass on the line from a body's joint through its center of mass. It changes
-the torque of gravity and the inertia otherwise than a heavier body does.
+the torque of gravity and the inertia otherwise than a heavier body does. A tool that is mounted
+beside that line has an unbalance, too: mass times the distance from where the model has it.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,13 +18,26 @@ FREE_AXES = 6  # of a free joint: such a body carries at its center of mass
 MAX_CARRIERS = 8  # bodies of a model; where more may carry something, nobody can say which does
 
 
-def carriers_of(model: Any) -> dict[str, float]:
-    """Bodies that may carry a payload, with their masses [kg].
+class Carrier(NamedTuple):
+    """A body that may carry a payload.
+
+    Attributes:
+        mass: Its own [kg].
+        length: From its joint to its far end [m].
+    """
+
+    mass: float
+    length: float
+
+
+def carriers_of(mujoco: Any, model: Any) -> dict[str, Carrier]:
+    """Bodies that may carry a payload.
 
     Those that end a chain: they carry no other moving body, or several. A body that is one of
     several on another, such as a wheel or a finger, is none: what it holds, that other one carries.
 
     Args:
+        mujoco: The module.
         model: MuJoCo's model.
     """
     moving = [i for i in range(1, model.nbody) if _is_moving(model, i)]
@@ -31,13 +45,15 @@ def carriers_of(model: Any) -> dict[str, float]:
     # what is fixed to the world, such as a hand on a table, carries each by itself
     under = {i: int(model.body_weldid[p]) or p for i, p in parents.items()}
     number = {i: sum(p == i for p in under.values()) for i in {*moving, *under.values()}}
-    out = {}
+    out, data = {}, mujoco.MjData(model)
     for i in moving:
         is_one_of_several = under[i] != 0 and number[under[i]] > 1
         if number[i] != 1 and not (number[i] == 0 and is_one_of_several):
             name, mass = model.body(i).name, float(model.body_mass[i])
             if name and mass > 0.0 and not _is_simple(model, i):
-                out[name] = mass
+                joint, end = reach_of(mujoco, model, data, i)
+                length = float(np.linalg.norm(end - joint)) or float(model.stat.meansize)
+                out[name] = Carrier(mass, length)
     return out if len(out) <= MAX_CARRIERS else {}
 
 
@@ -130,10 +146,7 @@ def put_payload(mujoco: Any, model: Any, body: int, mass: float, place: Array) -
     if mass == 0.0 or np.allclose(place, old, rtol=0.0, atol=1e-12):
         return
     if _is_simple(model, body):
-        raise ValueError(
-            f"parameter body.{model.body(body).name}.payload: MuJoCo holds the body's center of "
-            "mass where it is; say simple='false' of the body in the MJCF"
-        )
+        raise _held_center(model, body, "payload")
     center = (before * old + mass * place) / total
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, model.body_iquat[body])
@@ -145,8 +158,38 @@ def put_payload(mujoco: Any, model: Any, body: int, mass: float, place: Array) -
     moments, turn = np.linalg.eigh(inertia)
     turn[:, 2] *= np.sign(np.linalg.det(turn))  # a rotation, no mirror
     mujoco.mju_mat2Quat(model.body_iquat[body], np.ascontiguousarray(turn).ravel())
-    model.body_ipos[body], model.body_inertia[body] = center, moments
+    model.body_inertia[body] = moments
+    _put_center(model, body, center)
+
+
+def put_unbalance(model: Any, body: int, moment: Array) -> None:
+    """Move a body's center of mass; its mass and its inertia about that center stay.
+
+    Args:
+        model: Model that is changed, with its masses.
+        body: Index.
+        moment: Mass times the way that the center moves, in the body's frame, (3,) [kg m].
+
+    Raises:
+        ValueError: MuJoCo takes the body to be simple.
+    """
+    if not moment.any():
+        return
+    if _is_simple(model, body):
+        raise _held_center(model, body, "unbalance")
+    _put_center(model, body, np.array(model.body_ipos[body]) + moment / model.body_mass[body])
+
+
+def _put_center(model: Any, body: int, center: Array) -> None:
+    model.body_ipos[body] = center
     # frames that were those of the inertia are their own now
     model.body_sameframe[body] = 0
     model.geom_sameframe[model.geom_bodyid == body] = 0
     model.site_sameframe[model.site_bodyid == body] = 0
+
+
+def _held_center(model: Any, body: int, what: str) -> ValueError:
+    return ValueError(
+        f"parameter body.{model.body(body).name}.{what}: MuJoCo holds the body's center of "
+        "mass where it is; say simple='false' of the body in the MJCF"
+    )

@@ -24,6 +24,7 @@ from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import PredictionError
 from diffsim.systems.outside.forces import ForceKnots, PlaceForces, Term
+from diffsim.systems.outside.mjcf_payloads import Carrier
 from diffsim.systems.outside.source import Call, Predict, PredictMany, Source, offers_of
 
 Arrays = list[Array]
@@ -251,8 +252,11 @@ class OutsideModel(SimModel):
         simulator = getattr(self.predict_run, "__self__", None)
         self.run_many: PredictMany | None = getattr(simulator, "predict_many", None)
         self._count_steps = getattr(simulator, "count_steps", None)
-        #: Bodies that may carry a payload, with their masses [kg], where the simulator says so
-        self.carriers: Mapping[str, float] = getattr(simulator, "carriers", {})
+        #: Bodies that may carry a payload, with mass and length, where the simulator says so
+        self.carriers: Mapping[str, Carrier] = getattr(simulator, "carriers", {})
+        names, ways = [p.name for p in base], getattr(simulator, "drives", ())
+        if all(way & set(names) for way in ways):
+            self.drives = tuple(n for n in names if any(n in way for way in ways))
         self.zeros: tuple[str, ...] = ()  # numbers that causes alone change
         self._pool: Processes | None = None
 

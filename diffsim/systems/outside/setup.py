@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from statistics import fmean
 from typing import Any
 
 from torch import Tensor
@@ -104,10 +105,10 @@ def outside_setup(
 
 def _with_carriers(plant: Plant, model: OutsideModel) -> Plant:
     """The plant with the bodies that the simulator says may carry a payload."""
-    masses = model.carriers
-    if not masses:
+    carriers = model.carriers
+    if not carriers:
         return plant
-    paths = {name: f"body.{name}" for name in masses}
+    paths = {name: f"body.{name}" for name in carriers}
     parts = {spell_plainly(name): path for name, path in paths.items()}
     model.zeros = numbers_added(OUTSIDE, {"body": parts})
     fitted = tuple(n for n in model.zeros if any(n == p.name.split("@")[0] for p in model.base))
@@ -116,7 +117,11 @@ def _with_carriers(plant: Plant, model: OutsideModel) -> Plant:
         numbers=(*plant.numbers, *model.zeros),
         fitted=(*plant.fitted, *fitted),
         parts={**plant.parts, "body": parts},
-        magnitudes={**plant.magnitudes, "carrier": sum(masses.values()) / len(masses)},
+        magnitudes={
+            **plant.magnitudes,
+            "carrier": fmean(c.mass for c in carriers.values()),
+            "carrier_moment": fmean(c.mass * c.length for c in carriers.values()),
+        },
     )
 
 

@@ -96,7 +96,7 @@ def test_a_set_without_several_forms_is_fitted(monkeypatch):
     study = Study("laws", "copter", linear.CHANNELS, tuple(runs_of(sizes)))
     seen = []
 
-    def without_two(decision, fit, unrefined):
+    def without_two(decision, fit, unrefined, stepped):
         assert decision.best == {0, 1, 2}
         rest = Hypothesis(frozenset({2}))
         return replace(decision, verdict="ambiguous", rivals=(rest,), forms={0: "", 1: ""})

@@ -75,6 +75,16 @@ def test_numbers_that_are_off_by_one_factor_are_one_finding():
 
     rows = [(gain("kp of pan", 25.28, 25.6), 6.0), (gain("kp of lift", 33.64, 34.18), 8.0)]
     assert sheet_words(rows) == ["Kp of pan and kp of lift are all 4.24 times their data sheets."]
+    both = ("kp of pan", "kp of lift")
+    assert sheet_words(rows, both)[0].endswith(
+        "4.24 times their data sheets. The twin of all drives 4.24 times as strong is every mass, "
+        "inertia and loss 0.236 times as large: a scale, or a measured force, decides."
+    )
+    assert "twin" not in sheet_words(rows, (*both, "kp of wrist"))[0], "one is as stated"
+    assert (
+        "Kp of pan is 4.24 times its data sheet. The twin of all drives"
+        in (sheet_words(rows[:1], both[:1])[0])
+    )
     apart = [rows[0], (gain("kp of lift", 34.3, 34.8), 8.0)]
     other = [rows[0], (gain("friction", 33.64, 34.18, "N m"), 8.0)]
     wide = [(gain("kp of pan", 22.0, 28.0), 6.0), (gain("kp of lift", 31.0, 37.0), 8.0)]

@@ -4,19 +4,21 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose import diagnose, diagnosis
 from diffsim.diagnose.checks.gates import budget_gates
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, could_be_misfit, numerics_gate
+from diffsim.diagnose.judge.stand_ins import OWN_STEP, own_steps
 from diffsim.diagnose.search import coarse
 from diffsim.diagnose.search import search as searching
 from diffsim.diagnose.search.coarse import corrected, renewed_at
-from diffsim.diagnose.search.evidence import Hypothesis
+from diffsim.diagnose.search.evidence import KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fit import Case, coarsen_first_look, null_fit
 from diffsim.diagnose.search.search import _center, _refit_promising, _refit_rivals, begin, refit
 from diffsim.diagnose.search.simulations import Simulations
-from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel
+from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel, WhiteNoise
 from diffsim.identify.linearization import linearization_at, records_at
 from tests.diagnose import toy
 
@@ -185,3 +187,33 @@ def test_refits_go_on_where_none_stayed_near_the_data_sheet(monkeypatch):
     assert num_refitted(0.0) == 1 and num_refitted(np.inf) == 2
     monkeypatch.setattr(searching, "has_left_prior", lambda fit: True)
     assert num_refitted(0.0) == 4 and num_refitted(np.inf) == 2
+
+
+def corrected_search(study):
+    """A search under a correction, with a delay of either sign fitted."""
+    early = replace(toy.DELAY, signed=True)
+    null = null_fit(Case(study, toy.model(study.runs, STEP), (early,), (), DEAR))
+    null, _ = corrected(null, 1e3)
+    return refit(begin(null, Simulations(null.wide)), frozenset({0}))
+
+
+def gain_of_delay(search):
+    return search.nats(Hypothesis(frozenset({0}))) - search.nats(Hypothesis())
+
+
+def test_what_the_models_own_steps_do_to_a_recording_is_no_cause():
+    """A simulation that was recorded to be followed: a false sensor delay of half a step."""
+    study = toy.generate(12)
+    own = Case(study, toy.model(study.runs, STEP), (), (), DEAR).problem(WhiteNoise(study.channels))
+    rng, sd = np.random.default_rng(3), [c.sd for c in study.channels]
+    runs = []
+    for run in study.runs:
+        made = own.predict(run, torch.zeros(own.num_base, dtype=torch.float64)).numpy()
+        runs.append(replace(run, measured=made + rng.normal(0.0, sd, made.shape)))
+    search = corrected_search(replace(study, runs=tuple(runs)))
+    assert gain_of_delay(search) > KEEP_NATS, "finer steps ask for it"
+    assert own_steps(search, frozenset({0})) == {0: OWN_STEP}
+    # one that the generator hid stays, though steps are as coarse
+    hidden = corrected_search(toy.generate(12, {"delay": 0.05}))
+    assert gain_of_delay(hidden) > KEEP_NATS
+    assert own_steps(hidden, frozenset({0})) == {}

@@ -7,8 +7,9 @@ import torch
 
 from diffsim.diagnose.judge.gain import validation_of
 from diffsim.diagnose.judge.judge import judge
+from diffsim.diagnose.search.evidence import KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fit import Case, null_fit
-from diffsim.diagnose.search.search import begin, refit
+from diffsim.diagnose.search.search import begin, fitted_to_end, refit
 from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel
 from tests.diagnose import toy
@@ -42,6 +43,21 @@ def test_a_fit_ends_where_its_steps_are_spent():
     assert cut.ended == "budget" and cut.num_evaluations == 1
     whole, _ = made.fitted_from(DELAY, start, np.inf)
     assert whole.converged and whole.num_evaluations > 1
+
+
+def test_a_part_whose_fit_a_budget_had_ended_is_fitted_on():
+    """Its cost is no gain of the member that it lacks: dry friction of a servo, cut short, lost to
+    a backlash beside it."""
+    search, study = search_of_a_pair()
+    made = search.simulations
+    start = made.start(DELAY, search.plain.at, search.plain.weigh(DELAY).x)
+    fit, at = made.fitted_from(DELAY, start, np.inf, most=0.0)
+    cut = replace(search, simulations=made.kept(DELAY, at)).with_fit(DELAY, fit)
+    assert cut.nats(Hypothesis(BOTH)) - cut.nats(Hypothesis(DELAY)) > KEEP_NATS
+    whole = fitted_to_end(cut, [DELAY])
+    assert whole.fit_of(DELAY).converged and not cut.fit_of(DELAY).converged
+    validation = validation_of(cut.fit_of(NONE), study.select_runs)
+    assert judge(cut, validation, 0).decision.best == DELAY
 
 
 def test_effects_act_only_at_points_where_they_are_not_zero():

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diffsim.identify.model import Parameter
 from diffsim.systems.outside.forces import PlaceForces, Term
 from tests.systems.outside import scenes
 from tests.systems.outside.pendulum_sim import Pendulum
@@ -14,6 +15,7 @@ from tests.systems.outside.pendulum_sim import Pendulum
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoco)")
 
 from diffsim.systems.outside.mjcf import Mjcf
+from diffsim.systems.outside.setup import outside_setup
 
 MASS, LENGTH = 0.4, 0.5
 XML = """
@@ -117,3 +119,17 @@ def test_a_model_in_several_files_is_one_simulator(tmp_path):
     np.testing.assert_array_equal(found, Mjcf(XML, CHANNELS).predict({}, run))
     with pytest.raises(ValueError, match=r"<include> names 'parts/sensors.xml'; give the model as"):
         Mjcf(whole)
+
+
+def test_strengths_of_all_drives_are_known_where_each_is_a_parameter():
+    """And they have a twin: every mass, inertia and loss the other way round moves alike."""
+    pair = XML.replace("</actuator>", '<motor name="second" joint="hinge" gear="0.1"/></actuator>')
+    study, sim = scenes.recorded(), Mjcf(pair, CHANNELS, {"moment_Nm": "motor"})
+    gains = [Parameter(f"actuator.{n}.gain", 1.0, 0.1) for n in ("motor", "second")]
+    known = outside_setup(study, sim, gains).model
+    assert known.drives == ("actuator.motor.gain", "actuator.second.gain")
+    assert outside_setup(study, sim, gains[:1]).model.drives == ()
+    run, plain = scenes.run_of("sine"), {"body.rod.mass": 0.5, "joint.hinge.damping": 0.05}
+    strong = sim.predict({**plain, **{p.name: 4.0 for p in gains}}, run)
+    light = sim.predict({n: 0.25 * v for n, v in plain.items()}, run)
+    np.testing.assert_allclose(strong, light, atol=1e-9)

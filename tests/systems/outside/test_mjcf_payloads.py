@@ -77,6 +77,26 @@ def test_places_that_were_those_of_the_inertia_stay_where_they_are():
     np.testing.assert_allclose(heavier, stated, atol=1e-4)  # as above
 
 
+def test_an_unbalance_moves_the_center_of_mass_and_nothing_else():
+    given = {"body.fore.unbalance[0]": 0.4 * 0.03, "body.fore.unbalance[2]": -0.4 * 0.05}
+    moved = simulate(BARE, parameters=given)
+    assert np.abs(moved - simulate(BARE)).max() > 0.05, "it shows"
+    stated = simulate(BARE.replace('pos="0.1 0 0"', 'pos="0.13 0 -0.05"'))
+    np.testing.assert_allclose(moved, stated, atol=1e-9)
+
+
+def test_an_unbalance_is_that_of_the_body_with_its_payload():
+    """A tool beside the line from joint to far end: its mass, and its mass times the way."""
+    sim = Mjcf(ARM.format(shape=BARE, load=""), CHANNELS)
+    text, _ = sim.restated({"body.fore.payload": 0.1, "body.fore.unbalance[1]": 0.1 * 0.06})
+    fore = mujoco.MjModel.from_xml_string(text).body("fore")
+    assert fore.mass[0] == pytest.approx(0.5)
+    center = [(0.4 * 0.1 + 0.1 * 0.2) / 0.5, 0.1 * 0.06 / 0.5, 0.0]
+    np.testing.assert_allclose(fore.ipos, center, atol=1e-6)  # the file holds some digits
+    with pytest.raises(ValueError, match=r"name one entry, such as body\.fore\.unbalance\[0\]"):
+        sim.predict({"body.fore.unbalance": 0.1}, scenes.run_of("sine"))
+
+
 def test_a_body_whose_center_mujoco_holds_carries_nothing():
     text = ARM.format(shape='<geom type="sphere" size="0.05" mass="0.4"/>', load="").replace(
         'name="elbow" axis="0 1 0"', 'name="elbow" type="slide" axis="0 1 0"'
@@ -115,6 +135,10 @@ def test_a_payload_is_a_cause_unless_it_is_a_parameter():
     sim = Mjcf(ARM.format(shape=ROD, load=""), CHANNELS, {"moment_Nm": "m"})
     setup = outside_setup(study, sim, {})
     (payload,) = [e for e in setup.effects if e.family.startswith("load")]
+    (unbalance,) = [e for e in setup.effects if e.family.startswith("unbalance")]
+    assert unbalance.name == "unbalance_at_fore" and unbalance.components == ("x", "y", "z")
+    # three tenths of the mass of 0.4 kg, by 0.24 m from joint to far end
+    assert unbalance.typical == pytest.approx(0.3 * 0.4 * 0.24)
     assert payload.name == "payload_at_fore" and not payload.signed
     run, model = study.runs[0], setup.model
     scene = model.scene(run, model.at_prior(), {payload: model.at_prior().new_tensor([0.25])})
