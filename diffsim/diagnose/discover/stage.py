@@ -28,7 +28,7 @@ from diffsim.diagnose.discover.forms import FORM_PRIOR_SD, Curve, FittedForm, fi
 from diffsim.diagnose.discover.screen import ONE_TURN, Candidate, Screen, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
-from diffsim.diagnose.search.gauss_newton import LEAST_RECORDS, gauss_newton
+from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import has_left_prior
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
@@ -39,6 +39,7 @@ from diffsim.identify.setup import LawPort
 
 PARTS_OF_WAY = (1.0, 0.5, 0.25, 0.125)  # of a law's first step, the longest that holds is taken
 KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
+LAW_RECORDS = 200.0  # simulations of all runs, by their weight, that the fit of a law may take
 NUM_JUDGING = 2  # laws of a screen whose fits tell whether its slopes hold
 NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
@@ -468,7 +469,7 @@ def _fit_law(
         gram = every.T @ every + np.eye(every.shape[1])
         asked = np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
         start = linearization_at(problem, _begin(problem, before, asked))
-        until = problem.model.simulations.steps + LEAST_RECORDS * problem.cost()
+        until = problem.model.simulations.steps + LAW_RECORDS * problem.cost()
         ended, _ = gauss_newton(problem, start, until=until)
     except DiffsimError:
         return None

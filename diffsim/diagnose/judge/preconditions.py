@@ -20,7 +20,7 @@ import numpy as np
 
 from diffsim.core.figures import figure
 from diffsim.diagnose.checks.gates import GateResult
-from diffsim.diagnose.checks.numerics import NUMERICS_GATES
+from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off, words_of
 from diffsim.diagnose.judge.gain import Gain
@@ -40,6 +40,7 @@ from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
+SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 MUCH_UNSEEN = 3.0  # that unseen runs show
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
@@ -178,6 +179,10 @@ def _is_a_single_recording(g: Grounds, i: int) -> str:
 
 def _sets_do_without(g: Grounds, i: int) -> str:
     decision = g.judgment.decision
+    # causes are chosen by what coarse steps leave as well, and backlash does what these get wrong
+    above_noise = (g.fit.chi2 - g.fit.num_samples) / np.sqrt(2.0 * g.fit.num_samples)
+    if above_noise > SURE_SD and could_be_misfit(g.fit, g.gates):
+        return "what the fit leaves may be the numerical settings'"
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return "an unknown cause may act as well"
     if not all(i in h.effects for h in g.within) or g.about.probability(i) < SURE:

@@ -390,3 +390,16 @@ def test_a_member_may_be_replaced_where_more_causes_could_make_up_for_it(left_ou
         assert _may_be_replaced(given, 0) == may
     given.left_out = 0.0
     assert not _may_be_replaced(given, 0)
+
+
+@pytest.mark.parametrize(
+    ("moved", "left", "is_open"),
+    [(13.5, 2.0, True), (13.5, 1.0, False), (2.5, 4.0, False)],
+    ids=["as much as is left", "noise is left", "little of what is left"],
+)
+def test_a_cause_chosen_by_what_coarse_steps_may_leave_is_open(grounds, moved, left, is_open):
+    """A pitch drive's friction and offset were told as slack and backlash, 2.3 times the noise off,
+    where refining steps moved the record by 27 noise sd."""
+    fit = replace(grounds.fit, chi2=left**2 * grounds.fit.num_samples)
+    gates = [*grounds.gates, GateResult("time_step", False, moved, 2.0)]
+    assert (not singled_out(replace(grounds, fit=fit, gates=gates))) == is_open
