@@ -13,7 +13,7 @@ from scipy import linalg, optimize
 from torch import Tensor
 
 from diffsim import optim
-from diffsim.core.arrays import Array, IntArray
+from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Aside
@@ -224,20 +224,13 @@ def posterior_covariance(jacobian: Array) -> Array:
     n = jacobian.shape[1]
     if not n:
         return np.zeros((0, 0))
-    rows = jacobian
-    if len(rows) > QR_ROWS:
-        order = _large_first(rows)
-        blocks = [order[k : k + QR_ROWS] for k in range(0, len(rows), QR_ROWS)]
-        rows = np.vstack([np.linalg.qr(rows[block], mode="r") for block in blocks])
-    rows = np.vstack([rows, np.eye(n)])
-    root = np.linalg.qr(rows[_large_first(rows)], mode="r")[:n]
+    order = np.argsort(-np.abs(jacobian).max(axis=1), kind="stable")
+    blocks = [order[k : k + QR_ROWS] for k in range(0, len(order), QR_ROWS)]
+    rows = np.vstack([*(np.linalg.qr(jacobian[b], mode="r") for b in blocks), np.eye(n)])
+    order = np.argsort(-np.abs(rows).max(axis=1), kind="stable")
+    root = np.linalg.qr(rows[order], mode="r")[:n]
     inverse = linalg.solve_triangular(root, np.eye(n))
     return np.asarray(inverse @ inverse.T)
-
-
-def _large_first(rows: Array) -> IntArray:
-    """Order of rows by their largest entries."""
-    return np.argsort(-np.abs(rows).max(axis=1), kind="stable")
 
 
 class _Latest:
