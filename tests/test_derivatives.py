@@ -69,6 +69,20 @@ def test_numbers_as_tensors_are_right_or_refused(public):
     check(*example_of(public), kind=float)
 
 
+def first_of_each_kind():
+    """All functions, and of each class, which keeps what it is made of, one method."""
+    found = {p.owner or p.name: p for p in reversed(PUBLIC) if needs_example(p)}
+    return found.values()
+
+
+@pytest.mark.parametrize(
+    "public", first_of_each_kind(), ids=lambda p: p.name.removeprefix("diffsim.")
+)
+def test_tensors_in_lists_are_right_or_refused(public):
+    """Torch makes plain numbers of them, without a word."""
+    check(*example_of(public), kind=list)
+
+
 def test_what_has_an_example_is_public():
     used = {name for public in PUBLIC for name in public.names}
     assert not set(CALL) - used

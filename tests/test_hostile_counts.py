@@ -7,7 +7,11 @@ makes what it is asked for does not end.
 from __future__ import annotations
 
 import json
+import struct
 import time
+import tracemalloc
+import zipfile
+import zlib
 from typing import Any
 
 import numpy as np
@@ -17,7 +21,7 @@ import yaml
 from diffsim import envs
 from diffsim.core.schema import MAX_WHOLE_NUMBER, Part, fill_in
 from diffsim.data import load_study
-from diffsim.data.formats import parts_of, read_columns
+from diffsim.data.formats import columns, parts_of, read_columns
 from diffsim.systems.registry import setup_of
 from tests.envs.soft_files import finger, with_model
 
@@ -127,6 +131,58 @@ def test_ten_thousand_arrays_are_refused_at_once_and_read_where_they_are_many_ta
     for part in parts:
         read_columns(f"{tmp_path}/demos.h5#{part}")
     assert time.process_time() - began < 3.0  # 10 s where each part listed all others
+
+
+def hdf5_of_a_fill_value(path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name in ("time_s", "q"):
+            file.create_dataset(name, (HUGE,), "f8", chunks=(10**6,), fillvalue=1.0)
+
+
+def npz_of_zeros(path):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("time_s", "q"):
+            with archive.open(f"{name}.npy", "w") as entry:
+                shape = {"descr": "<f8", "fortran_order": False, "shape": (8 * 10**5,)}
+                np.lib.format.write_array_header_1_0(entry, shape)
+                for _ in range(80):
+                    entry.write(bytes(8 * 10**4))
+
+
+def mat_of_zeros(path):
+    packed = zlib.compressobj(1)
+    zeros = struct.pack("<II", 9, 11_000_000)
+    parts = [packed.compress(part) for part in (zeros, *[bytes(10**5)] * 110)]
+    content = b"".join([*parts, packed.flush()])
+    head = b" " * 124 + struct.pack("<H", 0x0100) + b"IM"
+    path.write_bytes(head + struct.pack("<II", 15, len(content)) + content)
+
+
+def parquet_of_one_value(path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    pyarrow = pytest.importorskip("pyarrow")
+    table = pyarrow.table({f"q{k}": np.ones(10**5) for k in range(7)})
+    with parquet.ParquetWriter(path, table.schema) as file:
+        for _ in range(2):
+            file.write_table(table)
+
+
+@pytest.mark.parametrize(
+    ("write", "suffix"),
+    [(hdf5_of_a_fill_value, "h5"), (npz_of_zeros, "npz"), (mat_of_zeros, "mat"),
+     (parquet_of_one_value, "parquet")],
+)  # fmt: skip
+def test_a_small_file_of_many_numbers_is_refused(tmp_path, monkeypatch, write, suffix):
+    """An HDF5 file of 3 kB took 32 GB, which ends a process without a word."""
+    monkeypatch.setattr(columns, "MOST_UNPACKED", 10**7)  # a hundredth, for the time it takes
+    write(tmp_path / f"log.{suffix}")
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=rf"log.{suffix}: .* it unpacks to"):
+        read_columns(tmp_path / f"log.{suffix}")
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 5e7
 
 
 def test_wide_records_are_refused(tmp_path):

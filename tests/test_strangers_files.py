@@ -4,6 +4,8 @@ Keys that name files are attacked in tests/test_stated_paths.py; here stand patt
 files within files, and tables without end.
 """
 
+import json
+import os
 import pickle
 from pathlib import Path
 
@@ -16,6 +18,8 @@ from diffsim.copter.exchange.mjcf_text import whole_mjcf, whole_scene
 from diffsim.core.errors import MeshError
 from diffsim.core.inside import inside, require_file_name
 from diffsim.data import load_study
+from diffsim.data.folder_tables import find_tables
+from diffsim.data.formats import read_columns
 from diffsim.data.table import open_table
 from diffsim.identify.model_file import read_extended
 from diffsim.learn.checkpoint import CHECKPOINT, read_checkpoint
@@ -109,6 +113,22 @@ def test_names_that_would_be_paths_are_refused(folder, name):
         load_design(folder / "copter.yaml")
     with pytest.raises(ValueError, match="name must"):
         require_file_name("name", name)
+
+
+def test_what_no_text_can_hold_is_named(tmp_path):
+    """Such a name was read, and ended what wrote it down."""
+    time = [{"time_s": 0.1 * k, "q": k} for k in range(9)]
+    for rows in ([{**r, "a\ud800": 1} for r in time], [{**r, "w": "\udc00b"} for r in time],
+                 {"a\ud800": time, "b": time}):  # fmt: skip
+        (tmp_path / "log.json").write_text(json.dumps(rows))
+        with pytest.raises(ValueError, match=r"log.json: .* half of a character in"):
+            read_columns(tmp_path / "log.json")
+    (tmp_path / "log.json").unlink()
+    for name in (b"a\xff.csv", b"b.csv"):
+        Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name)).write_text("time_s,q\n0,1\n1,2\n")
+    said: list[str] = []
+    assert [table.path.name for table in find_tables(tmp_path, said)] == ["b.csv"]
+    assert said == [r"not read: 'a\udcff.csv': no name of UTF-8 text; rename it"]
 
 
 @pytest.mark.parametrize(

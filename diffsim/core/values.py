@@ -24,6 +24,16 @@ _KINDS = {
 }
 
 
+def joined(value: Any) -> Any:
+    """A list with tensors in it as one tensor, since torch drops their gradients; others stay."""
+    if not isinstance(value, (list, tuple)):
+        return value
+    parts = [joined(part) for part in value]
+    if not any(isinstance(part, Tensor) for part in parts):
+        return value
+    return torch.stack([torch.as_tensor(part, dtype=torch.float64) for part in parts])
+
+
 def scalar(name: str, value: Number, *, hint: str = "", **limits: float) -> Tensor:
     """A finite number or () tensor within limits as a float64 tensor; gradients are kept."""
     if isinstance(value, Tensor):
@@ -50,7 +60,7 @@ def amounts(name: str, value: Number, *, hint: str = "", **limits: float) -> Ten
 
 def vector(name: str, value: Vector) -> Tensor:
     """Three finite numbers or a (3,) tensor as a float64 tensor; gradients are kept."""
-    if isinstance(value, Tensor):
+    if isinstance(value := joined(value), Tensor):
         return _not_huge(name, require(name, value, (3,)))
     try:
         v = torch.tensor([float(number) for number in value], dtype=torch.float64)

@@ -30,6 +30,12 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         event = self.peek_event()
+        if isinstance(event, yaml.ScalarEvent) and event.style == '"':  # it alone has escapes
+            try:  # halves of a pair, as JSON writes it, are one character
+                halves = event.value.encode("utf-16", "surrogatepass")
+                event.value = halves.decode("utf-16")
+            except UnicodeDecodeError:
+                raise self._refuse_event(event, "half of a character, such as \\ud800") from None
         if isinstance(event, yaml.AliasEvent):
             if event.anchor in self.anchors and event.anchor not in self._sizes:
                 raise self._refuse_event(event, f"alias {event.anchor!r} stands inside of itself")

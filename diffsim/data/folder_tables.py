@@ -119,13 +119,23 @@ def find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
     files = lerobot.tables_of(folder) or _files_below(folder, DEEPEST)
     for path in sorted(files, key=lambda p: split_numbers(p.as_posix())):
         suffix = path.suffix.lower()
-        if suffix in TABLES and (layout := layout_of(path)):
+        if not _is_text(path):
+            said.append(f"not read: {path.name!a}: no name of UTF-8 text; rename it")
+        elif suffix in TABLES and (layout := layout_of(path)):
             yield FoundTable(folder, path, "", layout)
         elif suffix in SUFFIXES:
             try:
                 yield from _parts(folder, path)
             except (ImportError, ValueError) as error:
                 said.append(f"not read: {error}")
+
+
+def _is_text(path: Path) -> bool:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _files_below(folder: Path, depth: int) -> Iterator[Path]:

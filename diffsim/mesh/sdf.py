@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_number
+from diffsim.core.values import joined
 from diffsim.mesh import primitive
 
 Sdf = Callable[[Tensor], Tensor]
@@ -163,7 +164,7 @@ def _number(name: str, value: float) -> Tensor:
 
 
 def _vector(name: str, value: Vector) -> Tensor:
-    v = torch.as_tensor(value, dtype=torch.float64)
+    v = torch.as_tensor(joined(value), dtype=torch.float64)
     if v.shape != (3,) or not bool(torch.isfinite(v).all()):
         raise ValueError(f"{name} must be three finite numbers, got {value}")
     return v

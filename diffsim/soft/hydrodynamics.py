@@ -13,6 +13,7 @@ from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.record import warn
 from diffsim.core.torch_names import is_in_func
+from diffsim.core.values import joined
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
 from diffsim.soft._ops_water import water_force
 from diffsim.soft.inputs import broadcast, flat
@@ -239,6 +240,7 @@ class Hydrodynamics(Float64Module):
 
 
 def _make_trainable(name: str, value: Value) -> Tensor:
+    value = joined(value)
     return value if isinstance(value, Tensor) else nn.Parameter(as_tensor(name, value))
 
 

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from diffsim.core.values import joined
+
 Value = float | Sequence[float] | Tensor | nn.Parameter
 
 
 def as_tensor(name: str, value: Value) -> Tensor:
     """A tensor as it is (with its gradient), numbers as float64."""
-    if isinstance(value, Tensor):
+    if isinstance(value := joined(value), Tensor):
         return value
     try:
         return torch.tensor(value, dtype=torch.float64)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_range
-from diffsim.core.values import as_array
+from diffsim.core.values import as_array, joined
 from diffsim.stokes._ops_flow import FlowInputs
 from diffsim.stokes.boundary import Boundary
 
@@ -81,4 +81,4 @@ def flow_inputs(
 
 
 def _as_tensor(value: object) -> Tensor:
-    return value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
+    return torch.as_tensor(joined(value), dtype=torch.float64)

@@ -82,6 +82,7 @@ BAD = {
     "a: !!python/object/apply:os.system [x]": r"could not determine a constructor",
     "? [a]\n: 1": r"a key must be plain text",
     "x: " + "9" * 5000: r"line 1: no int",
+    '\n"a\\ud800": 1': r"line 2: half of a character",
     "--- 1\n--- 2": r"another document",
     LAUGHS: r"line 7: more than 1,000,000 values, aliases counted",
 }
@@ -102,6 +103,10 @@ def test_every_reader_refuses_them_at_once(read, text, tmp_path):
     with pytest.raises(ValueError, match=r"given.yaml, line \d+: "):
         read(path)
     assert time.process_time() - begin < 2.0  # they hung, or ended by a RecursionError
+
+
+def test_pairs_of_halves_are_characters():
+    assert load_yaml(r'{"\ud83d\ude00": "\ud83e\udd16 x"}', "f") == {"\U0001f600": "\U0001f916 x"}
 
 
 def test_merged_keys_and_shared_values_are_read():

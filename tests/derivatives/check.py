@@ -98,11 +98,35 @@ def check(function: Callable[[Any], Any], given: Any, kind: type = Tensor) -> di
         function: Of the arguments; its floating tensors are looked at.
         given: Arguments.
         kind: ``Tensor``, or ``float``: plain numbers that are given as tensors, which may be
-            refused for being no numbers.
+            refused for being no numbers; or ``list``: the first entries of vectors that are given
+            as lists, of which torch drops the gradients.
     """
-    plain = flat(function(given)).detach()
-    found = {}
-    for path, value in (numbers if kind is float else leaves)(given):
+    found: dict[str, str] = {}
+    if kind is list:
+        for path, vector in leaves(given):
+            if vector.ndim == 1 and 1 < len(vector) < 9:
+                first, *rest = vector.tolist()
+
+                def of(entry: dict[str, Any], path: Path = path, rest: list[float] = rest) -> Any:
+                    return function(with_leaf(given, path, [entry[str(path)], *rest]))
+
+                if _is_taken(of, {str(path): first}):
+                    found |= _each(of, {str(path): first}, [((str(path),), first)], float)
+        return found
+    return _each(function, given, (numbers if kind is float else leaves)(given), kind)
+
+
+def _is_taken(function, given) -> bool:
+    try:
+        function(given)
+    except Exception:  # tests of arguments look at how
+        return False
+    return True
+
+
+def _each(function, given, places, kind: type) -> dict[str, str]:
+    plain, found = flat(function(given)).detach(), {}
+    for path, value in places:
         place = ".".join(map(str, path))
         leaf = torch.tensor(value, dtype=torch.float64) if kind is float else value.detach()
         try:

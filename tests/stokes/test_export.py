@@ -23,7 +23,7 @@ from diffsim.stokes.export import (
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 from diffsim.stokes.isosurface import negative_part
-from diffsim.stokes.streamlines import inlet_seeds, streamlines
+from diffsim.stokes.streamlines import _equal_shares, inlet_seeds, streamlines
 
 RADIUS = 0.3
 
@@ -333,6 +333,24 @@ def test_streamlines_of_a_rotation_close(dim):
     assert up.start == "closed" and up.end == "seed"
     (some,) = streamlines(field, seeds[2:], max_length=0.3)
     assert some.end == "length" and some.length == pytest.approx(0.3, rel=1e-3)
+
+
+@pytest.mark.reference
+def test_seeds_share_an_uneven_inflow_in_equal_parts():
+    """(0.5 + 1.5 y/b) (c z - z^2): strips of y, and in each places of z, by their share of it."""
+    y, z = (np.arange(60) + 0.5) / 60, (np.arange(40) + 0.5) / 40
+    flow = np.outer(0.5 + 1.5 * y, z * (1.0 - z))
+    flow[:, 30:] *= y[:, None] > 0.3  # a wall beside the lower strips
+    seeds = _equal_shares(flow, 12)
+    row, column = np.divmod(seeds, 40)
+    assert (flow[row, column] > 0.0).all() and len(set(seeds)) == 12
+    strips = np.cumsum(flow.sum(1)) / flow.sum()
+    for k, (rows, columns) in enumerate(zip(row.reshape(4, 3), column.reshape(4, 3), strict=True)):
+        assert len(set(rows)) == 1 and strips[rows[0]] == pytest.approx((k + 0.5) / 4, abs=0.03)
+        part = flow[(strips > k / 4) & (strips <= (k + 1) / 4 + 1e-9)].sum(0)
+        np.testing.assert_allclose(
+            np.cumsum(part)[columns] / part.sum(), [1 / 6, 3 / 6, 5 / 6], atol=0.05
+        )
 
 
 @pytest.mark.reference

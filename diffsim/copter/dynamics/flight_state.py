@@ -172,7 +172,7 @@ def parameter_rows(fleet: Fleet, effects: FlightEffects, dt: float) -> Tensor:
         value = values.get(name)
         if value is None:
             value = torch.full((1, size), _NEUTRAL.get(name, 0.0), dtype=torch.float64)
-        if value.numel() % size:
+        if not value.numel() or value.numel() % size:
             raise ValueError(f"{name} needs {size} values per vehicle, got {tuple(value.shape)}")
         pieces.append(value.reshape(-1, size))
     batch = common_size(

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
-from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat
+from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, require_room
 
 _MOST_ROWS = 1_048_576  # of a sheet, by Excel
-_MOST_UNPACKED = 1_000_000_000  # bytes of a book
 _HEADER_ROWS = 60  # in which the names of a sheet's columns must be
 _EPOCH = datetime(1970, 1, 1)
 
@@ -40,6 +39,7 @@ def _npz(path: Path) -> tuple[Columns, list[str]]:
     """Numbers and text only: objects would run code."""
     found: Columns = {}
     others = []
+    _require_room(path)
     with np.load(path, allow_pickle=False) as archive:
         for name in archive.files:
             try:
@@ -52,6 +52,11 @@ def _npz(path: Path) -> tuple[Columns, list[str]]:
     others += [f"array {name}: neither numbers nor text" for name in found if name not in readable]
     used, left = arrays_of_a_table(readable)
     return {name: found[name] for name in used}, [*left, *others]
+
+
+def _require_room(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive:
+        require_room(path, sum(member.file_size for member in archive.infolist()))
 
 
 def xlsx_parts(path: Path) -> list[str]:
@@ -119,10 +124,7 @@ def _seconds_or_number(cell: Any) -> float:
 
 def _open(path: Path) -> Any:
     openpyxl = optional("openpyxl", purpose="an Excel file")
-    with zipfile.ZipFile(path) as archive:
-        unpacked = sum(member.file_size for member in archive.infolist())
-    if unpacked > _MOST_UNPACKED:
-        raise ValueError(f"it unpacks to {unpacked:,} bytes, at most {_MOST_UNPACKED:,} are read")
+    _require_room(path)
     book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
     for sheet in book.worksheets:
         sheet.reset_dimensions()  # one cell in the last corner would fill all rows with gaps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 Columns = dict[str, NDArray[Any]]
 
 MAX_COLUMNS = 10_000  # of a table
+MOST_UNPACKED = 1_000_000_000  # bytes of the numbers of a file, however small it is
+_MOST_TIMES = 50  # the bytes of a larger file: what is recorded is not compressed as far
 _BLOCK = 10_000  # messages that become numbers at once
 MOST_ENTRIES = 64  # of a list in a message: clouds and pictures are no columns
 
@@ -26,6 +29,42 @@ def require_few(count: int, what: str = "columns") -> None:
     """
     if count > MAX_COLUMNS:
         raise ValueError(f"at most {MAX_COLUMNS:,} {what}, got {count:,}")
+
+
+def most_unpacked(path: Path) -> int:
+    """Bytes that the numbers of a file may take: a constant of any length takes it none."""
+    return max(MOST_UNPACKED, _MOST_TIMES * path.stat().st_size)
+
+
+def require_room(path: Path, unpacked: int) -> None:
+    """Refuse a file that says of itself that it unpacks to more than ``most_unpacked``.
+
+    Args:
+        path: The file.
+        unpacked: Bytes that it says it has.
+    """
+    if unpacked > (most := most_unpacked(path)):
+        raise ValueError(f"it unpacks to {unpacked:,} bytes, at most {most:,} are read")
+
+
+def require_text(names: Iterable[str], *values: NDArray[Any]) -> list[str]:
+    """Refuse halves of characters, which no file and no page can hold.
+
+    Args:
+        names: Of columns or parts.
+        values: Columns; those of text are looked through.
+
+    Returns:
+        The names.
+    """
+    names = list(names)
+    texts = [np.asarray(column) for column in (names, *values)]
+    for text in (text for text in texts if text.dtype.kind == "U" and text.size):
+        codes = np.ascontiguousarray(text)[..., None].view(np.uint32)
+        is_half = ((codes >= 0xD800) & (codes <= 0xDFFF)).any(-1)
+        if is_half.any():
+            raise ValueError(f"half of a character in {str(text[is_half][0])!r}; write it anew")
+    return names
 
 
 def flat(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
-from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, require_few
+from diffsim.data.formats.columns import (
+    Columns,
+    arrays_of_a_table,
+    flat,
+    require_few,
+    require_room,
+)
 
 _CLOCK = re.compile(r"(t|time|timestamps?|stamps?|seconds|elapsed)([_\W].*)?", re.I)
 _LONGEST_UNIT = 40  # letters
@@ -41,6 +47,7 @@ def read(path: Path, part: str, *, upright: bool = False) -> Columns:
     with h5py.File(path, "r") as file:
         group = _group(h5py, file, part)
         found, _ = _sorted_out(h5py, group, upright)
+        require_room(path, sum(data.size * data.dtype.itemsize for data in found.values()))
         columns = dict(
             pair for name, data in found.items() for pair in _columns(name, data, upright)
         )

@@ -19,7 +19,7 @@ import scipy.io
 from numpy.typing import NDArray
 
 from diffsim.data.formats import hdf5
-from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat
+from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, most_unpacked
 
 _HDF5 = b"\x89HDF"
 
@@ -117,20 +117,26 @@ def check_elements(path: Path) -> None:
     Raises:
         ValueError: what is wrong first.
     """
-    content = memoryview(path.read_bytes())
+    content, most = memoryview(path.read_bytes()), most_unpacked(path)
     order = {b"IM": "<", b"MI": ">"}.get(bytes(content[126:_MAT_HEADER]))
     if order is not None and 0 not in content[:4]:  # else version 4, read without such
-        _walk_elements(content[_MAT_HEADER:], order, 0)
+        _walk_elements(content[_MAT_HEADER:], order, 0, most)
 
 
-def _walk_elements(content: memoryview, order: str, depth: int) -> None:
+def _walk_elements(content: memoryview, order: str, depth: int, most: int) -> None:
     if depth > _MAT_DEPTH:
         raise ValueError(f"more than {_MAT_DEPTH} matrices inside of each other")
     for kind, inner in _elements(content, order):
         if kind == _COMPRESSED:
-            _walk_elements(memoryview(zlib.decompress(inner)), order, depth + 1)
+            unpacked = zlib.decompressobj()
+            whole = unpacked.decompress(inner, most)
+            if unpacked.unconsumed_tail:
+                raise ValueError(f"it unpacks to more than {most:,} bytes")
+            if not unpacked.eof:
+                raise ValueError("it is cut off")
+            _walk_elements(memoryview(whole), order, depth + 1, most)
         elif kind == _MATRIX and len(inner):
-            _walk_elements(inner, order, depth + 1)
+            _walk_elements(inner, order, depth + 1, most)
             _check_matrix(list(_elements(inner, order)), order)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
-from diffsim.data.formats.columns import MOST_ENTRIES, Columns, flat, require_few
+from diffsim.data.formats.columns import MOST_ENTRIES, Columns, flat, require_few, require_room
 from diffsim.data.formats.lerobot import COUNTERS, STAMPS, Info, info_of
 
 _ROW_NUMBERS = re.compile(r"__index_level_\d+__")  # pandas' name of an index without one
@@ -20,7 +20,8 @@ _ROW_NUMBERS = re.compile(r"__index_level_\d+__")  # pandas' name of an index wi
 def parts(path: Path) -> list[str]:
     """One table."""
     with _pyarrow().ParquetFile(path) as file:
-        require_few(len(file.schema_arrow.names))
+        require_few(width := len(file.schema_arrow.names))
+        require_room(path, 8 * width * file.metadata.num_rows)
     return [""]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from diffsim.core.check import did_you_mean
 from diffsim.core.files import replacing
 from diffsim.data.formats import arrays, hdf5, json_records, logs, mat, parquet
-from diffsim.data.formats.columns import Columns, require_few
+from diffsim.data.formats.columns import Columns, require_few, require_text
 
 Parts = Callable[[Path], list[str]]
 Read = Callable[[Path, str], Columns]
@@ -89,7 +89,7 @@ def parts_of(path: Path) -> list[str]:
         ImportError: the format's library is not installed.
         ValueError: the file cannot be read, or holds no table.
     """
-    parts = _read_guarded(path, lambda: _list_parts(path, *_state(path)))
+    parts = _read_guarded(path, lambda: require_text(_list_parts(path, *_state(path))))
     if not parts:
         why = "; ".join(_look_for_left_out(path, "")[:3])
         raise ValueError(f"{path}: holds no table{f': {why}' if why else ''}")
@@ -125,6 +125,7 @@ def read_columns(path: str | Path) -> Columns:
     def read() -> Columns:
         found = _READERS[file.suffix.lower()][1](file, part)
         require_few(len(found))
+        require_text(found, *found.values())
         return found
 
     columns = _read_guarded(file, read)

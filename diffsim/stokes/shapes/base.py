@@ -21,6 +21,7 @@ from diffsim.core.check import LARGEST, require, require_choice, require_number,
 from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.numbers import anywhere, values_of
+from diffsim.core.values import joined
 
 LevelSet = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor
@@ -169,7 +170,7 @@ class Complement(Shape):
 
 def vector(name: str, value: Vector, dims: tuple[int, ...]) -> Tensor:
     """Finite numbers or a tensor of one of the lengths as float64 tensor; gradients are kept."""
-    if isinstance(value, Tensor):
+    if isinstance(value := joined(value), Tensor):
         v = require(name, value, ("d",))
     else:
         try:

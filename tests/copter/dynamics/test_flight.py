@@ -425,9 +425,10 @@ def test_bad_input():
         FlightEffects(wind=tensor([1.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match="equal rotor counts"):
         fly([vehicle, crooked_copter()], still(2), commands, dt=0.01)
-    with pytest.raises(ValueError, match="lag_decay needs 4 values per vehicle"):
-        lag = MotorLag(time_constants=tensor([0.05] * 3))
-        fly(vehicle, still(), commands, dt=0.01, effects=FlightEffects(motor_lag=lag))
+    for num in (3, 0):
+        lag = MotorLag(time_constants=tensor([0.05] * num))
+        with pytest.raises(ValueError, match="lag_decay needs 4 values per vehicle"):
+            fly(vehicle, still(), commands, dt=0.01, effects=FlightEffects(motor_lag=lag))
     with pytest.raises(ValueError, match="quaternion must not be zero"):
         fly(vehicle, replace(still(), quaternion=torch.zeros(1, 4).double()), commands, dt=0.01)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Channel, Command, Run, Study
+from diffsim.diagnose.discover import stage
 from diffsim.diagnose.discover.follow import follow
 from diffsim.diagnose.discover.screen import screen_laws
 from diffsim.diagnose.discover.stage import find_laws
@@ -75,9 +76,20 @@ def test_a_course_bends_the_way_where_nothing_pushes(fitted):
     assert (as_fitted.found[0].entry.target, as_fitted.found[0].variable.name) in SAME
 
 
-def test_friction_over_pressure_is_found_along_the_simulation_as_fitted(fitted):
+def test_friction_over_pressure_is_found_along_the_simulation_as_fitted(fitted, monkeypatch):
     setup, fit = fitted
+    begin, fit_law, asked, ended = stage._begin, stage._fit_law, [], []
+    monkeypatch.setattr(stage, "_begin", lambda *given: asked.append(given[2]) or begin(*given))
+    monkeypatch.setattr(
+        stage, "_fit_law", lambda *given: ended.append(fit_law(*given)) or ended[-1]
+    )
     found = find_laws([fit], setup.laws, lambda *said: None)
     assert (found.laws[0].entry.target, found.laws[0].variable.name) in SAME
     forms = [law.form for law in found.laws if law.entry.target == "friction"]
     assert "line" in forms
+    # most is linear here, and the plain fit far off its prior: fits end about where they are asked
+    # to go, which is no step from there
+    ends = [one.fit.problem.scaled(one.fit.x) for one in ended]
+    off = [end[1] - place[1] for end, place in zip(ends, asked, strict=True)]
+    assert abs(fit.x[1]) > 1.0
+    assert np.median(np.abs(off)) < 0.3 * abs(fit.x[1])

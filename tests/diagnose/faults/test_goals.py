@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from diffsim.data import load_study
 from diffsim.diagnose.faults import judge_faults
 from diffsim.diagnose.faults.given import take_apart
-from diffsim.diagnose.faults.goals import Tails, rows_at
+from diffsim.diagnose.faults.goals import Rows, Tails, rows_at
 from diffsim.diagnose.faults.learn import learn
 from diffsim.diagnose.faults.verdict import CERTAIN, SILENT
 from diffsim.identify.problem import Problem
@@ -144,3 +145,56 @@ def test_most_causes_may_be_stated_alone(study):
     assert len(sets(together=("off_1", "off_2"))) == 4 + 1
     with pytest.raises(ValueError, match="no cause 'stuck'"):
         sets(sizes={"stuck": 1.0})
+
+
+def test_what_is_trusted_and_what_it_says_are_those_of_the_densities():
+    """Against scipy's densities, and the normal law of rows that share their goal's offset."""
+    rng = np.random.default_rng(7)
+    num, each = 120, 4
+    goal = np.repeat(np.arange(num), each)
+    residual = (6.0 * rng.standard_normal(num))[goal] + rng.standard_normal(num * each)
+    residual += np.where(rng.random(num * each) < 0.3, 15.0 * rng.standard_normal(num * each), 0.0)
+    shared = rng.random(num) < 0.8
+    rows = Rows(
+        goal, np.zeros(num, int), shared, (), (0,), (), ("c",), residual, rng.normal(size=(480, 2))
+    )
+    spreads, odds = shared * np.array([[2.0], [6.0], [30.0]]), np.log([0.8, 0.15, 0.05])
+    choice = rows._choose(residual, spreads, odds)
+
+    def price(off):
+        return stats.norm.logpdf(0.0) - stats.cauchy.logpdf(off, scale=10.0) - np.log(0.01)
+
+    level = 0.0
+    for k in range(num):
+        own = residual[goal == k]
+
+        def cost(center, own=own):
+            usual = stats.norm.logpdf(0.0) - stats.norm.logpdf(center / np.hypot(2.0, 0.5))
+            off = stats.norm.logpdf(0.0) - stats.norm.logpdf(own - center)
+            return np.minimum(off, price(own - center)).sum() + min(usual, price(center))
+
+        center = min([*own, 0.0], key=cost) if shared[k] else 0.0
+        kept = 0.5 * (own - center) ** 2 <= price(own - center)
+        np.testing.assert_array_equal(choice.kept[goal == k], kept)
+        level -= price(own - center)[~kept].sum()
+        if shared[k] and kept.any():
+            wide = np.sqrt(spreads[:, k] ** 2 + 1.0 / kept.sum())
+            likely = stats.norm.logpdf(own[kept].mean(), scale=wide) + odds
+            assert choice.part[k] == np.argmax(likely)
+            level += odds[choice.part[k]]
+        else:
+            assert choice.part[k] == 0
+    assert choice.level == pytest.approx(level, rel=1e-9)
+    assert 0.05 < 1.0 - choice.kept.mean() < 0.5 and len(set(choice.part)) == 3
+
+    spread = np.choose(choice.part, spreads)
+    local, kept = rows._local(choice, spread), choice.kept
+    same = goal[kept][:, None] == goal[kept]
+    covariance = np.eye(kept.sum()) + same * spread[goal[kept]] ** 2
+    whole = np.column_stack([rows.slopes[kept], residual[kept]])
+    gram = whole.T @ np.linalg.solve(covariance, whole)
+    np.testing.assert_allclose(local.curvature, gram[:2, :2], rtol=1e-9)
+    np.testing.assert_allclose(local.slope, gram[:2, 2], rtol=1e-9, atol=1e-9)
+    assert local.square == pytest.approx(gram[2, 2], rel=1e-9)
+    half = 0.5 * np.linalg.slogdet(covariance)[1]
+    assert local.level == pytest.approx(level - half, rel=1e-9)

@@ -8,6 +8,7 @@ import torch
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose.search import fit as fit_module
 from diffsim.diagnose.search.fit import Case, cut, first_fit, null_fit
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import DiagnosisSettings, Parameter, Problem, SimModel, WhiteNoise
@@ -56,6 +57,15 @@ def test_growing_windows_find_a_frequency_that_whole_runs_do_not():
     assert found.values["omega"] == pytest.approx(6.0, abs=0.01)
     assert found.num_samples == stuck.num_samples and len(at.record) == 402
     assert first_fit(whole, ())[0].x == pytest.approx(stuck.x)
+
+
+@pytest.mark.parametrize(("chi2", "prior", "wins"), [(-9.0, 5.0, True), (-9.0, 15.0, False)])
+def test_of_two_ends_the_one_of_less_cost_is_kept(chi2, prior, wins, monkeypatch):
+    whole = problem()
+    stuck, at = gauss_newton(whole, linearization_at(whole, np.zeros(1)))
+    other = replace(stuck, chi2=stuck.chi2 + chi2, prior=stuck.prior + prior)
+    monkeypatch.setattr(fit_module, "_through", lambda *_: (other, at))
+    assert (first_fit(whole, (0.5,))[0] is other) == wins
 
 
 def test_a_motion_that_breaks_down_is_fitted_where_it_does_not():
