@@ -20,6 +20,10 @@ from diffsim.core import torch_names
 from diffsim.core.torch_names import stands_for_many
 
 _PLAIN = (Tensor, torch.nn.Parameter)
+NO_SECOND_ORDER = (
+    "{name} is a derivative that cannot be differentiated again: derivatives of second order are "
+    "not available here; differentiate once, without create_graph=True"
+)
 
 
 def custom_op(name: str, schema: str | None = None) -> Callable[[Callable[..., Any]], Any]:
@@ -85,10 +89,10 @@ def make_layer(
         ctx.save_for_forward(*(ctx.to_save or ()))
 
     def each_backward(ctx: Any, *grads: Any) -> Any:
-        return _also_item_by_item(lambda *given: backward(ctx, *given), grads)
+        return also_item_by_item(lambda *given: backward(ctx, *given), grads)
 
     def each_tangent(ctx: Any, *moved: Any) -> Any:
-        return _also_item_by_item(lambda *given: tangent(ctx, *given), moved)
+        return also_item_by_item(lambda *given: tangent(ctx, *given), moved)
 
     def vmap(info: Any, in_dims: tuple[Any, ...], *args: Any) -> Any:
         return _one_by_one(function.apply, info.batch_size, in_dims, args)
@@ -153,6 +157,15 @@ def is_followed(tensors: Sequence[Tensor]) -> bool:
     return may_be_differentiated() and _is_differentiated(tensors)
 
 
+def is_recorded_plainly(tensors: Sequence[Tensor]) -> bool:
+    """Whether a gradient by one of some tensors is recorded, and nothing else follows the calls."""
+    if torch.compiler.is_compiling() or _is_transformed():
+        return False
+    if torch_names.is_watched(by_compilers=False):
+        return False
+    return torch.is_grad_enabled() and _are_plain(tensors) and _is_differentiated(tensors)
+
+
 def _are_plain(values: Iterable[Any]) -> bool:
     """Whether all tensors among arguments are what their memory says."""
     return all(
@@ -164,6 +177,31 @@ def _are_plain(values: Iterable[Any]) -> bool:
 
 def _is_transformed() -> bool:
     return torch_names.is_in_func() or torch_names.is_in_forward_mode()
+
+
+def first_order(name: str, answer: Tensor, gradients: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    """Gradients, which refuse to be differentiated again.
+
+    Args:
+        name: What the refusal calls them.
+        answer: Output of the node whose backward this is, of which they are functions.
+        gradients: Computed without a graph.
+    """
+    if not torch.is_grad_enabled():
+        return gradients
+    out: tuple[Tensor, ...] = _FirstOrder.apply(name, answer, *gradients)
+    return out
+
+
+class _FirstOrder(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, name: str, answer: Tensor, *gradients: Tensor) -> tuple[Tensor, ...]:
+        ctx.name = name
+        return tuple(gradient.view_as(gradient) for gradient in gradients)
+
+    @staticmethod
+    def backward(ctx: Any, *_: Tensor) -> Any:
+        raise NotImplementedError(NO_SECOND_ORDER.format(name=ctx.name))
 
 
 def _one_by_one(
@@ -180,7 +218,7 @@ def _one_by_one(
     return stacked, (0,) * len(stacked)
 
 
-def _also_item_by_item(one: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+def also_item_by_item(one: Callable[..., Any], args: tuple[Any, ...]) -> Any:
     """What a derivative gives, of every item where PyTorch batches without a transform.
 
     ``is_grads_batched``, ``jacobian(vectorize=True)`` and gradcheck hand one tensor that stands for

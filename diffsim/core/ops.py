@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.layer import custom_op, make_layer
+from diffsim.core.layer import NO_SECOND_ORDER, custom_op, make_layer
 
 
 class Array(NamedTuple):
@@ -324,11 +324,7 @@ class Op:
         """The op in PyTorch's own operations as a function of what moves, and where that is."""
         formula = self.in_torch
         if formula is None:
-            raise NotImplementedError(
-                f"diffsim.{self.name} is a derivative that cannot be differentiated again: "
-                "derivatives of second order are not available here; differentiate once, without "
-                "create_graph=True"
-            )
+            raise NotImplementedError(NO_SECOND_ORDER.format(name=f"diffsim.{self.name}"))
         return (
             lambda *at: formula(given | dict(zip(self._moving, at, strict=True))),
             [given[name] for name in self._moving],

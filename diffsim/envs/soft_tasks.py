@@ -99,7 +99,9 @@ class SoftTask(Task):
 
     def advance(self, state: TaskState, action: Tensor) -> TaskState:
         """One control step."""
-        command = action * self.factor(state, "muscles")[:, None]
+        command = action
+        if "random.muscles" in state:
+            command = action * state["random.muscles"][:, None]
         gain, current = None, state.get("current")
         if "random.water" in state:
             gain = state["random.water"][:, None, None]
@@ -204,7 +206,7 @@ class Advance(SoftTask):
 
     def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
         """Forward, drift and, if it counts, rise."""
-        moved = self.robot.center(after["x"]) - self.robot.center(before["x"])
+        moved = self.robot.center(after["x"] - before["x"])
         velocity = moved / (self.dt * self.speed_scale)
         ahead = velocity @ self.robot.forward
         across = velocity - ahead[:, None] * self.robot.forward

@@ -252,11 +252,6 @@ class Task(ABC):
             after["commands"] = queue
         return after, self.reward_terms(state, action, after)
 
-    def factor(self, state: TaskState, name: str) -> Tensor:
-        """Random factor of a quantity, (batch,); ones where it is not randomized."""
-        batch = state["step"].shape[0] if "step" in state else len(next(iter(state.values())))
-        return state.get(f"random.{name}", torch.ones(batch, dtype=torch.float64))
-
     def data_sheet(self) -> str:
         """Actions and observations as a table in Markdown."""
         lines = []

@@ -32,13 +32,11 @@ LINEAR_HINT = "halve dt, or take method='auto', which follows a body through buc
 ADJOINT_HINT = "loosen adjoint_rtol or raise max_iters"
 
 
-def step_options(
-    method: str, *, rtol: float, max_iters: int, atol: float = 0.0, keep: bool = False
-) -> object:
-    """Solver and tolerances as kernels take them; whether a step is kept for its adjoint."""
+def step_options(method: str, *, rtol: float, max_iters: int, atol: float = 0.0) -> Any:
+    """Solver and tolerances as kernels take them."""
     options = core.StepOptions()
     options.method = getattr(core.StepMethod, method)
-    options.rtol, options.atol, options.max_iters, options.keep = rtol, atol, max_iters, keep
+    options.rtol, options.atol, options.max_iters = rtol, atol, max_iters
     return options
 
 
@@ -72,8 +70,6 @@ class BoundStep:
         handle: Of the body's prepared solvers.
         method, preconditioner, rtol, atol, max_iters, num_threads, on_failure, adjoint_rtol,
             adjoint_max_iters: As in ``SolverOptions``; those of the adjoint serve tangents.
-        keep: Whether adjoints are likely to follow: linearly implicit steps of small bodies
-                keep their factors for them.
     """
 
     def __init__(
@@ -90,7 +86,6 @@ class BoundStep:
         on_failure: str,
         adjoint_rtol: float,
         adjoint_max_iters: int,
-        keep: bool = False,
     ):
         self._context = context(handle, arrays.tables)
         self._batch = arrays.y.shape[0]
@@ -99,10 +94,11 @@ class BoundStep:
         arrays.require_shapes({n: s for n, s in shapes.items() if n not in self._moving})
         self._shared = {n: getattr(arrays, n) for n in shapes if n not in self._moving}
         self._system = self._context.system(arrays, num_threads, method, preconditioner)
-        self._options = step_options(method, rtol=rtol, atol=atol, max_iters=max_iters, keep=keep)
+        self._options = step_options(method, rtol=rtol, atol=atol, max_iters=max_iters)
         self._max_iters, self._num_threads, self._on_failure = max_iters, num_threads, on_failure
-        self._method, self._adjoint_rtol = method, adjoint_rtol
-        self._adjoint_max_iters = adjoint_max_iters
+        self._method, self._adjoint_max_iters = method, adjoint_max_iters
+        self._adjoint_options = step_options(method, rtol=adjoint_rtol, max_iters=adjoint_max_iters)
+        self._is_per_member = arrays.per_member
         self._hint = LINEAR_HINT if method == LINEAR else STEP_HINT
 
     def shares(self, arrays: StepArrays) -> bool:
@@ -110,9 +106,16 @@ class BoundStep:
         same = all(getattr(arrays, name) is tensor for name, tensor in self._shared.items())
         return same and arrays.y.shape[0] == self._batch
 
-    def __call__(self, arrays: StepArrays) -> tuple[Tensor, Tensor]:
-        """x (batch, num_nodes, 3) [m] and stats of a step that :meth:`shares` its parameters."""
+    def __call__(self, arrays: StepArrays, *, keep: bool = False) -> tuple[Tensor, Tensor]:
+        """x (batch, num_nodes, 3) [m] and stats of a step that :meth:`shares` its parameters.
+
+        Args:
+            arrays: Of the step.
+            keep: Whether an adjoint is likely to follow: linearly implicit steps of small bodies
+                keep their factors for it.
+        """
         arrays.require_shapes(self._moving)
+        self._options.keep = keep
         x = torch.empty_like(arrays.y)
         stats = new_stats(self._batch)
         core.implicit_step(
@@ -129,6 +132,43 @@ class BoundStep:
         require_upright(self._context, stats[:, STATS.index("energy")], x)
         report_failure(stats, "implicit step", self._hint, self._on_failure)
         return x, stats
+
+    def adjoint(self, moving: Mapping[str, Tensor], x: Tensor, grad_x: Tensor) -> dict[str, Tensor]:
+        """Gradients of what differs between the items of a batch; none by what they share.
+
+        Args:
+            moving: Those arrays of the step, by name.
+            x, grad_x: Its answer [m] and the gradient of that, (batch, num_nodes, 3).
+
+        Returns:
+            By name; ``guess`` of linearly implicit steps only, the frame's where there is damping.
+        """
+        require_array("x", x, self._moving["y"])
+        require_array("grad_x", grad_x, self._moving["y"])
+        wanted = [n for n in moving if n != "guess" or self._method == LINEAR]
+        grads = {n: torch.empty_like(moving[n]) for n in wanted if self._moving[n] != (0,)}
+        # kernels write these of a damped or linear step, whoever asks
+        written = self._shared if self._method == LINEAR else ("damp_mu", "damp_lambda")
+        own = {n: self._shared[n] for n in written if n != "tables"}
+        spare = {
+            n: t.new_empty(t.shape if self._is_per_member else (self._batch, *t.shape))
+            for n, t in own.items()
+        }
+        stats = new_stats(self._batch)
+        core.implicit_step_adjoint(
+            system=self._system,
+            options=self._adjoint_options,
+            num_threads=self._num_threads,
+            inputs=soft_addresses({**self._shared, **moving}),
+            batch=self._batch,
+            x=x.data_ptr(),
+            grad_x=grad_x.data_ptr(),
+            grads=soft_addresses({**spare, **grads}),
+            stats=stats.data_ptr(),
+        )
+        notify("adjoint", stats, self._adjoint_max_iters)
+        report_failure(stats, "adjoint solve", ADJOINT_HINT, self._on_failure)
+        return grads
 
     def tangents(self, arrays: StepArrays, x: Tensor, directions: Mapping[str, Tensor]) -> Tensor:
         """Derivatives of a converged step along K directions, with one factor of its tangent.
@@ -149,15 +189,12 @@ class BoundStep:
         for name, direction in directions.items():
             one = shapes[name][1:] if StepArrays.is_batched(name) else shapes[name]
             require_array(f"direction of {name}", direction, (count, *one))
-        options = step_options(
-            self._method, rtol=self._adjoint_rtol, max_iters=self._adjoint_max_iters
-        )
         dx = x.new_empty(count, *x.shape[1:])
         stats = new_stats(1)
         core.implicit_step_tangent(
             system=self._system,
             inputs=soft_addresses(arrays.named()),
-            options=options,
+            options=self._adjoint_options,
             count=count,
             x=x.data_ptr(),
             directions=soft_addresses(directions),
@@ -172,7 +209,7 @@ class BoundStep:
 
 def _step(call: Call) -> None:
     arrays = StepArrays.of(call)
-    call["x"], call["stats"] = BoundStep(arrays, **call.options, keep=True)(arrays)
+    call["x"], call["stats"] = BoundStep(arrays, **call.options)(arrays, keep=True)
 
 
 def system_of(call: Call, **choice: bool) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from diffsim.core.check import require, require_choice, require_number, require_
 from diffsim.core.checked import checked
 from diffsim.core.module import Float64Module
 from diffsim.core.record import warn
+from diffsim.core.torch_names import is_in_func
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
 from diffsim.soft._ops_water import water_force
 from diffsim.soft.inputs import broadcast, flat
@@ -128,9 +129,10 @@ class Hydrodynamics(Float64Module):
         self.limit = require_choice("limit", limit, LIMITS)
         self.warn = bool(warn)
         self._warned = False
+        self._known: tuple[Tensor, ...] = ()  # parameters that were checked
         self._check_parameters()
 
-    @checked(x=("...", 3), v=("...", 3))
+    @checked(x=("...", 3), v=("...", 3), water_velocity=("...", 3))
     def forward(self, x: Tensor, v: Tensor, *, water_velocity: Tensor | None = None) -> Tensor:
         """Nodal forces.
 
@@ -143,18 +145,22 @@ class Hydrodynamics(Float64Module):
         Returns:
             Forces, shape of x [N]. Gradients: x, v, water_velocity, density, both coefficients.
         """
-        return self.evaluate(x, v, water_velocity=water_velocity).forces
+        return self._evaluate(x, v, water_velocity).forces
 
+    @checked(x=("...", 3), v=("...", 3), water_velocity=("...", 3))
     def evaluate(
         self, x: Tensor, v: Tensor, *, water_velocity: Tensor | None = None
     ) -> HydroForces:
         """Forces as in :meth:`forward`, and the nodes on which the limit acted."""
-        x = require("x", x, ("...", self.mesh.num_nodes, 3))
-        v = require("v", v, tuple(x.shape))
+        return self._evaluate(x, v, water_velocity)
+
+    def _evaluate(self, x: Tensor, v: Tensor, water_velocity: Tensor | None) -> HydroForces:
+        x = require("x", x, ("...", self.mesh.num_nodes, 3), finite=False)
+        v = require("v", v, tuple(x.shape), finite=False)
         self._check_parameters()
         water = self.water_velocity
         if water_velocity is not None:
-            water = require("water_velocity", water_velocity, ("...", 3))
+            water = require("water_velocity", water_velocity, ("...", 3), finite=False)
         water = broadcast("water_velocity", water, (*x.shape[:-2], 3))
         forces = water_force(
             flat(x),
@@ -184,12 +190,22 @@ class Hydrodynamics(Float64Module):
         return f"{self.faces.shape[0]} faces, density {self.density.item():g} kg/m^3, {limit}"
 
     def _check_parameters(self) -> None:
+        values = (
+            self.density, self.water_velocity, self.drag_coefficients, self.thrust_coefficients
+        )  # fmt: skip
+        has_numbers = not (torch.compiler.is_compiling() or is_in_func())
+        if has_numbers and self._known:
+            pairs = zip(self._known, values, strict=True)
+            if all(v.is_cpu and torch.equal(known, v) for known, v in pairs):
+                return
         require("density", self.density, ())
         require("water_velocity", self.water_velocity, ("...", 3))
         require("drag_coefficients", self.drag_coefficients, (4,))
         require("thrust_coefficients", self.thrust_coefficients, (4,))
         if not torch.compiler.is_compiling():
             require_range("density", self.density, above=0.0, hint="unit is kg/m^3")
+        if has_numbers:  # numbers may change in place behind every counter, so copies are kept
+            self._known = tuple(v.detach().clone() for v in values)
 
     def _limit_forces(self, forces: Tensor) -> HydroForces:
         if self.max_force is None:

@@ -164,7 +164,7 @@ def _signal(
     """One number for each muscle or chamber, (..., size); ``rest`` (size,) where none is given."""
     if value is not None and not len(rest):
         raise ValueError(f"{name} was given, but the body has no {of}")
-    value = require(name, rest if value is None else value, ("...", len(rest)))
+    value = rest if value is None else require(name, value, ("...", len(rest)))
     return broadcast(name, value, (*batch, len(rest)))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import torch
@@ -88,6 +89,7 @@ class PreparedBody:
         no_pressure: Zeros, for chambers without pressure, (num_chambers,) [Pa].
         x_rest: Rest positions, (num_nodes, 3) [m].
         tables: What kernels know of them, (num_tables,); empty: those of the mesh.
+        is_constant: Whether none of these has a gradient.
     """
 
     def __init__(self, body: Solid, physics: Physics | None):
@@ -109,6 +111,11 @@ class PreparedBody:
             rates: StageTerms.of(physics, rates) for rates in rates_of(body.integrator, body.dt)
         }
         self._arguments = {"handle": body.handle, **body.solver.arguments()}
+        of_terms = [(t.alpha, t.inertia, *(t.damping or ())) for t in self._terms.values()]
+        shared = (self.weight, self.weights, self.x_rest, self.tables, *chain(*of_terms))
+        self.is_constant = self.fiber_stiffness is not None and not any(
+            t.requires_grad for t in (self.fiber_stiffness, *shared)
+        )
         self._bound: list[BoundStep] = []  # none or one, that all copies share
 
     @property

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from diffsim.soft._arrays import StepArrays
 from diffsim.soft.inputs import DampingFrame, Loads, energy_terms, flat
+from diffsim.soft.integrators import ImplicitStage
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,3 +54,23 @@ def solve(problem: StepProblem, *, iterate: bool = False) -> Tensor:
     """
     x = problem.loads.prepared.solve(problem.arrays(), iterate=iterate)
     return x.reshape(problem.y.shape)
+
+
+def stage_problem(stage: ImplicitStage, guess: Tensor, loads: Loads) -> StepProblem:
+    """The stage's problem; mass-proportional damping joins the inertia term.
+
+    Args:
+        stage: The integrator's implicit problem.
+        guess: Start of the iteration, where the step begins, (..., num_nodes, 3) [m].
+        loads: What acts in the step.
+    """
+    terms, c = loads.prepared.terms(stage.rates), stage.rates.c
+    if stage.midpoint:  # the unknown is in the middle of the step
+        loads = loads.with_target(0.5 * (guess + loads.target))
+    return StepProblem(
+        y=(c * stage.y + terms.alpha * stage.x_velocity) / terms.total,
+        guess=guess,
+        inertia=terms.inertia,
+        loads=loads,
+        frame=DampingFrame(weights=terms.damping, x_frame=stage.y, x_velocity=stage.x_velocity),
+    )

@@ -19,15 +19,15 @@ from diffsim.soft.integrators import (
     EXPLICIT,
     VELOCITY,
     WITH_CONTACT,
-    ImplicitStage,
     finish_stage,
     make_stage,
 )
 from diffsim.soft.physics import Physics
 from diffsim.soft.prepared import prepare
-from diffsim.soft.problem import StepProblem, solve
+from diffsim.soft.problem import solve, stage_problem
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
+from diffsim.soft.whole_step import is_one_node, step_as_node
 
 BDF2_BREAKS_GRAPHS = (
     "BDF2 among obstacles asks at each step whether something touches, which breaks the graph: "
@@ -107,6 +107,8 @@ def advance(
 
 
 def _free_step(body: Solid, state: State, loads: Loads) -> State:
+    if is_one_node(state, loads):
+        return step_as_node(state, loads)
     stage = make_stage(body.integrator, body.dt, state)
     problem = stage_problem(stage, state.x, loads)
     return finish_stage(body.integrator, stage, state, solve(problem), body.fixed)
@@ -133,26 +135,6 @@ def _contact_step(body: Solid, state: State, obstacles: Sequence[Obstacle], load
     solution, contact_force = solve_in_contact(body, planes, state, problem)
     end = finish_stage("implicit_euler", stage, state, solution, body.fixed)
     return end._replace(contact_force=contact_force)
-
-
-def stage_problem(stage: ImplicitStage, guess: Tensor, loads: Loads) -> StepProblem:
-    """The stage's problem; mass-proportional damping joins the inertia term.
-
-    Args:
-        stage: The integrator's implicit problem.
-        guess: Start of the iteration, where the step begins, (..., num_nodes, 3) [m].
-        loads: What acts in the step.
-    """
-    terms, c = loads.prepared.terms(stage.rates), stage.rates.c
-    if stage.midpoint:  # the unknown is in the middle of the step
-        loads = loads.with_target(0.5 * (guess + loads.target))
-    return StepProblem(
-        y=(c * stage.y + terms.alpha * stage.x_velocity) / terms.total,
-        guess=guess,
-        inertia=terms.inertia,
-        loads=loads,
-        frame=DampingFrame(weights=terms.damping, x_frame=stage.y, x_velocity=stage.x_velocity),
-    )
 
 
 def _explicit_step(body: Solid, state: State, loads: Loads) -> State:

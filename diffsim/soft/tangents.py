@@ -22,12 +22,11 @@ from diffsim.soft.integrators import IMPLICIT, finish_stage, make_stage
 from diffsim.soft.physics import Physics
 from diffsim.soft.physics_tangent import as_damped_as, still_physics
 from diffsim.soft.prepared import PreparedBody
-from diffsim.soft.problem import StepProblem
+from diffsim.soft.problem import StepProblem, stage_problem
 from diffsim.soft.problem_tangent import Changing, load_rates, solve_along, stage_rates
 from diffsim.soft.rollout import LoadsInTime, Signal
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State, require_state
-from diffsim.soft.step import stage_problem
 
 Moving = Tensor | Callable[[int, State, State], Tensor] | None
 

@@ -222,16 +222,19 @@ def test_static_gradients(kind):
 def test_layer_contract(monkeypatch):
     m, chamber = hollow("hex", "pocket")
     body = soft_body(m, chambers=[chamber], fixed=rail_mask(m))
-    args = (leaf(torch.where(rail_mask(m), m.x_rest, deformed(m, 0.1))), leaf([6.0]))
+    start = leaf(torch.where(rail_mask(m), m.x_rest, deformed(m, 0.1)))
 
-    def step(x, pressure):
-        return body(at_rest(x), pressure=pressure).x
+    def step(x, pressure, youngs_modulus):
+        physics = body.physics(youngs_modulus=youngs_modulus)
+        return body(at_rest(x), pressure=pressure, physics=physics).x
 
     def force(x, pressure):
         return body.elastic_force(x, pressure=pressure)
 
-    for layer, name in ((step, "soft_step"), (force, "elastic_gradient")):
-        ops = recorded_op(name, lambda layer=layer: layer(*args))
+    layers = ((step, "soft_step", (leaf(30.0),)), (force, "elastic_gradient", ()))
+    for layer, name, parameters in layers:
+        args = (start, leaf([6.0]), *parameters)
+        ops = recorded_op(name, lambda layer=layer, args=args: layer(*args))
         check_layer(layer, args, ops=ops, fast_mode=True, **TOLERANCE)
 
 

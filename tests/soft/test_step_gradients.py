@@ -114,6 +114,41 @@ def test_every_method(method, kind):
     check_directions(layer_of(body, names), args, **TOLERANCE)
 
 
+@pytest.mark.parametrize("rayleigh_beta", [0.0, 0.02])
+@pytest.mark.parametrize("method", ["auto", "linearly_implicit"])
+def test_a_step_of_constant_parameters_is_one_node(method, rayleigh_beta):
+    """Its adjoint is written by hand: that of the parts, where a parameter has a gradient, too."""
+    m = irregular_mesh("hex", (2, 1, 1), (1.0, 1.0, 1.0))
+    fixed = rail_mask(m)
+    body = soft_body(
+        m,
+        fixed=fixed,
+        muscles=two_muscles()[:1],  # the other one's stiffness depends on the activation
+        rayleigh_alpha=0.4,
+        rayleigh_beta=rayleigh_beta,
+        solver=soft.SolverOptions(method=method, **SHARP),
+    )
+    inputs = all_inputs(m, fixed=fixed) | {"activation": leaf([0.8])}
+    # an axis of a batch on the state, none on what acts on it
+    given = {n: leaf(t.expand(2, *t.shape)) if n in "xv" else t for n, t in inputs.items()}
+    own = {"rayleigh_beta": leaf(rayleigh_beta)}
+    args = [given[name] for name in STATE_INPUTS]
+    signals = dict(zip(STATE_INPUTS[2:], args[2:], strict=True))
+    ends, grads = [], []
+    for physics in (None, body.physics(**own)):
+        end = soft.step(body, soft.State(*args[:2]), physics=physics, **signals)
+        is_whole = end.x.grad_fn is end.v.grad_fn
+        assert is_whole == (physics is None)
+        out = torch.cat([end.x.flatten(), 0.1 * end.v.flatten()])
+        grads.append(torch.autograd.grad(out, args, noise(out.numel(), seed=8)))
+        ends.append(out.detach())
+    assert torch.equal(*ends)
+    for name, whole, parts in zip(STATE_INPUTS, *grads, strict=True):
+        assert whole.abs().max() > 1e-6, name
+        # they add in another order: a few units of the last place
+        torch.testing.assert_close(whole, parts, rtol=1e-12, atol=1e-13 * float(parts.abs().max()))
+
+
 # Principal stretches of one tetrahedron, away from the kink s1 + s2 = 0 of the nearest rotation and
 # from s1 = s2 of a strongly expanded element (see test_at_the_kinks).
 STRETCHES = {

@@ -63,11 +63,9 @@ void damping_adjoint_of(const SoftModel& model, const SoftParameters& p,
 }
 
 template <typename Group, typename M>
-void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p, const double* x,
-                          const double* z, const ParameterAdjoint& out, ElasticityScratch& scratch,
-                          ThreadPool& pool) {
+void weight_adjoint_of(const SoftModel& model, const double* x, const double* z, double* out,
+                       ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const ElementBlock& fiber = model.fiber;
   const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
     const Stage<Group, M> stage(solid, first, count, x, kept, false);
@@ -82,9 +80,15 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p, const
         unit_products<M>(sample, Z[part], products);
         for (int k = 0; k < M::kWeights; ++k) by_weight[k][part] = weight * products[k];
       }
-      add_weights<Group, M>(solid, g, by_weight, out.weights);
+      add_weights<Group, M>(solid, g, by_weight, out);
     }
   });
+}
+
+template <typename Group>
+void fiber_adjoint_of(const SoftModel& model, const SoftParameters& p, const double* x,
+                      const double* z, const ParameterAdjoint& out, ThreadPool& pool) {
+  const ElementBlock& fiber = model.fiber;
   for_groups(fiber, pool, [&](Index g) {
     Native F[kParts][9], Z[kParts][9], by_stiffness[kParts], by_activation[kParts];
     deformation_gradient<Group>(fiber, g, x, F);
@@ -100,7 +104,7 @@ void parameter_adjoint_of(const SoftModel& model, const SoftParameters& p, const
       by_stiffness[part] = weight * f.pull.stretch * along;
       by_activation[part] = -weight * f.pull.stiffness * along;
     }
-    Group::add_element_value(fiber, g, by_stiffness, out.fiber_stiffness);
+    if (out.fiber_stiffness) Group::add_element_value(fiber, g, by_stiffness, out.fiber_stiffness);
     Group::add_element_value(fiber, g, by_activation, out.activation);
   });
 }
@@ -249,8 +253,9 @@ void energy_slopes_of(const SoftModel& model, const SoftParameters& p, const dou
 }
 
 void clear_elastic(const SoftModel& model, const ParameterAdjoint& out) {
-  std::fill(out.weights, out.weights + model.weights_size(), 0.0);
-  std::fill(out.fiber_stiffness, out.fiber_stiffness + model.fiber.num_elements, 0.0);
+  if (out.weights) std::fill(out.weights, out.weights + model.weights_size(), 0.0);
+  if (out.fiber_stiffness)
+    std::fill(out.fiber_stiffness, out.fiber_stiffness + model.fiber.num_elements, 0.0);
   std::fill(out.activation, out.activation + model.fiber.num_elements, 0.0);
 }
 
@@ -271,9 +276,12 @@ void parameter_adjoint(const SoftModel& model, const SoftParameters& p, const do
                        ThreadPool& pool) {
   clear_elastic(model, out);
   with_types(model, [&](auto group, auto material) {
-    parameter_adjoint_of<decltype(group), decltype(material)>(model, p, x, z, out, scratch, pool);
+    using Group = decltype(group);
+    if (out.weights)
+      weight_adjoint_of<Group, decltype(material)>(model, x, z, out.weights, scratch, pool);
+    fiber_adjoint_of<Group>(model, p, x, z, out, pool);
   });
-  hourglass::add_parameter_adjoint(model, x, z, out.weights, pool);
+  if (out.weights) hourglass::add_parameter_adjoint(model, x, z, out.weights, pool);
 }
 
 void damping_adjoint(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,

@@ -69,8 +69,8 @@ void tangent(const SoftModel& model, const SoftParameters& parameters, const Dam
 
 /// z . d(gradient)/dp for every parameter p of the energy, overwritten.
 struct ParameterAdjoint {
-  double* weights = nullptr;
-  double* fiber_stiffness = nullptr;
+  double* weights = nullptr;          // this and the next may be null in parameter_adjoint
+  double* fiber_stiffness = nullptr;  // (num_fibers,)
   double* activation = nullptr;
   double* damp_mu = nullptr;  // this and the next three by damping_adjoint
   double* damp_lambda = nullptr;

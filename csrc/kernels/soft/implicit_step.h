@@ -71,7 +71,7 @@ struct StepAdjoint {
   double* force = nullptr;    // (num_nodes, 3)
   double* target = nullptr;   // (num_nodes, 3), zero at free unknowns
   double* guess = nullptr;    // (num_nodes, 3), of linearly implicit steps only
-  double* inertia = nullptr;  // (num_nodes,)
+  double* inertia = nullptr;  // (num_nodes,); null where it is not asked for
   ParameterAdjoint parameters;
 };
 

@@ -141,6 +141,7 @@ Vector StepProblem::quadratic_gradients(const Vector& x, const Vector& z, const 
     out.y[i] = inertia[i / 3] * z[i];
     out.force[i] = z[i];
     out.target[i] = system_.fixed()[i] ? rest[i] : 0.0;
+    if (!out.inertia) continue;
     if (i % 3 == 0) out.inertia[i / 3] = 0.0;
     out.inertia[i / 3] -= z[i] * (x[i] - in_.y[i]);
   }
