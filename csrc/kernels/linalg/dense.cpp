@@ -213,6 +213,18 @@ MatrixXd Lu::solve(const MatrixXd& B) const {
   return X.transpose();
 }
 
+VectorXd Lu::solve_one(const double* b) const {
+  const int n = static_cast<int>(lu_.rows());
+  VectorXd x(n);
+  for (int k = 0; k < n; ++k) x(k) = b[order_[k]];
+  for (int k = 0; k < n; ++k) add(-x(k), lu_.col(k).data() + k + 1, x.data() + k + 1, n - k - 1);
+  for (int k = n - 1; k >= 0; --k) {
+    x(k) /= lu_(k, k);
+    add(-x(k), lu_.col(k).data(), x.data(), k);
+  }
+  return x;
+}
+
 MatrixXd Lu::inverse() const { return solve(MatrixXd::Identity(lu_.rows(), lu_.rows())); }
 
 double Lu::rcond(const MatrixXd& inverse) const { return 1.0 / (norm_ * one_norm(inverse)); }

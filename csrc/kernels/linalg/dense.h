@@ -33,6 +33,8 @@ class Lu {
   explicit Lu(const MatrixXd& A);
   /// A^-1 B.
   MatrixXd solve(const MatrixXd& B) const;
+  /// A^-1 b of one b, by columns; it rounds otherwise than `solve`.
+  VectorXd solve_one(const double* b) const;
   MatrixXd inverse() const;
   /// 1 / (|A| |A^-1|) in the 1-norm, given the inverse; 0 or NaN where A is singular.
   double rcond(const MatrixXd& inverse) const;

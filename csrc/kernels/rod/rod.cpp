@@ -5,7 +5,7 @@
 
 #include "kernels/linalg/dense.h"
 #include "kernels/parallel.h"
-#include "kernels/rod/sweep.h"
+#include "kernels/rod/slopes.h"
 
 namespace diffsim::rod {
 
@@ -51,7 +51,7 @@ void each_field(const Body& body, F&& f) {
 class Solver {
  public:
   explicit Solver(const Batch& batch)
-      : plain(batch.body), batch_(batch), size_(3 * batch.body.num_elements), moving_(batch.body) {}
+      : plain(batch.body), batch_(batch), size_(3 * batch.body.num_elements), slopes_(batch.body) {}
 
   /// Takes the numbers of a member and its strains.
   void load(const Member& m, const double* strains) {
@@ -59,23 +59,13 @@ class Solver {
       std::copy_n(part(batch_.fields[f], size, m), size, &plain.numbers[begin]);
     });
     std::copy_n(strains, size_, plain.u.begin());
+    slopes_.load(plain.numbers);
   }
 
-  /// Slopes of the residual by the strains, or their transpose, where `plain` was run. Directions
-  /// from the tip on: what lies before an element does not feel its strains.
+  /// Slopes of the residual by the strains, or their transpose, where `plain` was run.
   dense::MatrixXd slopes(bool transposed) {
-    moving_.copy(plain);
     dense::MatrixXd found(size_, size_);
-    for (std::int64_t last = size_; last > 0; last -= kNativeLanes) {
-      const std::int64_t first = std::max<std::int64_t>(0, last - kNativeLanes);
-      for (std::int64_t k = first; k < last; ++k) moving_.u[k].along[k - first] = 1.0;
-      moving_.run_from(first / 3);
-      for (std::int64_t k = first; k < last; ++k) {
-        moving_.u[k].along[k - first] = 0.0;
-        for (std::int64_t i = 0; i < size_; ++i)
-          (transposed ? found(k, i) : found(i, k)) = moving_.residual[i].along[k - first];
-      }
-    }
+    slopes_.find(plain, transposed ? size_ : 1, transposed ? 1 : size_, found.data());
     return found;
   }
 
@@ -86,16 +76,16 @@ class Solver {
     dense::Lu factor(slopes(false));
     double last = 0.0;
     for (int k = 0; k < kMostSteps; ++k) {
-      dense::MatrixXd step = apply(factor);
+      dense::VectorXd step = factor.solve_one(plain.residual.data());
       double turn = turn_of(step);
       if (k > 0 && !(turn < kGain * last)) {
         factor = dense::Lu(slopes(false));
-        step = apply(factor);
+        step = factor.solve_one(plain.residual.data());
         turn = turn_of(step);
       }
       if (!std::isfinite(turn)) return turn;
       const double share = std::min(1.0, kMostTurn / turn);
-      for (std::int64_t i = 0; i < size_; ++i) plain.u[i] -= share * step(i, 0);
+      for (std::int64_t i = 0; i < size_; ++i) plain.u[i] -= share * step(i);
       plain.run();
       last = turn;
       if (turn < tolerance) return turn;
@@ -132,11 +122,8 @@ class Solver {
   Sweep<double> plain;
 
  private:
-  dense::MatrixXd apply(const dense::Lu& factor) const {
-    return factor.solve(Eigen::Map<const dense::VectorXd>(plain.residual.data(), size_));
-  }
   /// Of all elements together [rad].
-  double turn_of(const dense::MatrixXd& step) const {
+  double turn_of(const dense::VectorXd& step) const {
     double sum = 0.0;
     for (std::int64_t i = 0; i < size_ / 3; ++i) {
       const double* own = step.data() + 3 * i;
@@ -147,7 +134,7 @@ class Solver {
 
   const Batch& batch_;
   std::int64_t size_;
-  Sweep<LaneDual> moving_;
+  Slopes slopes_;
 };
 
 /// Calls f(member, solver) for all members; a solver serves several.
@@ -197,9 +184,8 @@ void solve_vjp(const Batch& batch, const double* strains, const double* grad_str
     double* of_numbers = &own[count * m.index];
     reverse(solver.plain, of_residual.data(), grad_places + m.index * width, of_numbers,
             grad_u.data());
-    const dense::MatrixXd l = dense::Lu(solver.slopes(true))
-                                  .solve(Eigen::Map<const dense::VectorXd>(grad_u.data(), size));
-    for (std::int64_t i = 0; i < size; ++i) of_residual[i] = -l(i, 0);
+    const dense::VectorXd l = dense::Lu(solver.slopes(true)).solve_one(grad_u.data());
+    for (std::int64_t i = 0; i < size; ++i) of_residual[i] = -l(i);
     reverse(solver.plain, of_residual.data(), of_places.data(), of_numbers, unused.data());
   });
   // shared numbers gather what their members have, whatever the number of threads
@@ -226,9 +212,9 @@ void solve_tangent(const Batch& batch, const Fields<const double>& directions,
     along.run();
     dense::VectorXd moved(size);
     for (std::int64_t i = 0; i < size; ++i) moved(i) = -along.residual[i].along[0];
-    const dense::MatrixXd du = dense::Lu(solver.slopes(false)).solve(moved);
+    const dense::VectorXd du = dense::Lu(solver.slopes(false)).solve_one(moved.data());
     for (std::int64_t i = 0; i < size; ++i)
-      d_strains[m.index * size + i] = along.u[i].along[0] = du(i, 0);
+      d_strains[m.index * size + i] = along.u[i].along[0] = du(i);
     along.run();
     for (std::int64_t i = 0; i < width; ++i)
       d_places[m.index * width + i] = along.places[i].along[0];

@@ -41,17 +41,10 @@ struct Sweep {
         outer(3 * n),
         residual(3 * n) {}
 
-  /// The numbers, strains and results of another one, which do not move.
+  /// The numbers and strains of another one, which do not move.
   void copy(const Sweep<double>& from) {
-    const auto take = [](const std::vector<double>& values, std::vector<T>& own) {
-      std::copy(values.begin(), values.end(), own.begin());
-    };
-    take(from.numbers, numbers), take(from.u, u);
-    take(from.edges, edges), take(from.middles, middles), take(from.halves, halves);
-    take(from.force, force), take(from.local, local), take(from.turns, turns);
-    take(from.wrapped, wrapped), take(from.tension, tension), take(from.rounds, rounds);
-    take(from.moment, moment), take(from.along, along), take(from.nodes, nodes);
-    take(from.centers, centers), take(from.places, places);
+    std::copy(from.numbers.begin(), from.numbers.end(), numbers.begin());
+    std::copy(from.u.begin(), from.u.end(), u.begin());
   }
 
   const T* field(Field f) const { return &numbers[begin[f]]; }
@@ -83,13 +76,8 @@ struct Sweep {
     sum_forces();
     std::copy_n(field(kBase), 9, edges.begin());
     std::copy_n(field(kPlace), 3, nodes.begin());
-    run_from(0);
-  }
-
-  /// The same where nothing has changed before element `first`.
-  void run_from(std::int64_t first) {
-    T turned = first > 0 ? wrapped[first - 1] + 0.5 * turns[first - 1] : T(0.0);
-    for (std::int64_t i = first; i < n; ++i) {
+    T turned = T(0.0);
+    for (std::int64_t i = 0; i < n; ++i) {
       turn_frame(i);
       turned = pull(i, turned);
       for (int k = 0; k < 3; ++k) local[3 * i + k] = T(0.0), along[3 * i + k] = T(0.0);
@@ -102,8 +90,7 @@ struct Sweep {
         nodes[3 * (i + 1) + k] = nodes[3 * i + k] + step;
       }
     }
-    for (std::int64_t p = 0; p < body.num_points; ++p)
-      if (body.around[p] >= first) place(p);
+    for (std::int64_t p = 0; p < body.num_points; ++p) place(p);
     balance();
   }
 
