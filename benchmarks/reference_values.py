@@ -47,6 +47,9 @@ def lines_of(name: str, value: Value) -> Iterator[str]:
         yield from _array_lines(name, value)
     elif isinstance(value, Sequence) and all(isinstance(v, str) for v in value):
         yield f"{name} = {list(value)!r}"
+    elif isinstance(value, Sequence) and any(isinstance(v, str) for v in value):
+        for place, inner in enumerate(value):  # a number and its name, say
+            yield from lines_of(f"{name}/{place}", inner)
     elif isinstance(value, Sequence):
         yield from _array_lines(name, np.array(value))
     else:

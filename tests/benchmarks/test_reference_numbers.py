@@ -36,11 +36,14 @@ def test_lines_change_with_the_last_bit():
 
 def test_lines_name_every_part():
     nested = {"a": {"loss": torch.tensor(2.0).double(), "ok": True}, "b": None, "c": ["u", "v"]}
+    nested["d"] = [2.5, "sd"]
     assert list(lines_of("x", nested)) == [
         "x/a/loss = 2.0",
         "x/a/ok = True",
         "x/b = None",
         "x/c = ['u', 'v']",
+        "x/d/0 = 2.5",
+        "x/d/1 = 'sd'",
     ]
     (line,) = lines_of("x", np.array([3.0, 4.0, np.nan] + [0.0] * 20))
     assert line.startswith("x = shape [23], norm 5.0, sha256 ")
