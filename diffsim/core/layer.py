@@ -159,7 +159,9 @@ def is_followed(tensors: Sequence[Tensor]) -> bool:
 
 def is_recorded_plainly(tensors: Sequence[Tensor]) -> bool:
     """Whether a gradient by one of some tensors is recorded, and nothing else follows the calls."""
-    if torch.compiler.is_compiling() or torch_names.is_traced() or _is_transformed():
+    if torch.compiler.is_compiling() or _is_transformed():
+        return False
+    if torch_names.is_watched(by_compilers=False):
         return False
     return torch.is_grad_enabled() and _are_plain(tensors) and _is_differentiated(tensors)
 

@@ -71,15 +71,11 @@ def is_recorded() -> bool:
     return tracer is not None and tracer.get_proxy_mode() is not None
 
 
-def is_watched() -> bool:
-    """Whether a compiler, tracer, profiler or mode follows the calls of ops."""
-    return has_compiler() or is_traced()
-
-
-def is_traced() -> bool:
-    """Whether a tracer, profiler or mode follows them."""
+def is_watched(*, by_compilers: bool = True) -> bool:
+    """Whether a tracer, profiler or mode follows the calls of ops, or a compiler may."""
     return (
-        has_modes()
+        (by_compilers and has_compiler())
+        or has_modes()
         or has_function_modes()
         or torch._C._get_tracing_state() is not None
         or torch.autograd._profiler_enabled()  # type: ignore[attr-defined]
