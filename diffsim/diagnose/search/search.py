@@ -213,7 +213,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     are not exact: of a set that was far behind another one they need not be, and differences are
     not along weak directions."""
     made, fit = search.simulations, search.fit_of(members)
-    at, most = made.fitted[members], search.null.case.settings.plain_steps
+    at, most = made.fitted[members], search.settings.refit_steps
     is_exact = fit.ended != "budget"
     is_exact &= has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
     model = search.wide.model
