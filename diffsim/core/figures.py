@@ -41,18 +41,9 @@ def with_interval(value: float, low: float, high: float) -> str:
     return f"{figure(value, digits)} ({limits(value, low, high, digits)})"
 
 
-def open_ends(value: float, low: float, high: float) -> tuple[bool, bool]:
-    """Whether the lower and the upper end of an interval of one sign limit nothing."""
-    if low > 0.0:
-        return value > NO_LIMIT * low, high > NO_LIMIT * value
-    if high < 0.0:
-        return low < NO_LIMIT * value, value < NO_LIMIT * high
-    return math.isinf(low), math.isinf(high)
-
-
 def limits(value: float, low: float, high: float, digits: int = DIGITS, unit: str = "") -> str:
     """The ends of an interval in words: "1.1 to 1.3 N", "at least 1.1 N; the data give no upper
-    limit".
+    limit". An end limits nothing where an interval of one sign ends far off its value.
 
     Args:
         value: Lies between the ends.
@@ -60,7 +51,11 @@ def limits(value: float, low: float, high: float, digits: int = DIGITS, unit: st
         digits: Digits of either end.
         unit: As it follows a number, with its space.
     """
-    below, above = open_ends(value, low, high)
+    below, above = math.isinf(low), math.isinf(high)
+    if low > 0.0:
+        below, above = value > NO_LIMIT * low, high > NO_LIMIT * value
+    elif high < 0.0:
+        below, above = low < NO_LIMIT * value, value < NO_LIMIT * high
     if above and not below:
         return f"at least {figure(low, digits)}{unit}; the data give no upper limit"
     if below and not above:

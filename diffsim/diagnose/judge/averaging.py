@@ -7,6 +7,8 @@ it. Normals are widened to the spread over fits without a part of the runs (``wi
 
 What the extended model holds is stated as it holds it: the value of its own fit, which predicts
 unseen runs, inside of an interval over all sets. So what is named is what is saved and judged.
+Where another of its causes may be zero, the interval holds that of the set without that one, too,
+whatever its evidence: sizes that only stand beside what may be absent are not known that well.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from diffsim.diagnose.judge.left_out import (
     moved,
 )
 from diffsim.diagnose.judge.records import Interval
-from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, SetPosterior
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.simulations import NONE, Members
 from diffsim.identify import Fit
@@ -120,7 +122,14 @@ class ModelAverage:
         ratios = [(a.high - a.low) / (b.high - b.low) for a, b in pairs if b.high > b.low]
         return max([1.0, *ratios])
 
-    def _sizes(self, i: int, *, widened: bool) -> dict[str, Interval]:
+    def _sizes(self, i: int, *, widened: bool, alone: bool = False) -> dict[str, Interval]:
+        """Sizes by component.
+
+        Args:
+            i: Index of the effect.
+            widened: Whether intervals are as wide as parts of the runs spread.
+            alone: Whether nothing beside it in the extended model is held to be absent.
+        """
         wide = self.search.wide
         effect = wide.effects[i]
         holding = [h for h in self.sized if i in h.effects]
@@ -133,7 +142,8 @@ class ModelAverage:
         names = [wide.names[c] for c in columns]
         widen = names if widened else None
         parts = [self._part(h, i, widen) for h in holding]
-        saved = self._part(Hypothesis(self.members), i, widen) if i in self.members else None
+        held = [] if i not in self.members else [self.members] if alone else self._answers(i)
+        answers = [self._part(Hypothesis(members), i, widen) for members in held]
         out = {}
         fitted = {f"@{run.name}" for run in wide.runs}
         for k, component in enumerate(effect.components):
@@ -143,26 +153,42 @@ class ModelAverage:
             mean = unit * np.array([p[0][k] for p in parts])
             sd = np.hypot(unit * np.array([p[1][k] for p in parts]), MODEL_FORM * mean)
             size = _interval(weights, mean, sd, effect)
-            if saved is not None:
-                mean = unit * saved[0][[k]]
+            for of, spread in reversed(answers):
+                mean = unit * of[[k]]
                 own = _interval(
-                    np.ones(1), mean, np.hypot(unit * saved[1][[k]], MODEL_FORM * mean), effect
+                    np.ones(1), mean, np.hypot(unit * spread[[k]], MODEL_FORM * mean), effect
                 )
                 size = Interval(own.value, min(size.low, own.low), max(size.high, own.high))
             out[component] = size
         return out
 
-    def differs_jointly(self, i: int) -> bool:
-        """Whether the components of an effect are together not zero, whatever each is alone.
+    def _answers(self, i: int) -> list[Members]:
+        """The set of the extended model, and those without another cause that may be zero, where
+        their fits have ended."""
+        absent = [k for k in sorted(self.members - {i}) if self.may_be_zero(k, alone=True)]
+        without = [self.members - {k} for k in absent]
+        fits = {h.effects: w.fit for h, w in self.search.posteriors.items() if h.unknown is None}
+        ended = [m for m in without if (fit := fits.get(m)) is not None and fit.converged]
+        return [self.members, *ended]
+
+    def may_be_zero(self, i: int, *, alone: bool = False) -> bool:
+        """Whether the widened intervals of all components of a size hold zero, together too.
 
         A size for all and one for each propeller share what they say: of neither alone zero can be
         excluded, of their sum it can. By the heaviest set with a fit, at 90 %, widened as intervals
         are.
+
+        Args:
+            i: Index of the effect.
+            alone: As of ``_sizes``.
         """
+        sizes = self._sizes(i, widened=True, alone=alone)
+        if not sizes or not all(size.low <= 0.0 <= size.high for size in sizes.values()):
+            return False
         fits = {h: w.fit for h, w in self.search.posteriors.items() if i in h.effects}
         held = [h for h, fit in fits.items() if fit is not None and self.weights.get(h, 0.0) > 0.0]
-        if not held:
-            return False
+        if len(sizes) == 1 or not held:
+            return True
         fit = fits[max(held, key=lambda h: self.weights[h])]
         assert fit is not None
         own = fit.problem.columns_of(self.search.wide.effects[i])
@@ -170,7 +196,7 @@ class ModelAverage:
         spread = fit.covariance[np.ix_(own, own)] * np.outer(stretch, stretch)
         widest = max(self.factors.get(fit.problem.names[c], self.usual) for c in own)
         away = float(u @ np.linalg.solve(spread, u)) / widest**2
-        return away > float(special.chdtri(len(own), 0.1))  # 90 % of chi squared
+        return away <= float(special.chdtri(len(own), 0.1))  # 90 % of chi squared
 
     def _part(self, h: Hypothesis, i: int, names: Sequence[str] | None) -> tuple[Array, Array]:
         """Mean and sd of an effect's scaled coordinates in a set.
@@ -180,7 +206,8 @@ class ModelAverage:
             i: Index of the effect.
             names: Coordinates to widen; None: the statistical sd alone.
         """
-        effect, fit = self.search.wide.effects[i], self._find_set(h).fit
+        effect = self.search.wide.effects[i]
+        fit = (self.search.posteriors.get(h) or self.search.linear[h]).fit
         own = (self.search.wide if fit is None else fit.problem).columns_of(effect)
         known = self._posteriors(h, lambda: self._computed_posterior(h))
         mean, sd = (values[own] for values in known)
@@ -193,7 +220,7 @@ class ModelAverage:
 
     def _computed_posterior(self, h: Hypothesis) -> tuple[Array, Array]:
         """Mean and sd of all scaled coordinates of a set's problem."""
-        posterior = self._find_set(h)
+        posterior = self.search.posteriors.get(h) or self.search.linear[h]
         fit = posterior.fit
         if fit is None:
             problem, x, sd = self.search.wide, posterior.x, posterior.sd
@@ -202,10 +229,6 @@ class ModelAverage:
             shift = numerical_shift(fit, self.changes)
             sd = np.hypot(np.sqrt(np.diag(fit.covariance)), shift)
         return problem.scaled(x), sd * problem.stretch(x)
-
-    def _find_set(self, h: Hypothesis) -> SetPosterior:
-        found = self.search.posteriors.get(h)
-        return self.search.linear[h] if found is None else found
 
 
 def averaged(

@@ -194,13 +194,7 @@ def _stands_in_for_what_was_refused(g: Grounds, i: int) -> str:
 
 
 def _may_be_zero(g: Grounds, i: int) -> str:
-    """Whether the widened intervals of all components of a size hold zero, together too."""
-    sizes = g.about.size(i).values()
-    if not sizes or not all(size.low <= 0.0 <= size.high for size in sizes):
-        return ""
-    if len(sizes) > 1 and g.about.differs_jointly(i):
-        return ""
-    return MAY_BE_ZERO
+    return MAY_BE_ZERO if g.about.may_be_zero(i) else ""
 
 
 def _helps_nothing(g: Grounds, i: int) -> str:

@@ -273,6 +273,8 @@ def _open(answer: Answer) -> list[str]:
         if w.startswith(WRONG_DATA_SHEET)
     ]
     also = f" or {off[0]} is off its data sheet" if off else ""
+    if off == [shown]:  # the cause changes the very number
+        also = ", or its data sheet is off"
     return [
         f"{capital(shown)} is missing{also}; these runs cannot tell which",
         "One of several causes is missing; these runs cannot tell which",

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from diffsim.core.figures import figure, limits, open_ends
+from diffsim.core.figures import figure, limits
 from diffsim.core.units import after_number
 from diffsim.diagnose.checks.gates import (
     COARSE,
@@ -152,9 +152,10 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
     unit = after_number(row.unit)
     if len(row.size) == 1:
         return ends(next(iter(row.size.values())), unit)
-    if any(any(open_ends(s.value, s.low, s.high)) for s in row.size.values()):
+    each = [f"{component_words(c)} {ends(s)}" for c, s in row.size.items()]
+    if any(";" in said for said in each):  # an end is no limit
         return "; ".join(f"{component_words(c)} {ends(s, unit)}" for c, s in row.size.items())
-    return f"{', '.join(f'{component_words(c)} {ends(s)}' for c, s in row.size.items())}{unit}"
+    return f"{', '.join(each)}{unit}"
 
 
 def has_many_sizes(row: CauseRow) -> bool:

@@ -10,6 +10,7 @@ from diffsim.diagnose.judge.averaging import averaged
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.records import HALF_LEVEL
 from diffsim.diagnose.say import assemble
+from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.diagnose.search.simulations import NONE
 from diffsim.identify.model_file import read_extended
 from tests.diagnose import toy, toy_setup
@@ -89,3 +90,34 @@ def test_a_cause_that_is_not_saved_is_a_mean_over_the_sets_that_hold_it(disagree
         if effect.name not in held:
             assert about.size(i) == replace(about, members=NONE).size(i)
     assert about.members
+
+
+def test_beside_what_may_be_zero_a_size_holds_that_of_the_set_without_it(disagreeing):
+    """Of a starfish one answer said 6.5 to 8.2 mm of slack; 8.5 to 9.8 beside a law of -900 to
+    3600."""
+    _, setup, _, about = disagreeing
+    wide, found = about.search.wide, about.search.fits
+    i = next(i for i, e in enumerate(setup.effects) if e.name == "drag")
+    pairs = (m for m in found if len(m) == 2 and i in m)
+    pair = next(m for m in pairs if all(wide.effects[j].signed for j in m - {i}))
+    (k,), without = pair - {i}, Hypothesis(frozenset({i}))
+    names = [wide.names[wide.columns_of(e)[0]] for e in wide.effects]
+    # the other cause takes up much of the drag
+    apart = about.search.posteriors[without]
+    moved = apart.fit.x.copy()
+    moved[apart.fit.problem.names.index(names[i])] += 0.2
+    apart = replace(apart, fit=replace(apart.fit, x=moved))
+    search = replace(about.search, posteriors={**about.search.posteriors, without: apart})
+    single = replace(about, search=search, members=without.effects, sized={without: 1.0})
+    alone = single.size(i)["size"].value
+
+    def drag(factor):
+        sized, factors = {Hypothesis(pair): 1.0}, {names[i]: 1e-9, names[k]: factor}
+        known = replace(about, search=search, members=pair, sized=sized, factors=factors)
+        assert not known.may_be_zero(i) and known.may_be_zero(k) == (factor > 1.0)
+        return known.size(i)["size"]
+
+    sure, open_ = drag(1e-9), drag(1e9)
+    assert not sure.low < alone < sure.high
+    assert open_.low < alone < open_.high and open_.value == sure.value
+    assert open_.low <= sure.low and sure.high <= open_.high

@@ -115,6 +115,18 @@ def test_one_of_several_data_sheets_is_said_as_one_of_them():
     )
 
 
+def test_a_cause_and_the_data_sheet_of_its_own_number_are_said_once():
+    """It said: Viscosity is missing or viscosity is off its data sheet."""
+    forms = {0: "a wrong data sheet of viscosity"}
+    assert said("ambiguous", [cause("viscosity")], rivals=((),), forms=forms).startswith(
+        "Viscosity is missing, or its data sheet is off; these runs cannot tell which"
+    )
+    forms = {0: "a wrong data sheet of density"}
+    assert said("ambiguous", [cause("viscosity")], rivals=((),), forms=forms).startswith(
+        "Viscosity is missing or density is off its data sheet; these runs cannot tell which"
+    )
+
+
 def test_beside_what_has_no_name_an_error_that_stays_is_no_objection():
     """It said: Slow share helps, but something without a name is missing, too; but the error
     stays."""
