@@ -7,7 +7,7 @@ it. Normals are widened to the spread over fits without a part of the runs (``wi
 
 What the extended model holds is stated as it holds it: the value of its own fit, which predicts
 unseen runs, inside of an interval over all sets. So what is named is what is saved and judged.
-Where another of its causes may be zero, the interval holds that of the set without that one, too,
+Where one other of its causes may be zero, the interval holds that of the set without that one, too,
 whatever its evidence: sizes that only stand beside what may be absent are not known that well.
 """
 
@@ -163,13 +163,15 @@ class ModelAverage:
         return out
 
     def _answers(self, i: int) -> list[Members]:
-        """The set of the extended model, and those without another cause that may be zero, where
-        their fits have ended."""
+        """The set of the extended model, and that without the other cause that may be zero, where
+        its fit has ended; where several may be, without one the others do what it did."""
         absent = [k for k in sorted(self.members - {i}) if self.may_be_zero(k, alone=True)]
-        without = [self.members - {k} for k in absent]
+        if len(absent) != 1:
+            return [self.members]
+        without = self.members - {absent[0]}
         fits = {h.effects: w.fit for h, w in self.search.posteriors.items() if h.unknown is None}
-        ended = [m for m in without if (fit := fits.get(m)) is not None and fit.converged]
-        return [self.members, *ended]
+        is_ended = (fit := fits.get(without)) is not None and fit.converged
+        return [self.members, without] if is_ended else [self.members]
 
     def may_be_zero(self, i: int, *, alone: bool = False) -> bool:
         """Whether the widened intervals of all components of a size hold zero, together too.

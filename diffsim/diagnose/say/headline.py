@@ -260,6 +260,12 @@ def _open(answer: Answer) -> list[str]:
     sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
     parts = [[_brief(plain_name(answer, n)) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
+    if common and names and not all(parts):  # what they share alone does nearly as well
+        shared = [_brief(plain_name(answer, n)) for n in sets[0] if n in common][:MAX_NAMES]
+        verb = "are" if len(shared) > 1 else "is"
+        said = f"{capital(_join(shared))} {verb} probably missing; these runs leave open whether"
+        more = names[0] if len(names) == 1 else "another cause"
+        return [f"{said} {more} is, too", f"{said} another cause is, too"]
     if len(names) == 1 and all(parts):
         return [f"{capital(names[0])} is missing; these runs cannot tell its form"]
     shown = f"{names[0]}, {names[1]} or another cause" if len(names) > 2 else " or ".join(names)

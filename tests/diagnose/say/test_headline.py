@@ -246,6 +246,19 @@ def test_in_a_set_that_cannot_be_told_apart_what_removes_most_comes_first():
     assert headline(answer, [FELL]).startswith("Ballooning with drag or lag is missing")
 
 
+def test_what_a_smaller_set_has_in_common_is_named_before_what_it_lacks():
+    rows = [
+        cause(name, removes=r, status="likely") for name, r in (("clock", 0.9), ("stretch", 0.1))
+    ]
+    names, decision = ("clock", "stretch"), SimpleNamespace(forms={})
+    answer = Answer(
+        "ambiguous", decision, tuple(rows), (("clock",),), (), None, named=names, best_names=names
+    )
+    assert headline(answer, [FELL]).startswith(
+        "Clock is probably missing; these runs leave open whether stretch is, too"
+    )
+
+
 def test_three_data_sheets_in_place_of_a_cause_are_a_short_sentence():
     """A network's second sentence had 37 words: "its data sheet" stood in it three times."""
 
