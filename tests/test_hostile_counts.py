@@ -114,6 +114,30 @@ def test_a_sheet_with_a_cell_in_its_last_corner_is_read(tmp_path):
     np.testing.assert_array_equal(found["q"], [1.0, 2.0])
 
 
+@pytest.mark.parametrize("row", ["<row><c><v>1</v></c><c><v>2</v></c></row>", "<row/>", "<x:row/>"])
+def test_a_small_workbook_of_millions_of_cells_is_refused_at_once(row, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for cells in (["time_s", "q"], [0, 1], [1, 2]):
+        book.active.append(cells)
+    book.save(tmp_path / "plain.xlsx")
+    sheet = "xl/worksheets/sheet1.xml"
+    with (
+        zipfile.ZipFile(tmp_path / "plain.xlsx") as plain,
+        zipfile.ZipFile(tmp_path / "log.xlsx", "w", zipfile.ZIP_DEFLATED) as packed,
+    ):
+        for name in set(plain.namelist()) - {sheet}:
+            packed.writestr(name, plain.read(name))
+        text = plain.read(sheet).decode()
+        head, end = text.split("</sheetData>")
+        packed.writestr(sheet, f"{head}{2_000_000 * row}</sheetData>{end}")
+    assert (tmp_path / "log.xlsx").stat().st_size < 350_000
+    before = time.process_time()
+    with pytest.raises(ValueError, match=r"at most 500,000 cells .* save the table as CSV"):
+        read_columns(tmp_path / "log.xlsx")
+    assert time.process_time() - before < 2.0
+
+
 def test_ten_thousand_arrays_are_refused_at_once_and_read_where_they_are_many_tables(tmp_path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "log.h5", "w") as file:

@@ -25,7 +25,7 @@ def require(
     *,
     finite: bool = True,
 ) -> Tensor:
-    """Check dtype, device, shape and finiteness of a tensor and make it contiguous.
+    """Check dtype, device, shape and finiteness of a tensor; make its memory what it says.
 
     Args:
         name: The argument's name, for the message.
@@ -35,7 +35,7 @@ def require(
         finite: Refuse NaN and infinity (not while ``torch.compile`` traces, without values).
 
     Returns:
-        ``value``, contiguous.
+        ``value``, contiguous and without the negative bit that a view of a conjugate has.
 
     Raises:
         TypeError: not a tensor, sparse or nested, wrong dtype or device, without values.
@@ -44,6 +44,8 @@ def require(
     require_shape(name, value, shape, dtype)
     if torch.compiler.is_compiling():
         return value.contiguous()
+    if value.is_neg():
+        value = value.resolve_neg()
     if value.is_inference() and not torch.is_inference_mode_enabled():
         value = value.clone()  # one made in inference mode cannot be kept for a gradient
     if not finite or not value.is_floating_point():

@@ -109,20 +109,25 @@ def digest_of(value: Any) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
-def to_plain(value: Any) -> Any:
-    """The same value in types that JSON has; NaN and infinity become None (JSON has neither)."""
+def to_plain(value: Any, *, keep_nan: bool = False) -> Any:
+    """The same value in types that JSON has; NaN and infinity become None (JSON has neither).
+
+    Args:
+        value: Mappings, lists, arrays, numbers, text and paths.
+        keep_nan: Whether NaN and infinity stay, for YAML.
+    """
     if isinstance(value, dict):
-        return {str(key): to_plain(item) for key, item in value.items()}
+        return {str(key): to_plain(item, keep_nan=keep_nan) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [to_plain(item) for item in value]
+        return [to_plain(item, keep_nan=keep_nan) for item in value]
     if isinstance(value, np.ndarray):
-        return to_plain(value.tolist())
+        return to_plain(value.tolist(), keep_nan=keep_nan)
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     if isinstance(value, (int, np.integer)):
         return int(value)
     if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
+        return float(value) if keep_nan or math.isfinite(value) else None
     if value is None or isinstance(value, str):
         return value
     if isinstance(value, Path):

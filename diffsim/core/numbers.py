@@ -36,11 +36,11 @@ def values_of(value: Tensor) -> Tensor:
             "at these, or jacfwd for all"
         )
     if not is_in_func():
-        return value.detach()
+        return value.detach().resolve_neg()
     while is_wrapped(value):
         value = unwrapped(value)
     with on_constants():  # else it would be wrapped again
-        return value.detach()
+        return value.detach().resolve_neg()
 
 
 def has_values(value: Tensor) -> bool:

@@ -44,6 +44,12 @@ class RegionMesh:
     region: Tensor
     element_data: Mapping[str, Tensor] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        region = require("region", self.region, (len(self.mesh.elements),), torch.int64)
+        if region.numel() and not -1 <= int(region.min()) <= int(region.max()) < len(self.names):
+            raise ValueError(f"region must hold indices of names in [-1, {len(self.names)})")
+        object.__setattr__(self, "region", region)
+
     def elements(self, name: str) -> Tensor:
         """Indices of a region's elements, ascending, (num_selected,) int64.
 

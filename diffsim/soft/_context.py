@@ -110,13 +110,8 @@ class SoftContext:
             chambers=chambers,
             fixed=fixed,
         )
-        self._lock = threading.Lock()
-        contexts[self.handle] = self
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Sizes of arrays by name, see :mod:`diffsim.soft._arrays`."""
-        return {
+        # sizes of arrays by name, see :mod:`diffsim.soft._arrays`; a graph cannot ask the pattern
+        self.sizes = {
             "num_nodes": self.num_nodes,
             "num_elements": self.num_elements,
             "num_weights": self.pattern.num_weights,
@@ -124,6 +119,8 @@ class SoftContext:
             "num_chambers": self.num_chambers,
             "num_tables": self.pattern.num_tables,
         }
+        self._lock = threading.Lock()
+        contexts[self.handle] = self
 
     def of_shape(self, tables: Tensor) -> SoftContext:
         """The prepared objects of another rest shape of the mesh; of this one for empty tables.

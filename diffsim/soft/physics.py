@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_range
+from diffsim.core.check import require, require_range, require_shape
 from diffsim.core.module import loadable
 from diffsim.soft.elements import hourglass_weights
 from diffsim.soft.materials import Material, small_strain_moduli
@@ -69,6 +69,24 @@ class Physics:
         rate = self.rayleigh_beta * kappa
         moduli = small_strain_moduli(self.material, self.weights)
         return DampingWeights(mu=rate * moduli.two_mu, lame_lambda=rate * moduli.lame_lambda)
+
+
+_FITS = "_fits"
+"""Attribute of a :class:`Physics` that is no field: which bodies its fields were checked for."""
+
+_AXES = {
+    "weights": ("num_weights", "num_elements"),
+    "mass": ("num_nodes",),
+    "weighing_mass": ("num_nodes",),
+    "fiber_stiffness": ("num_muscles",),
+}
+_LIMITS = {
+    "mass": {"above": 0.0},
+    "weighing_mass": {"at_least": 0.0},
+    "fiber_stiffness": {"above": 0.0},
+    "rayleigh_alpha": {"at_least": 0.0},
+    "rayleigh_beta": {"at_least": 0.0},
+}
 
 
 class DampingWeights(NamedTuple):
@@ -260,22 +278,69 @@ def _of_members(name: str, value: Tensor, shape: tuple[int, ...], batch: int | N
     return require(name, value, shape)
 
 
-def require_physics(physics: Physics, num_nodes: int, num_elements: int, material: str) -> Physics:
-    """Refuse what is no :class:`Physics`, or one of another body."""
+def require_physics(physics: Physics, sizes: Mapping[str, int], material: str) -> Physics:
+    """Refuse what is no :class:`Physics`, one of another body, and spoiled fields of one.
+
+    The fields are looked at once: for small bodies that takes a quarter of a step.
+
+    Args:
+        physics: What was given.
+        sizes: Of the body's arrays by name, and "num_muscles".
+        material: The body's material.
+    """
     if not isinstance(physics, Physics):
         raise TypeError(f"physics must come from body.physics(...), got {type(physics).__name__}")
+    fits, is_traced = (material, *sizes.values()), torch.compiler.is_compiling()
+    if not is_traced and vars(physics).get(_FITS) == fits:
+        return physics
+    for name in ("mass", "weights"):
+        require_shape(f"physics.{name}", getattr(physics, name), ("...", "size"))
     size = (physics.mass.shape[-1], physics.weights.shape[-1])
-    if size != (num_nodes, num_elements):
+    own = (sizes["num_nodes"], sizes["num_elements"])
+    if size != own:
         raise ValueError(
             f"physics must be made by this body's physics(...): it is for {size[0]} vertices and "
-            f"{size[1]} elements, the body has {num_nodes} and {num_elements}"
+            f"{size[1]} elements, the body has {own[0]} and {own[1]}"
         )
     if physics.material != material:
         raise ValueError(
             f"physics must be made by this body's physics(...): it is for material "
             f"{physics.material!r}, the body has {material!r}"
         )
+    _require_fields(physics, sizes)
+    if not is_traced:
+        object.__setattr__(physics, _FITS, fits)
     return physics
+
+
+def _require_fields(physics: Physics, sizes: Mapping[str, int]) -> None:
+    """Refuse fields whose kind, shape or numbers no body has; a user may have replaced some."""
+    batch = physics.batch
+    members = () if batch is None else (batch,)
+    for name, axes in _AXES.items():
+        shape = tuple(sizes[axis] for axis in axes)
+        require(f"physics.{name}", getattr(physics, name), (*members, *shape))
+    _of_members("physics.gravity", physics.gravity, (3,), batch)
+    _of_members("physics.rayleigh_alpha", physics.rayleigh_alpha, (), batch)
+    beta = physics.rayleigh_beta
+    if beta is not None:
+        by_element = not isinstance(beta, Tensor) or beta.ndim > 0
+        _of_members(
+            "physics.rayleigh_beta", beta, (sizes["num_elements"],) if by_element else (), batch
+        )
+    for name, limits in _LIMITS.items():
+        if (value := getattr(physics, name)) is not None:
+            _range(f"physics.{name}", value, **limits)
+    of_shape = {
+        "x_rest": (sizes["num_nodes"], 3),
+        "tables": (sizes["num_tables"],),
+        "fiber_weights": (sizes["num_fibers"],),
+    }
+    for name, shape in of_shape.items():
+        value = getattr(physics, name)
+        empty = name == "tables" and isinstance(value, Tensor) and not value.numel()
+        if value is not None and not empty:
+            require(f"physics.{name}", value, shape)
 
 
 def _checked_density(density: Tensor) -> Tensor:

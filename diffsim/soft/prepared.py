@@ -95,8 +95,8 @@ class PreparedBody:
     def __init__(self, body: Solid, physics: Physics | None):
         _require_own_shape(body)
         physics = body.physics() if physics is None else physics
-        mesh, muscles = body.mesh, body.muscles
-        require_physics(physics, mesh.num_nodes, mesh.num_elements, body.material.law)
+        muscles = body.muscles
+        require_physics(physics, body.sizes, body.material.law)
         self.body, self.physics = body, physics
         self.weight = physics.weighing_mass[..., None] * physics.gravity.unsqueeze(-2)
         self.weights = physics.weights.contiguous()

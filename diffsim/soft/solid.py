@@ -161,6 +161,11 @@ class Solid(Float64Module):
         """Handle of the prepared solver; the ops take this number."""
         return self._context.handle
 
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Sizes of arrays by name, such as "num_nodes" and "num_muscles"."""
+        return {**self._context.sizes, "num_muscles": self.muscles.num_muscles}
+
     def physics(
         self, *, batch: Value | None = None, x_rest: Tensor | None = None, **overrides: Value
     ) -> Physics:
@@ -227,8 +232,7 @@ class Solid(Float64Module):
         leading axis. Gradient: ``x_rest`` of physics."""
         moved = None
         if physics is not None:
-            mesh = self.mesh
-            require_physics(physics, mesh.num_nodes, mesh.num_elements, self.material.law)
+            require_physics(physics, self.sizes, self.material.law)
             moved = physics.x_rest
         x = (self.x_rest if moved is None else moved).clone()
         if batch is not None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_shape, require_tensor
 from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, require_unmapped
 from diffsim.core.record import Solve
@@ -46,6 +47,18 @@ class FlowField:
     stats: dict[str, Tensor]
     solve: Solve | None = None
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.grid, Grid):
+            raise TypeError(f"grid must be a Grid, got {type(self.grid).__name__}")
+        nodes = self.grid.node_shape
+        require("phi", self.phi, nodes)
+        require_shape("velocity", self.velocity, ("cases", *nodes, self.grid.dim))
+        require_tensor("pressure", self.pressure)
+        require_tensor("volume_fraction", self.volume_fraction)
+        if not isinstance(self.stats, Mapping):
+            raise TypeError(f"stats must be a Mapping, got {type(self.stats).__name__}")
+
+    @checked
     def flux(self, axis: int, index: int) -> Tensor:
         """Volume flow through the fluid part of a grid plane, positive along the axis.
 
@@ -68,7 +81,7 @@ class FlowField:
         cases = self.velocity.shape[0]
         return _ops_cut.plane_flux(
             phi=self.phi.reshape(-1),
-            velocity=self.velocity.reshape(cases, -1, self.grid.dim),
+            velocity=self.velocity.reshape(cases, self.grid.num_nodes, self.grid.dim),
             cells=list(self.grid.shape),
             spacing=list(self.grid.spacing),
             axis=axis,
@@ -83,6 +96,8 @@ class FlowField:
             or to 1e-9 of the largest speed over the whole box where less flows in; "divergence": as
             in ``stats``.
         """
+        if "divergence" not in self.stats:
+            raise ValueError("stats must hold 'divergence', as those of a flow that was solved do")
         report = {}
         for face in self.grid.faces:
             axis, side = self.grid.face_axis(face)
@@ -129,7 +144,7 @@ class FlowField:
             )
         low = torch.minimum(at.detach().floor().clamp(min=0.0), cells - 1.0)
         share = at - low
-        values = self.velocity.reshape(self.velocity.shape[0], -1, grid.dim)
+        values = self.velocity.reshape(len(self.velocity), grid.num_nodes, grid.dim)
         stride = [1] * grid.dim
         for a in range(grid.dim - 2, -1, -1):
             stride[a] = stride[a + 1] * grid.node_shape[a + 1]

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.check import require, require_choice, require_number
+from diffsim.core.checked import checked
+from diffsim.core.numbers import to_numpy
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.grid import Grid
 
@@ -59,6 +61,7 @@ class Streamline:
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
 
+@checked
 def streamlines(
     field: FlowField,
     seeds: Tensor | int = 24,
@@ -100,8 +103,8 @@ def streamlines(
     velocity = _case(field, case)
     if isinstance(seeds, int):
         seeds = inlet_seeds(field, seeds, case=case)
-    start = require("seeds", seeds, ("n", grid.dim)).detach().numpy()
-    sampler = _Sampler(grid, velocity, field.phi.detach().numpy())
+    start = to_numpy("seeds", require("seeds", seeds, ("n", grid.dim)))
+    sampler = _Sampler(grid, velocity, to_numpy("field.phi", field.phi))
     if bool((~sampler.in_box(sampler.scaled(start))).any()):
         raise ValueError("seeds must lie in the box")
     options = (max_length, tolerance, max_step)
@@ -122,6 +125,7 @@ def streamlines(
     return both
 
 
+@checked
 def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     """Points on the faces of the box where fluid enters, each for an equal share of the inflow.
 
@@ -142,7 +146,7 @@ def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         raise ValueError(f"count must be an integer >= 1, got {count!r}")
     grid = field.grid
-    velocity, phi = _case(field, case), field.phi.detach().numpy()
+    velocity, phi = _case(field, case), to_numpy("field.phi", field.phi)
     sampler = _Sampler(grid, velocity, phi)
     points, flows = [], []
     for face in grid.faces:
@@ -338,4 +342,5 @@ def _case(field: FlowField, case: int) -> Array:
     cases = len(field.velocity)
     if not 0 <= case < cases:
         raise ValueError(f"case must lie in [0, {cases}), got {case}")
-    return field.velocity[case].detach().numpy()
+    velocity = require("field.velocity", field.velocity, field.velocity.shape)
+    return to_numpy("field.velocity", velocity[case].detach())

@@ -11,7 +11,9 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.check import require_shape
 from diffsim.core.files import replacing, write_text_atomic
+from diffsim.core.numbers import to_numpy
 from diffsim.stokes.field import FlowField
 
 
@@ -42,15 +44,20 @@ def write_vtk(path: str | Path, field: FlowField) -> Path:
 
 def _data(field: FlowField) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
     """Node and cell arrays by name, grid axes first."""
-    nodes = {"phi": field.phi.detach().numpy()}
-    cells = {"volume_fraction": field.volume_fraction.detach().numpy()}
-    cases = len(field.velocity)
+    shape, cases = field.grid.shape, len(field.velocity)
+    require_shape("field.pressure", field.pressure, (cases, *shape))
+    require_shape("field.volume_fraction", field.volume_fraction, shape)
+    phi, fraction, velocities, pressures = (
+        to_numpy(f"field.{name}", getattr(field, name))
+        for name in ("phi", "volume_fraction", "velocity", "pressure")
+    )
+    nodes, cells = {"phi": phi}, {"volume_fraction": fraction}
     for k in range(cases):
         end = f"_{k}" if cases > 1 else ""
-        velocity = field.velocity[k].detach().numpy()
+        velocity = velocities[k]
         flat = [(0, 0)] * (velocity.ndim - 1)
         nodes["velocity" + end] = np.pad(velocity, [*flat, (0, 3 - field.grid.dim)])
-        cells["pressure" + end] = field.pressure[k].detach().numpy()
+        cells["pressure" + end] = pressures[k]
     return nodes, cells
 
 

@@ -1,6 +1,8 @@
 """Every public function refuses what it cannot use and says what came, what is needed, what to
 do. NaN, infinity, other types and shapes of every argument: tests/test_arguments.py."""
 
+import dataclasses
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -18,6 +20,10 @@ NODES, ELEMENTS = MESH.num_nodes, MESH.num_elements
 BODY = soft_body(MESH, fixed=torch.tensor([0, 1, 2, 3]))
 MUSCULAR = soft_body(MESH, fixed=torch.tensor([0, 1, 2, 3]), muscles=two_muscles())
 NAN, INF = float("nan"), float("inf")
+
+
+class Thing:
+    """No argument of anything."""
 
 
 def zeros(*shape, **options):
@@ -142,6 +148,32 @@ BAD_INPUTS = [
         "physics must be made by this body.*for 16 vertices and 3 elements, the body has 12 and 2",
     ),
 ]
+
+
+MOVED = MUSCULAR.physics(x_rest=1.01 * MESH.x_rest, rayleigh_beta=1e-3)
+TENSORS = [f.name for f in dataclasses.fields(MOVED) if torch.is_tensor(getattr(MOVED, f.name))]
+
+
+@pytest.mark.parametrize("name", TENSORS)
+def test_fields_of_physics_made_by_hand_are_refused(name):
+    right = getattr(MOVED, name)
+    wrong = [right * NAN, right * INF, right.float(), right.to("meta"), "text", 1.0, Thing()]
+    wrong += [right.expand(2, 3, *right.shape)]
+    wrong += [torch.cat([right, right]), right[:-1]] if right.ndim else []
+    wrong += [] if name in ("rayleigh_beta", "x_rest", "tables") else [None]
+    for value in wrong:
+        physics = dataclasses.replace(MOVED, **{name: value})
+        with pytest.raises((TypeError, ValueError), match=rf"physics must|\b{name} must"):
+            MUSCULAR(STATE, physics=physics)
+
+
+@pytest.mark.parametrize(
+    "name", ["mass", "weighing_mass", "fiber_stiffness", "rayleigh_alpha", "rayleigh_beta"]
+)
+def test_negative_numbers_in_physics_made_by_hand_are_refused(name):
+    physics = dataclasses.replace(MOVED, **{name: -1.0 - getattr(MOVED, name)})
+    with pytest.raises(ValueError, match=f"physics.{name} must lie in"):
+        MUSCULAR.rest_state(physics=physics)
 
 
 @pytest.mark.parametrize("inputs, error, message", BAD_INPUTS, ids=lambda v: str(v)[:40])

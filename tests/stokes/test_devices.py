@@ -43,7 +43,7 @@ def some_design(device: devices.Device, seed: int = 0) -> Tensor:
 
 
 def made_up(grid: Grid, phi: Tensor, velocity: Tensor) -> FlowField:
-    return FlowField(grid, phi, velocity, torch.zeros(1), torch.zeros(1), {})
+    return FlowField(grid, phi, velocity, phi.new_zeros(1), phi.new_zeros(1), {})
 
 
 @pytest.mark.parametrize("name", list(devices.DEVICES))
@@ -244,3 +244,35 @@ def test_loss_as_one_graph_has_the_same_gradient():
     (whole,) = torch.autograd.grad(device.loss(x), x)  # the first state's factor is made again
     _, by_state = device.value_and_gradient(x.detach())
     torch.testing.assert_close(whole, by_state, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("ask", ["value_and_gradient", "value", "loss", "solve", "level_set"])
+def test_designs_of_another_kind_are_refused_by_name(ask):
+    device = devices.make("amplifier", resolution=0.25)
+    x = some_design(device)
+    for wrong in (x.long(), x.float(), x[:-1], x[None], x * math.nan, x.tolist(), None):
+        with pytest.raises((TypeError, ValueError), match=r"\bx must"):
+            getattr(device, ask)(wrong)
+    if ask in ("solve", "level_set"):
+        for state in (-1, len(device.states), "first"):
+            with pytest.raises((TypeError, ValueError), match="state must"):
+                getattr(device, ask)(x, state)
+
+
+def test_values_of_another_shape_are_refused_by_losses():
+    grid = Grid((4, 3, 2), size=(4.0, 3.0, 2.0))
+    phi = torch.ones(grid.node_shape, dtype=F64)
+    field = made_up(grid, phi, torch.ones(1, *grid.node_shape, 3, dtype=F64))
+    for ask, name in [
+        (lambda: losses.integral(field, "x-", phi[0]), "values"),
+        (lambda: losses.mean(field, ["x-"], phi), "nodal"),
+        (lambda: losses.mean(field, ["x-"], phi[None].float()), "nodal"),
+        (lambda: losses.mean_velocity(field, ["x-"], phi[0] > 0), "region"),
+        (lambda: losses.mean_velocity(field, ["x-"], phi), "region"),
+        (lambda: losses.squared_difference(field, ["x-"], torch.ones(2, dtype=F64)), "target"),
+        (lambda: losses.angle_difference(field, ["x-"], math.nan), "angle"),
+        (lambda: losses.vertical_curl(field, "x-"), "face"),
+        (lambda: losses.integral(None, "x-", phi[None, 0]), "field"),
+    ]:
+        with pytest.raises((TypeError, ValueError), match=rf"\b{name} "):
+            ask()

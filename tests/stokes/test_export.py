@@ -3,6 +3,7 @@
 import base64
 import warnings
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import meshio
 import numpy as np
@@ -403,3 +404,39 @@ def test_streamlines_stop_at_wall_and_at_rest():
         streamlines(field, seeds, direction="down")
     with pytest.raises(TypeError, match="field must be a FlowField"):
         streamlines(phi, seeds)
+
+
+KINDS = [None, "text", 1.0, object()]
+
+
+def spoiled_tensors(right):
+    """Wrong kinds and shapes of a field's tensor."""
+    return [*KINDS, right.float(), right.long(), right.to("meta"), right[None], right[..., :-1],
+            right[:0]]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", ["grid", "phi", "velocity", "pressure", "volume_fraction", "stats"]
+)
+def test_fields_made_by_hand_are_refused_where_they_are_spoiled(name, tmp_path):
+    field = channel_field()
+    right = getattr(field, name)
+    tensors = spoiled_tensors(right) if torch.is_tensor(right) else KINDS
+    for wrong in tensors:
+        with pytest.raises((TypeError, ValueError), match=rf"\b({name}|case) must"):
+            spoiled = replace(field, **{name: wrong})
+            if name == "velocity":
+                inlet_seeds(spoiled, 4)  # no cases are a field, which has none to ask for
+            write_vtk(tmp_path / "field.vti", spoiled)
+
+
+def test_numbers_of_fields_that_are_none_are_refused():
+    field = channel_field()
+    with pytest.raises(ValueError, match="phi must be finite"):
+        replace(field, phi=field.phi * float("nan"))
+    broken = replace(field, velocity=field.velocity * float("nan"))
+    for ask in (streamlines, lambda field: inlet_seeds(field, 4)):
+        with pytest.raises(ValueError, match=r"field.velocity must be finite"):
+            ask(broken)
+    with pytest.raises(ValueError, match="stats must hold 'divergence'"):
+        field.mass_report()

@@ -278,3 +278,14 @@ def test_normals_of_rational_curves_are_square_to_the_curve():
     along = curve.point((tau + step)[inner]) - curve.point((tau - step)[inner])
     cosine = (normal[inner] * along).sum(1) / along.norm(dim=1)
     assert float(cosine.abs().max()) < 1e-6  # differences have 1e-10 of the slope
+
+
+@pytest.mark.parametrize("spread", [1e5, 1e20, 1e300])
+def test_weights_that_leave_the_others_nothing_are_refused(spread):
+    points = tensor([[0, 0.1], [0.3, 0.1], [0.6, 0.5], [1, 0.3]])
+    for factor in (spread, 1.0 / spread):
+        with pytest.raises(ValueError, match="weights must lie"):
+            quiet(points, weights=tensor([1.0, factor, 1.0, 1.0]), ends="stop")
+    for size in (5e-324, 1e-300, 1e300):
+        with pytest.raises(ValueError, match="weights must lie"):
+            quiet(points, weights=tensor([size] * 4), ends="stop")

@@ -251,3 +251,34 @@ def test_errors_say_what_to_do():
         BSplineSurface(points, weights=torch.ones(8, 4, dtype=F64))
     with pytest.raises(ValueError, match="encloses nothing"):
         NurbsSurface(points * tensor([0.0, 1.0, 1.0]))
+
+
+@pytest.mark.parametrize("spread", [1e3, 1e20, 1e300])
+def test_weights_that_leave_the_others_nothing_are_refused(spread):
+    x, w = tunnel_points(3), torch.ones(8, 4, dtype=F64)
+    for where in ((2, 2), (2, slice(None))):
+        for factor in (spread, 1.0 / spread):
+            w = torch.ones(8, 4, dtype=F64)
+            w[where] = factor
+            with pytest.raises(ValueError, match="weights must lie"):
+                NurbsSurface(x, weights=w)
+    for size in (5e-324, 1e-300, 1e300):
+        with pytest.raises(ValueError, match="weights must lie"):
+            NurbsSurface(x, weights=size * torch.ones(8, 4, dtype=F64))
+    surface = NurbsSurface(x, weights=torch.nn.Parameter(torch.ones(8, 4, dtype=F64)))
+    with torch.no_grad():
+        surface.weights[2] *= spread
+    with pytest.raises(ValueError, match="weights must lie"):
+        surface(random(1, 5, 3))
+
+
+@pytest.mark.reference
+def test_weights_as_far_apart_as_allowed_against_dense_sampling():
+    p = random(5, 100, 3)
+    for where in ((2, 2), (2, slice(None)), (slice(None), 0)):
+        for factor in (100.0, 0.01):
+            w = torch.ones(8, 4, dtype=F64)
+            w[where] = factor
+            surface = NurbsSurface(tunnel_points(3), weights=w, ends="stop")
+            missed = surface(p).detach().abs() - sampled_distance(surface, p, 0.0, 1.0)
+            assert float(missed.max()) < 1e-9

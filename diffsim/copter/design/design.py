@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     import trimesh
 
 
+@checked(values=("n_free",))
 @dataclass(frozen=True, eq=False)
 class Design:
     """Parts with their feasible set and a current point in it.
@@ -294,7 +295,8 @@ class Design:
 
     def named_values(self) -> dict[str, float]:
         """Current free parameters by name [m]."""
-        return dict(zip(self.names, to_numpy("values", self.values).tolist(), strict=True))
+        values = require("values", self.values, (len(self.names),))
+        return dict(zip(self.names, to_numpy("values", values).tolist(), strict=True))
 
     def meshes(
         self, s: Tensor | None = None, directions: Tensor | None = None

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from diffsim.core.checked import checked
 
+
+@checked
 @dataclass(frozen=True, kw_only=True)
 class PartSpec:
     """One part.
@@ -43,6 +46,7 @@ class PartSpec:
             )
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Connection:
     """Two patches that belong together.
@@ -73,6 +77,7 @@ class Connection:
     adapters: tuple[str, ...] | None = None
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class DesignSpec:
     """A whole design.
@@ -96,3 +101,10 @@ class DesignSpec:
     constraints: tuple[str, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        for name, kind in {"parts": PartSpec, "connections": Connection}.items():
+            for k, entry in enumerate(getattr(self, name)):
+                if not isinstance(entry, kind):
+                    got = type(entry).__name__
+                    raise TypeError(f"{name}[{k}] must be a {kind.__name__}, got {got}")

@@ -85,27 +85,46 @@ def write_spec(spec: DesignSpec, path: str | Path) -> Path:
 
     A design names files of its own folder only, so that who gets it from a stranger need not fear
     what it reads.
+
+    Raises:
+        ValueError: what could not be read again, such as NaN; nothing is written then.
     """
     path = Path(path)
-    connections = [_without_defaults(c) for c in spec.connections]
+    data = _data_of(spec)
+    spec_from_text(_yaml_of(data), f"design {spec.name!r}", spec.folder)
+    for part in spec.parts:
+        if "file" in part.options:
+            here = (spec.folder or Path()) / part.options["file"]
+            brought = _bring_file(here.resolve(), path.resolve().parent)
+            data["parts"][part.name]["file"] = brought
+    return write_text_atomic(path, _yaml_of(data))
+
+
+def _yaml_of(data: Mapping[str, Any]) -> str:
+    text: str = yaml.safe_dump(to_plain(data, keep_nan=True), sort_keys=False, width=100)
+    return text
+
+
+def _data_of(spec: DesignSpec) -> dict[str, Any]:
+    """What a file says; files of parts by name alone."""
     data: dict[str, Any] = {
         "name": spec.name,
         "notes": spec.notes,
-        "parts": {p.name: _part_entry(p, spec.folder, path) for p in spec.parts},
-        "connections": connections,
-        "rigid": [list(pair) for pair in spec.rigid],
+        "parts": {p.name: _part_entry(p) for p in spec.parts},
+        "connections": [_without_defaults(c) for c in spec.connections],
+        "rigid": list(spec.rigid),
         "constraints": list(spec.constraints),
         "values": dict(spec.values),
     }
-    kept = {key: value for key, value in data.items() if value}
-    return write_text_atomic(path, yaml.safe_dump(to_plain(kept), sort_keys=False, width=100))
+    return {key: value for key, value in data.items() if value}
 
 
-def _part_entry(part: PartSpec, folder: Path | None, path: Path) -> dict[str, Any]:
+def _part_entry(part: PartSpec) -> dict[str, Any]:
     options = dict(part.options)
     if "file" in options:
-        here = (folder or Path()) / options["file"]
-        options["file"] = _bring_file(here.resolve(), path.resolve().parent)
+        if not isinstance(options["file"], (str, Path)):
+            raise TypeError(f"file of part {part.name} must be a path, got {options['file']!r}")
+        options["file"] = Path(options["file"]).name
     rest = _without_defaults(part)
     return {"kind": rest.pop("kind"), **options, **{k: rest[k] for k in rest if k in _PART}}
 

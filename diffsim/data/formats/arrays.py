@@ -16,6 +16,8 @@ from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, requi
 
 _MOST_ROWS = 1_048_576  # of a sheet, by Excel
 _HEADER_ROWS = 60  # in which the names of a sheet's columns must be
+_MOST_TAGS = 2_000_000  # of a workbook, about 450,000 cells: read in some seconds
+_TAGS_PER_BYTE = 6  # of its packed bytes; a table of zeros has 2, one of measured numbers 0.3
 _EPOCH = datetime(1970, 1, 1)
 
 
@@ -57,6 +59,21 @@ def _npz(path: Path) -> tuple[Columns, list[str]]:
 def _require_room(path: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         require_room(path, sum(member.file_size for member in archive.infolist()))
+
+
+def _require_few_tags(path: Path) -> None:
+    """Refuse a workbook of more cells than its size lets one wait for."""
+    most, count = max(_MOST_TAGS, _TAGS_PER_BYTE * path.stat().st_size), 0
+    with zipfile.ZipFile(path) as archive:
+        for name in archive.namelist():
+            with archive.open(name) as member:
+                while count <= most and (block := member.read(1 << 20)):
+                    count += block.count(b"<")
+    if count > most:
+        raise ValueError(
+            f"its sheets have more than {most:,} tags, at most {most // 4:,} cells are read of a "
+            "workbook of its size; save the table as CSV"
+        )
 
 
 def xlsx_parts(path: Path) -> list[str]:
@@ -125,6 +142,7 @@ def _seconds_or_number(cell: Any) -> float:
 def _open(path: Path) -> Any:
     openpyxl = optional("openpyxl", purpose="an Excel file")
     _require_room(path)
+    _require_few_tags(path)
     book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
     for sheet in book.worksheets:
         sheet.reset_dimensions()  # one cell in the last corner would fill all rows with gaps

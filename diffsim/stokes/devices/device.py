@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_constants
+from diffsim.core.check import require, require_constants, require_count
 from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.stokes.field import FlowField
@@ -129,7 +129,9 @@ class Device:
     @checked
     def level_set(self, x: Tensor, state: int = 0) -> Tensor:
         """phi at the grid's nodes, (*node_shape,) [m], > 0 in the fluid. Gradient: x."""
-        x = require("x", x, (len(self.parameters),), torch.float64)
+        x = self._checked_x(x)
+        if require_count("state", state) >= len(self.states):
+            raise ValueError(f"state must lie in [0, {len(self.states)}), got {state}")
         return self.states[state].shape(x)(self.grid.nodes)
 
     @checked
@@ -146,7 +148,8 @@ class Device:
         Raises:
             ValueError: a design that lets no fluid through; those exist within the bounds.
         """
-        return self.flow(self.level_set(x, state), inlet=self.states[state].inlet)
+        phi = self.level_set(x, state)
+        return self.flow(phi, inlet=self.states[state].inlet)
 
     @checked
     def loss(self, x: Tensor) -> Tensor:
@@ -158,7 +161,7 @@ class Device:
     def value_and_gradient(self, x: Tensor) -> tuple[float, Tensor]:
         """Loss and its gradient (num_parameters,); one factorization in memory at a time."""
         require_constants("the gradient comes as numbers; loss(x) can be differentiated", x=x)
-        x = x.detach().clone().requires_grad_(True)
+        x = self._checked_x(x).detach().clone().requires_grad_(True)
         value = 0.0
         for k, state in enumerate(self.states):
             loss = state.loss(self.solve(x, k))
@@ -172,6 +175,9 @@ class Device:
         """Loss without gradient."""
         with torch.no_grad():
             return sum(float(s.loss(self.solve(x, k))) for k, s in enumerate(self.states))
+
+    def _checked_x(self, x: Tensor) -> Tensor:
+        return require("x", x, (len(self.parameters),))
 
 
 _MADE: dict[bytes, Device] = {}  # of a worker: the grid's geometry is made once, not per design

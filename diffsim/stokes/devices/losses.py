@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from diffsim.core.check import require, require_choice
 from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere
 from diffsim.stokes.field import FlowField
@@ -22,6 +23,7 @@ def on_face(grid: Grid, nodal: Tensor, face: str) -> Tensor:
     return nodal.select(1 + axis, grid.shape[axis] if side else 0)
 
 
+@checked
 def integral(field: FlowField, face: str, values: Tensor) -> Tensor:
     """Integral over the fluid part of a face.
 
@@ -35,6 +37,8 @@ def integral(field: FlowField, face: str, values: Tensor) -> Tensor:
     """
     grid = field.grid
     axis, side = grid.face_axis(face)
+    of_face = (*grid.node_shape[:axis], *grid.node_shape[axis + 1 :])
+    values = require("values", values, ("cases", *of_face), finite=False)
     nodal = values.new_zeros(len(values), *grid.node_shape)
     normal = nodal.select_scatter(values, 1 + axis, grid.shape[axis] if side else 0)
     carrier = nodal.new_zeros(*nodal.shape, grid.dim).select_scatter(normal, -1, axis)
@@ -47,8 +51,10 @@ def area(field: FlowField, faces: Sequence[str]) -> Tensor:
     return _integrals_and_area(field, faces, field.phi.new_zeros(0, *field.grid.node_shape))[-1]
 
 
+@checked
 def mean(field: FlowField, faces: Sequence[str], nodal: Tensor) -> Tensor:
     """Average over the fluid part of faces: nodal (cases, *node_shape) -> (cases,)."""
+    nodal = require("nodal", nodal, ("cases", *field.grid.node_shape), finite=False)
     both = _integrals_and_area(field, faces, nodal)
     return both[:-1] / both[-1]
 
@@ -65,6 +71,7 @@ def _integrals_and_area(field: FlowField, faces: Sequence[str], nodal: Tensor) -
     return total
 
 
+@checked
 def squared_difference(field: FlowField, faces: Sequence[str], target: Tensor) -> Tensor:
     """Average of |v - target|^2 over the outlets and cases, scalar [m^2/s^2].
 
@@ -86,7 +93,10 @@ def mean_velocity(field: FlowField, faces: Sequence[str], region: Tensor | None 
         region: Nodes that count, (*node_shape,) bool, to look at one of several outlets of a face;
             its border should lie in the solid.
     """
-    weight = torch.ones_like(field.phi) if region is None else region.to(field.phi.dtype)
+    weight = torch.ones_like(field.phi)
+    if region is not None:
+        kept = require("region", region, field.grid.node_shape, torch.bool)
+        weight = kept.to(field.phi.dtype)
     share = mean(field, faces, weight[None])
     if anywhere(~(share > 0)):
         raise ValueError(f"no fluid at an outlet on {list(faces)}: the design closes it")
@@ -94,6 +104,7 @@ def mean_velocity(field: FlowField, faces: Sequence[str], region: Tensor | None 
     return torch.stack(parts, -1) / share[:, None]
 
 
+@checked
 def angle_difference(field: FlowField, faces: Sequence[str], angle: float) -> Tensor:
     """Average over outlets and cases of |angle of (u, v) - angle|, scalar [rad].
 
@@ -108,9 +119,11 @@ def angle_difference(field: FlowField, faces: Sequence[str], angle: float) -> Te
     return mean(field, faces, torch.where(moving, size, torch.zeros_like(size))).mean()
 
 
+@checked
 def vertical_curl(field: FlowField, face: str) -> Tensor:
     """d v/dx - d u/dy at the centers of the cells of a horizontal face, (cases, nx, ny) [1/s]."""
     grid = field.grid
+    require_choice("face", face, [f for f in grid.faces if f.startswith("z")])
     velocity = on_face(grid, field.velocity, face)
     u, v = velocity[..., 0], velocity[..., 1]
     dv = (v[:, 1:] - v[:, :-1]) / grid.spacing[0]

@@ -26,6 +26,9 @@ from diffsim.core.values import joined
 LevelSet = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor
 
+_LEAST_WEIGHT = 1e-100
+"""Squares of smaller numbers are none, nor are those of their inverses."""
+
 
 class Shape(Float64Module):
     """A level set: phi > 0 in the fluid, < 0 in the solid; subclasses give ``level``.
@@ -192,3 +195,24 @@ def _first_bad(points: Tensor, phi: Tensor) -> tuple[float, ...]:
     at, numbers = values_of(points), values_of(phi)
     which = int(torch.nonzero(~torch.isfinite(numbers).flatten())[0, 0])
     return tuple(at.reshape(-1, points.shape[-1])[which % len(points)].tolist())
+
+
+def require_weights(weights: Tensor, shape: Sequence[int], most: float) -> Tensor:
+    """Check weights of control points: > 0, and near enough to one another to be computed with.
+
+    Where one outweighs the others, most of the shape lies within a tiny piece of the parameter.
+
+    Args:
+        weights: The weights.
+        shape: Shape that they must have.
+        most: Largest weight per smallest.
+    """
+    weights = require("weights", weights, shape)
+    require_range("weights", weights, above=0.0, at_most=1.0 / _LEAST_WEIGHT)
+    low, high = (float(extreme) for extreme in torch.aminmax(values_of(weights)))
+    if low < _LEAST_WEIGHT or high > most * low:
+        raise ValueError(
+            f"weights must lie within a factor of {most:g} and above {_LEAST_WEIGHT:g}, got "
+            f"{low:g} to {high:g}"
+        )
+    return weights

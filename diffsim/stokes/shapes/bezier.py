@@ -18,9 +18,10 @@ from diffsim.core.numbers import require_unmapped
 from diffsim.core.record import warn
 from diffsim.core.torch_names import on_constants
 from diffsim.stokes import _ops_curve
-from diffsim.stokes.shapes.base import Shape
+from diffsim.stokes.shapes.base import Shape, require_weights
 from diffsim.stokes.shapes.envelope import signed_distance
 
+_MOST_RATIO = 1e4  # of weights: at 1e6 nearest points were missed by 1e-7 of the size
 _DRAWN = 32  # chords per curve where the chain is drawn
 
 
@@ -38,7 +39,8 @@ class BezierCurve2d(Shape):
         control_points: Control points, (k, 2) float64 [m].
         fluid: Side of the fluid: "left" or "right", seen in the direction of travel; for closed
             curves also "inside" or "outside".
-        weights: Weights of a rational curve's control points, (k,) > 0.
+        weights: Weights of a rational curve's control points, (k,) > 0, the largest at most 1e4
+            times the smallest.
         degree: Degree of the curves of a chain, neighbors sharing one control point: k = degree x
             num_curves + 1 (open) or degree x num_curves (closed: the last curve ends at the first
             point). None: a single curve.
@@ -74,7 +76,7 @@ class BezierCurve2d(Shape):
             )
         self.weights = None
         if weights is not None:
-            self.weights = require_range("weights", require("weights", weights, (num,)), above=0.0)
+            self.weights = require_weights(weights, (num,), _MOST_RATIO)
         sides = ("left", "right", "inside", "outside") if closed else ("left", "right")
         self.fluid = require_choice("fluid", fluid, sides)
         self.ends = require_choice("ends", ends, ("tangent", "stop"))
@@ -166,7 +168,7 @@ class BezierCurve2d(Shape):
         if not size > 1e-12 * float(p.abs().max()):
             raise ValueError(f"control_points must not all be at one place, {p[0].tolist()}")
         w = torch.ones(len(p), dtype=torch.float64) if self.weights is None else self.weights
-        w = require_range("weights", w.detach(), above=0.0)[:, None]
+        w = require_weights(w.detach(), (len(p),), _MOST_RATIO)[:, None]
         return Chain(torch.cat([w * p, w], 1)[self._index], self.closed, size)
 
     def _side(self, chain: Chain) -> float:

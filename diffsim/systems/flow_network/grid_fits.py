@@ -83,5 +83,6 @@ def integrate_face(grid: Grid, phi: Tensor, along_x: Tensor, face: str) -> Tenso
         face: Face of the box, such as "x-".
     """
     empty = phi.new_zeros(0)
-    field = FlowField(grid, phi, along_x[..., None], empty, empty, {})
+    still = phi.new_zeros(0, *grid.node_shape, grid.dim)
+    field = FlowField(grid, phi, still, empty, empty, {})
     return integral(field, face, on_face(grid, along_x, face))

@@ -1,6 +1,7 @@
 """Design files: the thesis's designs, round trips, errors that say where."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -239,3 +240,59 @@ def test_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
         design.closest({"arm.length": 0.5}).save(path)
     assert path.read_text() == before
     assert [p.name for p in tmp_path.iterdir()] == ["small.yaml"]
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize("how", ["nan", "inf", "huge", "float32", "int64", "short", "list", "text"])
+def test_spoiled_values_of_a_design_are_refused(how):
+    design = design_from_text(SMALL)
+    right = design.values
+    wrong = {"nan": right * NAN, "inf": right / 0.0, "huge": right * 1e200, "text": "0.4"}
+    wrong |= {"float32": right.float(), "int64": right.long(), "list": right.tolist()}
+    with pytest.raises((TypeError, ValueError), match="values must"):
+        replace(design, values=right[:-1] if how == "short" else wrong[how]).named_values()
+
+
+@pytest.mark.parametrize(
+    ("where", "changes", "message"),
+    [
+        ("spec", {"parts": ("plate",)}, r"parts\[0\] must be a PartSpec"),
+        ("spec", {"connections": (None,)}, r"connections\[0\] must be a Connection"),
+        ("spec", {"constraints": None}, "constraints must be a tuple"),
+        ("spec", {"constraints": (1,)}, r"constraints\[0\]: must be text"),
+        ("spec", {"rigid": (1,)}, r"rigid\[0\]: must be a list"),
+        ("spec", {"name": 3.0}, "name must be text"),
+        ("spec", {"notes": NAN}, "notes must be text"),
+        ("part", {"place": (0.0, NAN, 0.0)}, r"plate.place\[1\]: must be a finite number, got nan"),
+        ("part", {"place": NAN}, "place must be a tuple"),
+        ("part", {"options": {"length": NAN}}, "plate.length: must be a finite number, got nan"),
+        ("part", {"options": {"length": "long"}}, "plate.length: must be a number in m"),
+        ("part", {"bounds": {"length": 0.1}}, "plate.bounds.length: must be a list"),
+        ("part", {"kind": 3}, "kind must be text"),
+        (
+            "part",
+            {"kind": "mesh_frame", "options": {"file": 3}},
+            "file of part plate must be a path",
+        ),
+        ("connection", {"angle": NAN}, "angle must be a number, got nan"),
+        ("connection", {"at": (NAN, 0.0)}, r"connections\[0\].at\[0\]: must be a finite number"),
+        ("connection", {"adapters": (1,)}, r"connections\[0\].adapters\[0\]: must be text"),
+    ],
+)
+def test_what_could_not_be_read_again_is_not_saved(where, changes, message, tmp_path):
+    design = design_from_text(SMALL)
+    spec = design.spec
+
+    def spoiled():
+        if where == "part":
+            return replace(spec, parts=(replace(spec.parts[0], **changes), *spec.parts[1:]))
+        if where == "connection":
+            first, *others = spec.connections
+            return replace(spec, connections=(replace(first, **changes), *others))
+        return replace(spec, **changes)
+
+    with pytest.raises((TypeError, ValueError), match=message):
+        replace(design, spec=spoiled()).save(tmp_path / "small.yaml")
+    assert not list(tmp_path.iterdir())
