@@ -5,10 +5,12 @@ The right arguments are those of ``tests.derivatives``; ``tests.fuzz_entries`` h
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
@@ -154,3 +156,45 @@ def test_two_arguments_spoiled_together_are_refused_by_name(data):
     except Exception as error:
         said = refusal(right, [name for name, _ in hows], error)
         assert not said, f"{public.name} {hows}: {said}"
+
+
+def records() -> dict[str, Any]:
+    """Records without a method that needs an example, made by hand."""
+    from diffsim import envs, optim
+    from diffsim.copter import simulator
+    from diffsim.copter.simulator.mission import Leg, Mission
+    from diffsim.copter.vehicle.parts import rotors
+    from diffsim.stokes import Inlet, Open
+
+    legs = (Leg(name="up", start=0.0, duration=1.0, pose=np.zeros(4), move=np.ones(4)),)
+    made = [
+        *(optim.Tolerances(), optim.Budget(), envs.Entry("tip", -1.0, 1.0), Open("x+"), *legs),
+        *(envs.Randomization({"mass": (0.9, 1.1)}), Inlet("x-"), Mission("up", legs)),
+        *(simulator.Sticks(), rotors.rotor_data("kde2814_8in")),
+    ]
+    return {type(record).__name__: record for record in made}
+
+
+@pytest.mark.parametrize(
+    "name", ["Tolerances", "Entry", "Randomization", "Open", "Inlet", "Sticks", "RotorData",
+             "Leg", "Mission", "Budget"],
+)  # fmt: skip
+def test_spoiled_fields_of_records_are_refused_by_name(name):
+    record = records()[name]
+    wrong = []
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if not isinstance(value, (int, float, str, dict, tuple)):
+            continue
+        bads = [None, Thing(), b"x", [Thing()], math.nan]
+        bads += [] if isinstance(value, str) else ["text"]
+        for bad in bads:
+            if bad is None and "None" in str(field.type):
+                continue
+            try:
+                dataclasses.replace(record, **{field.name: bad})
+                wrong.append(f"{field.name} {bad!r}: silent")
+            except Exception as error:
+                named = refusal({}, [field.name], error)
+                wrong += [f"{field.name} {bad!r}: {named}"] if named else []
+    assert not wrong, "\n" + "\n".join(wrong)

@@ -19,7 +19,9 @@ from diffsim.copter.dynamics.linearize import linearize
 from diffsim.copter.dynamics.lqr import lqr
 from diffsim.copter.vehicle.effects import FlightEffects, MotorLag
 from diffsim.core.arrays import Array
+from diffsim.core.check import require
 from diffsim.core.torch_names import on_constants
+from diffsim.core.values import as_array
 
 # What the controller's numbers weigh, and the states of 12 that share each.
 WEIGHTS: dict[str, tuple[int, ...]] = {
@@ -148,11 +150,11 @@ class WaypointTask:
     def value(self, x: Array) -> float:
         """The loss at a point, (num_parameters,)."""
         with torch.no_grad():
-            return float(self.loss(torch.from_numpy(np.array(x, dtype=np.float64))))
+            return float(self.loss(self._point(x)))
 
     def value_and_gradient(self, x: Array) -> tuple[float, Array]:
         """The loss and its gradient, (num_parameters,)."""
-        leaf = torch.from_numpy(np.array(x, dtype=np.float64)).requires_grad_()
+        leaf = self._point(x).clone().requires_grad_()
         loss = self.loss(leaf)
         (gradient,) = torch.autograd.grad(loss, leaf)
         return float(loss.detach()), gradient.numpy()
@@ -171,7 +173,11 @@ class WaypointTask:
     def smallest_gap(self, x: Array) -> float:
         """Least room between streams, and between streams and cage [m]."""
         with torch.no_grad():
-            return float(self.airframe.gaps(torch.from_numpy(x[: self.num_design])).min())
+            return float(self.airframe.gaps(self._point(x)[: self.num_design]).min())
+
+    def _point(self, x: Array) -> Tensor:
+        given = as_array("x", x)
+        return require("x", given.detach().double(), (self.num_parameters,))
 
     def weights(self, x: Array) -> dict[str, float]:
         """Weights of the LQR by the names of what they weigh."""

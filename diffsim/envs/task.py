@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.check import require, require_choice, require_count, require_options
+from diffsim.core.checked import checked
 from diffsim.core.inside import inside
 
 TaskState = dict[str, Tensor]
 """Tensors by name, all with a leading batch axis; holds everything that the next step needs."""
 
 
+@checked
 @dataclass(frozen=True)
 class Entry:
     """One action or observation, as data sheets list it.
@@ -42,6 +44,7 @@ class Entry:
     unit: str = "-"
 
 
+@checked
 @dataclass(frozen=True)
 class Randomization:
     """What differs from episode to episode: factors drawn uniformly at every start.

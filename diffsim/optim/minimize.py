@@ -9,6 +9,8 @@ import numpy as np
 from scipy import optimize
 
 from diffsim.core.arrays import Array
+from diffsim.core.numbers import to_numpy
+from diffsim.core.values import as_array
 from diffsim.optim.evaluation import (
     Callback,
     Evaluation,
@@ -168,12 +170,14 @@ def _failures(wall: Wall | None) -> tuple[type[Exception], ...]:
 
 
 def _check_start(start: Array, bounds: Bounds | None) -> tuple[Array, Bounds | None]:
-    start = np.array(start, dtype=np.float64)
+    start = to_numpy("start", as_array("start", start)).astype(np.float64)
     if start.ndim != 1 or not len(start) or not np.isfinite(start).all():
         raise ValueError(f"start must be a vector of finite numbers, got {start}")
     if bounds is None:
         return start, None
-    lower, upper = (np.array(b, dtype=np.float64) for b in bounds)
+    if len(bounds) != 2:
+        raise ValueError(f"bounds must be lower and upper ones, got {len(bounds)} entries")
+    lower, upper = (to_numpy("bounds", as_array("bounds", b)).astype(np.float64) for b in bounds)
     if not lower.shape == upper.shape == start.shape:
         raise ValueError(
             f"bounds must have the start's shape {start.shape}, got {lower.shape}, {upper.shape}"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from diffsim.core.check import require_number
+from diffsim.core.check import require_count, require_number
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 
 
@@ -29,6 +30,9 @@ class Budget:
         for name in ("evaluations", "iterations"):
             if getattr(self, name) is not None:
                 require_number(name, getattr(self, name), at_least=1)
+        if not isinstance(self.finish_line_search, (bool, int)):
+            got = type(self.finish_line_search).__name__
+            raise TypeError(f"finish_line_search must be True or False, got {got}")
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,14 @@ class Tolerances:
     line_search: int = 20
     memory: int = 10
 
+    def __post_init__(self) -> None:
+        for name in ("ftol", "gtol"):
+            require_number(name, getattr(self, name), at_least=0.0)
+        for name in ("line_search", "memory"):
+            require_count(name, getattr(self, name), at_least=1)
 
+
+@checked
 @dataclass(frozen=True)
 class Wall:
     """High plateau without slope that the line search sees where an evaluation fails.
@@ -80,6 +91,7 @@ class Wall:
         return max(self.height, self.over_first * abs(first), self.over_best * best)
 
 
+@checked
 @dataclass(frozen=True)
 class Options:
     """Budget, tolerances and failure wall of a search.

@@ -35,6 +35,7 @@ class Wall:
         require_choice("kind", self.kind, WALLS)
 
 
+@checked
 @dataclass(frozen=True)
 class Open:
     """A face that fluid leaves or enters freely: the stress on it is zero, or the given traction.
@@ -46,6 +47,7 @@ class Open:
     face: str
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Inlet:
     """Nodes of a face with prescribed velocity (inwards, outwards or along the face).

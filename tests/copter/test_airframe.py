@@ -89,6 +89,10 @@ def test_gradient_through_hover_lqr_and_flight(free_gain):
     task = dataclasses.replace(SHORT, free_gain=free_gain)
     x = moved(task)
     loss, gradient = task.value_and_gradient(x)
+    for wrong in (x[:-1], x * np.nan, "text", None, [Ellipsis]):
+        for ask in (task.value, task.value_and_gradient, task.smallest_gap):
+            with pytest.raises((TypeError, ValueError), match=r"\bx must"):
+                ask(wrong)
     assert loss == pytest.approx(task.value(x), rel=1e-12)
     assert len(gradient) == 15 + len(WEIGHTS) + (72 if free_gain else 0)
     rng = np.random.default_rng(1)

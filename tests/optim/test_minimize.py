@@ -237,3 +237,18 @@ def test_bar_shows_what_is_best(capsys):
 def test_mistakes_are_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize(
+    "wrong", ["ab", None, [[0.0, 1.0]], [0.0, float("nan")], [], [1j], [[0], 1]]
+)
+def test_starts_and_bounds_that_are_no_numbers_are_refused(wrong):
+    with pytest.raises((TypeError, ValueError), match="start must"):
+        minimize(lambda x: (float(x @ x), 2.0 * x), wrong)
+    with pytest.raises((TypeError, ValueError), match="bounds"):
+        minimize(lambda x: (float(x @ x), 2.0 * x), np.ones(2), (wrong, np.ones(2)))
+
+
+def test_a_start_of_whole_numbers_is_taken():
+    found = minimize(lambda x: (float(x @ x), 2.0 * x), [3, 4])
+    assert found.ended == "converged" and found.final.value < 1e-9

@@ -24,6 +24,7 @@ import numpy as np
 from diffsim.copter._shipped import read_named, shipped
 from diffsim.copter.simulator.controllers import Setpoint
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.yaml_text import load_yaml
 
 _PEAK_SPEED = 15.0 / 8.0  # of the least-jerk polynomial, per mean speed
@@ -32,6 +33,7 @@ MAX_ACCELERATION = 1.5  # [m/s^2]
 MAX_YAW_ACCELERATION = math.radians(90.0)  # [rad/s^2]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Leg:
     """A way from rest to rest.
@@ -68,6 +70,7 @@ class Leg:
         )
 
 
+@checked
 @dataclass(frozen=True)
 class Mission:
     """Legs one after the other; a ``Pilot``. After a last ``land`` the motors stand.
@@ -79,6 +82,11 @@ class Mission:
 
     name: str
     legs: tuple[Leg, ...]
+
+    def __post_init__(self) -> None:
+        for k, leg in enumerate(self.legs):
+            if not isinstance(leg, Leg):
+                raise TypeError(f"legs[{k}] must be a Leg, got {type(leg).__name__}")
 
     @property
     def duration(self) -> float:

@@ -18,11 +18,13 @@ import numpy as np
 from diffsim.copter.simulator.controllers import Setpoint
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 
 NAMES = ("roll", "pitch", "yaw", "throttle")
 MODES = ("position", "attitude")
 
 
+@checked
 @dataclass(frozen=True)
 class Sticks:
     """Deflections, -1 to 1.

@@ -14,8 +14,10 @@ from functools import cache
 
 from diffsim.copter.vehicle.rotor import rotor_model
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 
 
+@checked
 @dataclass(frozen=True)
 class RotorData:
     """A propeller with its motor.
