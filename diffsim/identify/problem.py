@@ -269,14 +269,14 @@ class Problem(Coordinates, WhitenedRuns):
         Args:
             x: Standardized coordinates, (n,).
             screen: Non-smooth effects by their secant from here to a tenth of the typical size.
-            only: Coordinates to differentiate, in this order; all if None.
+            only: Coordinates to differentiate, in this order, each once; all if None.
 
         Returns:
             (num_valid,) and (num_valid, len(only)).
         """
         residual, slopes = self.linearize_scaled(x, screen=screen, only=only)
         stretch = self.stretch(x)
-        slopes *= stretch if only is None else stretch[list(only)]
+        slopes *= stretch if only is None else stretch[list(dict.fromkeys(only))]
         return residual, slopes
 
     def linearize_scaled(
@@ -297,7 +297,8 @@ class Problem(Coordinates, WhitenedRuns):
         point = torch.from_numpy(np.ascontiguousarray(self.scaled(x), dtype=np.float64))
         names, there = self.names, {name for e in self.effects for name in e.shapes}
         idle = {p.name for p in self.model.base if p.of_effect} - there  # shapes of no effect
-        place = {i: k for k, i in enumerate(range(len(x)) if only is None else only)}
+        asked = range(len(x)) if only is None else dict.fromkeys(only)
+        place = {i: k for k, i in enumerate(asked)}
         wanted = [i for i in sorted(place) if names[i] not in idle]
         stencils = self._choose_stencils(x, wanted, screen)
         effects = self._effect_of_each
