@@ -36,6 +36,12 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return None if any(path.resolve().is_relative_to(collection_path) for path in named) else True
 
 
+@pytest.fixture(autouse=True, scope="session")
+def logs_of_stable_baselines3(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Examples train as a user would, without a logger: a folder in /tmp for each otherwise."""
+    os.environ.setdefault("SB3_LOGDIR", str(tmp_path_factory.mktemp("logs")))
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session):
     """Collect without the garbage collector: what is imported stays, and looking through it took
