@@ -54,7 +54,7 @@ from diffsim.diagnose.search.fit import (
     silent,
 )
 from diffsim.diagnose.search.fitted_sets import Search
-from diffsim.diagnose.search.gauss_newton import LEAST_RECORDS, gauss_newton
+from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import (
     begin,
     begin_from,
@@ -76,9 +76,7 @@ from diffsim.identify.unknown import Unknown, drifts
 
 FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensive
 ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws are short of it
-LAW_FITS = (
-    16  # fits of laws that what is kept for them must allow: a silicone beam's took 170 CPU s
-)
+ROOM_RECORDS = 960.0  # simulations that what is kept for laws must allow: a beam's took 170 CPU s
 LEAST_ROOM = 0.2  # of it, without which laws are not looked for
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
@@ -283,7 +281,7 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
     """
     spent, settings = answer.search.steps - begun, answer.search.settings
     given = settings.refit_steps + answer.kept
-    is_enough = answer.kept >= LAW_FITS * LEAST_RECORDS * answer.search.wide.cost()
+    is_enough = answer.kept >= ROOM_RECORDS * answer.search.wide.cost()
     room = max(given - spent, answer.kept if is_enough else 0.0)  # what is kept for laws is theirs
     is_short = room < ROOM_SHARE * given
     if settings.law_steps is not None:

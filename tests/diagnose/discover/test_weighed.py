@@ -100,9 +100,12 @@ def test_what_a_search_with_laws_found_is_held_against_the_best_set_before(
     assert diagnosis._with_laws(*given)[0] is (again if takes_over else before)
 
 
-def spending(share, **settings):
+def spending(share, records=1e3, **settings):
+    """An answer that spent a share of what was given, which is worth so many simulations."""
     search = SimpleNamespace(
-        steps=5.0 + share * GIVEN, settings=SearchSettings(refit_steps=GIVEN, **settings)
+        steps=5.0 + share * GIVEN,
+        settings=SearchSettings(refit_steps=GIVEN, **settings),
+        wide=SimpleNamespace(cost=lambda: GIVEN / records),
     )
     return SimpleNamespace(found=search, search=search, kept=0.0)
 
@@ -143,6 +146,10 @@ def test_laws_that_share_a_budget_have_what_is_left_of_it():
     answer = spending(1.5, law_steps=None)
     answer.kept = GIVEN
     assert diagnosis._budget_of_laws(answer, 5).steps == pytest.approx(0.5 * GIVEN)
+    # but not where it lasts for a law's fit or two: a silicone beam's took 170 CPU s
+    dear = spending(2.5, records=100.0, law_steps=None)
+    dear.kept = GIVEN
+    assert diagnosis._budget_of_laws(dear, 5).steps == 0.0
 
 
 @pytest.mark.parametrize(
