@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from diffsim.contact.shapes import Box, Capsule, Pair, Plane, Shape, Sphere
-from diffsim.core.check import require, require_number, require_range
+from diffsim.core.check import require, require_entries, require_number, require_range
 from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.rotation import matrix_from_rotation_vector, rotation_offset
@@ -163,12 +163,7 @@ def require_obstacles(obstacles: Sequence[Obstacle] | Obstacle) -> list[Obstacle
             "use contact.Obstacle(shape)"
         )
     many = [obstacles] if isinstance(obstacles, Obstacle) else list(obstacles)
-    for k, obstacle in enumerate(many):
-        if not isinstance(obstacle, Obstacle):
-            raise TypeError(
-                f"obstacles[{k}] must be an Obstacle, got {type(obstacle).__name__}; "
-                "use contact.Obstacle(shape)"
-            )
+    require_entries("obstacles", many, Obstacle, hint="use contact.Obstacle(shape)")
     if not many:
         raise ValueError("obstacles must hold at least one Obstacle, got none")
     return many

@@ -342,6 +342,20 @@ def require_counts(name: str, values: Sequence[int], count: int | Sequence[int])
     return tuple(require_count(f"{name}[{k}]", n, at_least=1) for k, n in enumerate(numbers))
 
 
+def require_entries(name: str, entries: Iterable[Any], kind: type, hint: str = "") -> None:
+    """Check that all entries of a sequence are of a class.
+
+    Raises:
+        TypeError: one is not, with its place.
+    """
+    article = "an" if kind.__name__[0] in "AEIO" else "a"
+    for k, entry in enumerate(entries):
+        if not isinstance(entry, kind):
+            got = type(entry).__name__
+            why = f"; {hint}" if hint else ""
+            raise TypeError(f"{name}[{k}] must be {article} {kind.__name__}, got {got}{why}")
+
+
 def require_options(
     what: str, options: Iterable[str], *takers: Callable[..., Any], known: Iterable[str] = ()
 ) -> None:

@@ -237,7 +237,7 @@ class Problem(Coordinates, WhitenedRuns):
 
     def residual(self, x: Array) -> Array:
         """(num_valid,) whitened residual of all runs."""
-        return self.whiten_all(self.measured - self.record(x))
+        return self.residual_of(self.record(x))
 
     def cost(self) -> float:
         """Weighted steps of one simulation of all runs."""
@@ -284,7 +284,7 @@ class Problem(Coordinates, WhitenedRuns):
     ) -> tuple[Array, Array]:
         """Residual and d(W S)/du at x, by the scaled coordinates u; arguments of ``linearize``."""
         record, columns = self.linearize_record(x, screen=screen, only=only)
-        return self.whiten_all(self.measured - record), self.whiten_all(columns)
+        return self.residual_of(record), self.whiten_all(columns)
 
     def linearize_record(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
@@ -303,9 +303,10 @@ class Problem(Coordinates, WhitenedRuns):
         stencils = self._choose_stencils(x, wanted, screen)
         effects = self._effect_of_each
         quick = {i for i in stencils if (e := effects[i]) is None or e.smooth}
-        edges = np.cumsum([0, *(run.measured.size for run in self.runs)])
-        begins = dict(zip((run.name for run in self.runs), edges, strict=False))
+        edges = np.cumsum([run.measured.size for run in self.runs])
         slopes = np.zeros((edges[-1], len(place)))
+        parts = zip(self.runs, np.split(slopes, edges[:-1]), strict=True)
+        of_run = {run.name: part for run, part in parts}
 
         def one(run: Run) -> Array:
             own = {i: s for i, s in stencils.items() if touches(names[i], run)}
@@ -320,8 +321,7 @@ class Problem(Coordinates, WhitenedRuns):
                 quick=quick.intersection(own),
                 tangents=lambda stencils: self._tangents(run, point, stencils),
             )
-            rows = slice(begins[run.name], begins[run.name] + run.measured.size)
-            slopes[rows, [place[i] for i in own]] = columns
+            of_run[run.name][:, [place[i] for i in own]] = columns
             return _finite(run, here)
 
         return np.concatenate(self._compute_each(one)), slopes

@@ -186,11 +186,7 @@ class UnknownLaw(Unknown):
 
     def spread(self, problem: Problem, slopes: Array) -> Array:
         """One block of columns for all runs."""
-        edges = np.cumsum([run.measured.size for run in problem.runs])[:-1]
-        parts = np.split(self.mix(slopes), edges)
-        return np.concatenate(
-            [problem.whiten(run, part) for run, part in zip(problem.runs, parts, strict=True)]
-        )
+        return problem.whiten_all(self.mix(slopes))
 
 
 def smooth_covariance(knots: Array, length: float) -> Array:

@@ -76,12 +76,20 @@ class WhitenedRuns:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
         return np.asarray(self.whitener.matrix(run) @ record)
 
-    @property
-    def measured(self) -> Array:
-        """Measured samples of all runs, (N,) [unit of the channel]; 0 where nothing was read."""
-        return np.concatenate([np.nan_to_num(run.measured).ravel() for run in self.runs])
-
     def whiten_all(self, rows: Array) -> Array:
         """Rows of the samples of all runs, (N, ...), whitened: (num_valid, ...)."""
-        matrices = [self.whitener.matrix(run) for run in self.runs]
-        return np.asarray(sparse.block_diag(matrices, format="csr") @ rows)
+        parts = np.split(rows, np.cumsum([run.measured.size for run in self.runs])[:-1])
+        pairs = zip(self.runs, parts, strict=True)
+        return np.concatenate([self.whiten(run, part) for run, part in pairs])
+
+    def residual_of(self, record: Array) -> Array:
+        """Measured less predicted samples of all runs, whitened; 0 where nothing was measured.
+
+        Args:
+            record: One prediction or several, (N,) or (N, K) [unit of the channel].
+
+        Returns:
+            (num_valid,) or (num_valid, K).
+        """
+        measured = np.concatenate([np.nan_to_num(run.measured).ravel() for run in self.runs])
+        return self.whiten_all((measured - record.T).T)

@@ -10,7 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_indices, require_number, require_tensor
+from diffsim.core.check import (
+    require,
+    require_entries,
+    require_indices,
+    require_number,
+    require_tensor,
+)
 from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, values_of
 from diffsim.core.torch_names import on_constants
@@ -118,10 +124,8 @@ class ChamberSet:
 
     @on_constants()
     def __init__(self, chambers: Sequence[PressureChamber], mesh: HexMesh | TetMesh):
+        require_entries("chambers", chambers, PressureChamber)
         for k, chamber in enumerate(chambers):
-            if not isinstance(chamber, PressureChamber):
-                kind = type(chamber).__name__
-                raise TypeError(f"chambers[{k}] must be a PressureChamber, got {kind}")
             require_indices(f"chambers[{k}].faces", chamber.faces, mesh.num_nodes, "nodes")
         self.chambers = tuple(chambers)
         self.num_chambers = len(chambers)

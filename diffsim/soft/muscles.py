@@ -13,6 +13,7 @@ from diffsim.core.check import (
     require,
     require_choice,
     require_constant,
+    require_entries,
     require_indices,
     require_number,
     require_range,
@@ -106,9 +107,8 @@ class MuscleSet:
     def __init__(self, muscles: Sequence[Muscle], num_elements: int):
         if not isinstance(muscles, Sequence):
             raise TypeError(f"muscles must be a list of Muscle, got {type(muscles).__name__}")
+        require_entries("muscles", muscles, Muscle)
         for k, muscle in enumerate(muscles):
-            if not isinstance(muscle, Muscle):
-                raise TypeError(f"muscles[{k}] must be a Muscle, got {type(muscle).__name__}")
             require_indices(f"muscles[{k}].elements", muscle.elements, num_elements, "elements")
         self.num_muscles = len(muscles)
         empty = torch.zeros(0, dtype=torch.int64)

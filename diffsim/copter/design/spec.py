@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from diffsim.core.check import require_entries
 from diffsim.core.checked import checked
 
 
@@ -103,8 +104,5 @@ class DesignSpec:
     folder: Path | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in {"parts": PartSpec, "connections": Connection}.items():
-            for k, entry in enumerate(getattr(self, name)):
-                if not isinstance(entry, kind):
-                    got = type(entry).__name__
-                    raise TypeError(f"{name}[{k}] must be a {kind.__name__}, got {got}")
+        require_entries("parts", self.parts, PartSpec)
+        require_entries("connections", self.connections, Connection)

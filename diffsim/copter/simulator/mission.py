@@ -24,6 +24,7 @@ import numpy as np
 from diffsim.copter._shipped import read_named, shipped
 from diffsim.copter.simulator.controllers import Setpoint
 from diffsim.core.arrays import Array
+from diffsim.core.check import require_entries
 from diffsim.core.checked import checked
 from diffsim.core.yaml_text import load_yaml
 
@@ -84,9 +85,7 @@ class Mission:
     legs: tuple[Leg, ...]
 
     def __post_init__(self) -> None:
-        for k, leg in enumerate(self.legs):
-            if not isinstance(leg, Leg):
-                raise TypeError(f"legs[{k}] must be a Leg, got {type(leg).__name__}")
+        require_entries("legs", self.legs, Leg)
 
     @property
     def duration(self) -> float:

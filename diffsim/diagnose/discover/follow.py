@@ -225,7 +225,7 @@ def follow(fit: Fit, port: LawPort, max_steps: int = MAX_STEPS) -> FollowedRecor
         count = len(fit.x)
         at = linearization_at(problem, x)
         columns = problem.whiten_all(at.columns)
-        r = problem.whiten_all(problem.measured - at.record)
+        r = problem.residual_of(at.record)
         moved = problem.scaled(x)[count:]
         problems.append(problem)
         points.append(x)
@@ -265,7 +265,7 @@ def _drive(fit: Fit, run: Run, port: LawPort, max_steps: int) -> tuple[Problem, 
     for _ in range(max_steps):
         at = linearization_at(problem, x, own)
         slopes = problem.whiten_all(at.columns)
-        r = problem.whiten_all(problem.measured - at.record)
+        r = problem.residual_of(at.record)
         u = problem.scaled(x)
         gram = slopes.T @ slopes + np.eye(len(own))
         step = linalg.solve(gram, slopes.T @ r - u[own], assume_a="pos")
@@ -293,7 +293,7 @@ def _shorten(
 
 def _cost(problem: Problem, x: Array, own: Sequence[int]) -> float:
     try:
-        r = problem.whiten_all(problem.measured - problem.record(x))
+        r = problem.residual_of(problem.record(x))
     except DiffsimError:
         return np.inf
     with np.errstate(over="ignore"):

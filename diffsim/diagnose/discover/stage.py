@@ -152,7 +152,7 @@ def at_data_sheet(plain: Fit) -> list[Fit]:
         at = linearization_at(problem, x)
     except DiffsimError:
         return []
-    missing = problem.whiten_all(problem.measured - at.record)
+    missing = problem.residual_of(at.record)
     slopes = problem.whiten_all(at.columns) * problem.stretch(x)
     return [summary(problem, x, missing, slopes, "converged", "the data sheet, not fitted", 1)]
 
@@ -499,7 +499,7 @@ def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
     costs = []
     with np.errstate(over="ignore", invalid="ignore"):
         for x, record in zip(points, records_at(problem, points), strict=True):
-            r = problem.whiten_all(problem.measured - record)
+            r = problem.residual_of(record)
             costs.append(float(r @ r + x @ x))
     return points[int(np.nanargmin(costs))]
 

@@ -140,11 +140,10 @@ def _endings(
         return [f"; run {min(failed)} could not be simulated", "; a run cannot be simulated"]
     changed = any(row.helps or row.status in (CERTAIN, LIKELY) for row in effects_of(answer))
     changed = changed or answer.before_test is not None  # what was taken back made a change
-    said = _on_unseen(errors, changed, gained) if errors else [""]
-    if answer.is_taken_back:  # the error is why, no "but"
-        return [text.replace("; but", ":", 1) for text in said]
-    # nor is it one beside what has no name
-    return [text.replace("; but", ";", 1) for text in said] if answer.verdict == "unknown" else said
+    objects = "; but"
+    if answer.is_taken_back or answer.verdict == "unknown":  # the error is why, or none to a name
+        objects = ":" if answer.is_taken_back else ";"
+    return _on_unseen(errors, changed, gained, objects=objects) if errors else [""]
 
 
 def _second(
@@ -458,7 +457,11 @@ def _brief(words: str) -> str:
 
 
 def _on_unseen(
-    errors: Sequence[ErrorRow], changed: bool, gained: Gain | None, falls: str = ""
+    errors: Sequence[ErrorRow],
+    changed: bool,
+    gained: Gain | None,
+    falls: str = "",
+    objects: str = "; but",
 ) -> list[str]:
     """What becomes of the error, the longest first; each says it before and after.
 
@@ -467,6 +470,7 @@ def _on_unseen(
         changed: Whether the extended model differs from the plain one.
         gained: Gain over all these errors.
         falls: Verb of an error that becomes smaller, with a blank.
+        objects: What leads from the finding to an error that does not become smaller.
     """
     row = _telling_kind(errors, changed, worst=gained is not None and gained.status == "withdrawn")
     where, short = (
@@ -481,13 +485,13 @@ def _on_unseen(
     if row.after > 0.99 * row.before:
         verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
         return [
-            f"; but the {where} {verb} {after}{unit}{besides}",
-            f"; but {short} {verb} {after}{unit}{besides}",
+            f"{objects} the {where} {verb} {after}{unit}{besides}",
+            f"{objects} {short} {verb} {after}{unit}{besides}",
         ]
     if row.constant is not None and row.constant < SKILL * row.after:
         constant = _numbers(replace(row, before=row.constant))[0]
         of = f"{before} to {after}{unit}, a constant leaves {constant}{unit}"
-        return [f"; but no skill: {where} {of}", f"; no skill: {short} {of}"]
+        return [f"{objects} no skill: {where} {of}", f"; no skill: {short} {of}"]
     return [
         f": {where} {falls}{before} to {after}{unit}{besides}",
         f": {short} {before} to {after}{unit}{besides}",

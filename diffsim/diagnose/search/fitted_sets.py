@@ -255,7 +255,7 @@ def _weigh_beside(
     search: Search, problem: Problem, at: Linearization, response: Array, own: list[int]
 ) -> SetPosterior:
     """Evidence of all effects of a problem with an unknown cause, in wide coordinates."""
-    residual = problem.whiten_all(problem.measured - at.record)
+    residual = problem.residual_of(at.record)
     jacobian = problem.whiten_all(at.columns) * problem.stretch(at.x)
     families, unknowns = search.num_families, len(search.unknowns)
     evidence = LaplaceEvidence(problem, at.x, residual, jacobian, [response], families, unknowns)

@@ -115,7 +115,7 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
         problem: Problem of a set.
         start: Start point in its coordinates.
     """
-    residual = problem.whiten_all(problem.measured - start.record)
+    residual = problem.residual_of(start.record)
     excess = float(residual @ residual) / max(len(residual), 1)
     if not np.isfinite(excess) or excess < HARD_START_CHI2:
         return start

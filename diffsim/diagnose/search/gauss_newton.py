@@ -102,7 +102,7 @@ class _Iterate:
             record = self.problem.record(x)
         except DiffsimError:  # too far to be simulated
             return shorter, 0.0
-        r = self.problem.whiten_all(self.problem.measured - record)
+        r = self.problem.residual_of(record)
         with np.errstate(over="ignore"):  # of an unstable simulation: too far as well
             cost = float(r @ r + x @ x)
         if not cost < self.cost:
@@ -211,7 +211,7 @@ def _first(problem: Problem, start: Linearization) -> _Iterate:
     coordinates = tuple(range(len(start.x)))
     slopes = start.slopes(coordinates)
     at = replace(start, idx=coordinates, columns=slopes)
-    residual = problem.whiten_all(problem.measured - at.record)
+    residual = problem.residual_of(at.record)
     return _Iterate(problem, at, residual, problem.whiten_all(slopes))
 
 

@@ -39,7 +39,7 @@ def course_at(wide: Problem, own: Sequence[int], center: Linearization, locator:
         center: Linearization there, with all slopes.
         locator: How the effect finds where it lies.
     """
-    residual = wide.whiten_all(wide.measured - center.record)
+    residual = wide.residual_of(center.record)
     j = wide.whiten_all(center.slopes(own)) * wide.stretch(center.x)[list(own)]
     inner = linalg.inv(j.T @ j + np.eye(len(own)))
     k = len(locator.times)

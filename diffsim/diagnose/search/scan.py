@@ -304,7 +304,7 @@ def costs_of(
     known = np.flatnonzero(np.isfinite(records).all(axis=1))
     if not len(known):
         return costs
-    residuals = wide.whiten_all((wide.measured - records[known]).T)
+    residuals = wide.residual_of(records[known].T)
     pulls = (residuals.T @ slopes) + gram @ u
     ends = np.array([optimum(gram, pull, low, high, is_size, u) for pull in pulls])
     left = residuals - slopes @ (ends - u).T

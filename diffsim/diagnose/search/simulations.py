@@ -357,7 +357,7 @@ class Simulations:
         self, at: Linearization, blocks: Sequence[Array | SpilledArray], num_families: int
     ) -> LaplaceEvidence:
         wide = self.wide
-        residual = wide.whiten_all(wide.measured - at.record)
+        residual = wide.residual_of(at.record)
         jacobian = wide.whiten_all(at.slopes(range(len(at.x)))) * wide.stretch(at.x)
         return LaplaceEvidence(wide, at.x, residual, jacobian, blocks, num_families)
 
@@ -384,7 +384,7 @@ class Simulations:
         nearly collinear with a member."""
         wide = self.wide
         own = [i for i in range(len(at.x)) if i < wide.num_base or at.x[i] != 0.0]
-        residual = wide.whiten_all(wide.measured - at.record)
+        residual = wide.residual_of(at.record)
         slopes = wide.whiten_all(at.slopes(range(len(at.x))))
         j = slopes[:, own]
         inner = linalg.inv(j.T @ j + np.eye(len(own)))

@@ -160,7 +160,7 @@ def gauss_newton_kept(
 
 def _digest(problem: Problem, start: Linearization, best_cost: float) -> str:
     """Of all that decides where a fit ends; the noise floor shows in the whitened residual."""
-    residual = problem.whiten_all(problem.measured - start.record)
+    residual = problem.residual_of(start.record)
     digest = hashlib.sha256(repr((problem.names, best_cost, start.slope_error)).encode())
     for array in (start.x, start.record, start.slopes(range(len(start.x))), residual):
         digest.update(np.ascontiguousarray(array).tobytes())

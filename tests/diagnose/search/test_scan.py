@@ -154,7 +154,8 @@ def test_many_sizes_are_tried_in_one_run_and_looked_around():
     found = scan(problem, [0, 1], at, [0])
     coarse = scan(replace(problem, effects=(clipped(),)), [0, 1], at, [0])
     assert found.num_points == num_points([close], len(first_runs(problem.runs)))
-    costs = [np.sum(np.square(problem.measured - f.at.record)) for f in (found, coarse)]
+    measured = np.concatenate([np.nan_to_num(run.measured).ravel() for run in problem.runs])
+    costs = [np.sum(np.square(measured - f.at.record)) for f in (found, coarse)]
     assert costs[0] < costs[1]
     assert least_tried(close) == pytest.approx(0.15 * TYPICAL) and least_tried(clipped()) == 0.0
 
