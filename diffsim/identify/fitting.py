@@ -21,7 +21,7 @@ from diffsim.core.record import Ended, Solve, announce, is_recording
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter
 from diffsim.identify.problem import Problem
-from diffsim.identify.whitening import Whitener, WhiteNoise
+from diffsim.identify.whitening import MIN_SPARSE, SPARSE_ROWS, Whitener, WhiteNoise
 
 if TYPE_CHECKING:
     from diffsim.data.study import Channel, Run
@@ -224,9 +224,18 @@ def posterior_covariance(jacobian: Array) -> Array:
     n = jacobian.shape[1]
     if not n:
         return np.zeros((0, 0))
-    order = np.argsort(-np.abs(jacobian).max(axis=1), kind="stable")
-    blocks = [order[k : k + QR_ROWS] for k in range(0, len(order), QR_ROWS)]
-    rows = np.vstack([*(np.linalg.qr(jacobian[b], mode="r") for b in blocks), np.eye(n)])
+    largest, few = np.abs(jacobian).max(axis=1), n < MIN_SPARSE
+    # of many coordinates rows that stand together have zeros together
+    order = np.argsort(-largest, kind="stable") if few else np.arange(len(jacobian))
+    count, triangles = QR_ROWS if few else SPARSE_ROWS, list[Array]()
+    for k in range(0, len(order), count):
+        block = order[k : k + count]
+        block = block[np.argsort(-largest[block], kind="stable")]
+        used = jacobian[block].any(0) | few
+        factor = np.linalg.qr(jacobian[np.ix_(block, used)], mode="r")
+        triangles.append(np.zeros((len(factor), n)))
+        triangles[-1][:, used] = factor
+    rows = np.vstack([*triangles, np.eye(n)])
     order = np.argsort(-np.abs(rows).max(axis=1), kind="stable")
     root = np.linalg.qr(rows[order], mode="r")[:n]
     inverse = linalg.solve_triangular(root, np.eye(n))

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ class Coordinates:
         """Effect of every coordinate; None of base parameters."""
         return [*(None for _ in self.model.base), *(e for e, _ in self.owners)]
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates; components of vector effects as "wind.x"."""
         return (*(p.name for p in self.model.base), *effect_coordinates(self.effects))

@@ -12,6 +12,26 @@ from diffsim.core.arrays import Array
 from diffsim.core.memo import Memo
 from diffsim.data.study import Channel, Run
 
+#: coordinates from which zeros of slopes are left out: starts of runs and of their pieces act there
+#: only; of fewer, one product is quicker than to look for zeros
+MIN_SPARSE = 64
+SPARSE_ROWS = 512  # rows looked at at once
+
+
+def gram_of(slopes: Array) -> Array:
+    """Gram matrix A'A of slopes, (num_rows, n), a part of the rows at a time: of many coordinates
+    most act in a few parts only."""
+    n = slopes.shape[1]
+    if n < MIN_SPARSE:
+        return np.asarray(slopes.T @ slopes)
+    gram = np.zeros((n, n))
+    for start in range(0, len(slopes), SPARSE_ROWS):
+        rows = slopes[start : start + SPARSE_ROWS]
+        used = np.flatnonzero(rows.any(0))
+        rows = rows[:, used]
+        gram[np.ix_(used, used)] += rows.T @ rows
+    return gram
+
 
 class Whitener(Protocol):
     """Makes the noise of a run white with standard deviation one."""
@@ -74,7 +94,12 @@ class WhitenedRuns:
 
     def whiten(self, run: Run, record: Array) -> Array:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
-        return np.asarray(self.whitener.matrix(run) @ record)
+        matrix = self.whitener.matrix(run)
+        if record.ndim < 2 or record.shape[1] < MIN_SPARSE:
+            return np.asarray(matrix @ record)
+        out, used = np.zeros((matrix.shape[0], record.shape[1])), record.any(0)
+        out[:, used] = matrix @ record[:, used]
+        return out
 
     def whiten_all(self, rows: Array) -> Array:
         """Rows of the samples of all runs, (N, ...), whitened: (num_valid, ...)."""

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from diffsim.diagnose import diagnose
+from diffsim.systems.ode import pieces
 from diffsim.systems.registry import setup_of
 from tests.systems.turning_lever import TRUE, lever_study
 
@@ -40,6 +41,17 @@ def test_a_lever_that_swings_is_not_cut():
     model = setup_of(study).model
     assert not model.cuts
     assert not any("_from_" in p.name for p in model.base)
+
+
+def test_a_model_that_runs_away_says_nothing_of_usual_motion_from_there_on():
+    """Starts are moved by a share of it: a lever that turns over 100 times is none of the rig's."""
+    swings = np.sin(np.linspace(0.0, 30.0, 300))[:, None]
+    turns = swings + np.maximum(np.arange(300.0)[:, None] - 150.0, 0.0)
+    gone = pieces._count_near(turns, np.where(swings > 0.9, np.nan, swings))
+    assert turns[gone - 1, 0] < pieces.AWAY_SPANS * 2.0
+    assert 150 < gone < 160
+    assert pieces._count_near(swings, 0.2 * swings) == 300
+    assert pieces._count_near(turns + 1e3, swings) == pieces.MIN_PIECE_SAMPLES
 
 
 def test_cuts_of_a_run_are_its_own():

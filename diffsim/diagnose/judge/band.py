@@ -46,6 +46,7 @@ from diffsim.diagnose.judge.unseen import outside_rows, spans_of, times_outside
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import touches
 from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.whitening import gram_of
 
 OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated too large
 LEAST_PARTS = 2  # one does not tell how parts differ
@@ -474,7 +475,7 @@ def _take_up(slopes: Array, columns: Array) -> Array:
     """Part of whitened columns that coordinates with these slopes take up, with their prior."""
     if not slopes.shape[1]:
         return np.zeros_like(columns)
-    gram = slopes.T @ slopes + np.eye(slopes.shape[1])
+    gram = gram_of(slopes) + np.eye(slopes.shape[1])
     return np.asarray(slopes @ np.linalg.solve(gram, slopes.T @ columns))
 
 

@@ -27,6 +27,7 @@ from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Fit, Problem
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import linearization_at
+from diffsim.identify.whitening import gram_of
 
 MAX_FOLDS = 8
 MEMORY = 10.0  # a block over the time in which the noise forgets
@@ -184,7 +185,7 @@ def moved(fit: Fit, kept: Mask) -> Array:
     if not len(u):
         return u
     slopes = fit.jacobian[kept] / problem.stretch(fit.x)
-    gram = slopes.T @ slopes
+    gram = gram_of(slopes)
     is_size = np.arange(len(u)) >= problem.num_base
     right = slopes.T @ fit.residual[kept] + gram @ u
     return problem.standardized(np.asarray(optimum(gram, right, *problem.bounds, is_size, u)))

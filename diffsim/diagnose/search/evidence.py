@@ -44,6 +44,7 @@ from diffsim.identify.effect import Effect, precision_at
 from diffsim.identify.linearization import ROUNDING
 from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.unknown import Unknown
+from diffsim.identify.whitening import MIN_SPARSE, gram_of
 
 Array = NDArray[np.float64]
 # root mean square of the unknown's part of the record, in noise standard deviations; of a force on
@@ -108,6 +109,47 @@ class Knots:
     projection: Array
 
 
+@dataclass(frozen=True)
+class Local:
+    """Coordinates of single runs, such as their starts, at their best for any others: they are in
+    every set, have a normal prior and no bounds, and may be hundreds.
+
+    Attributes:
+        own: These coordinates, (k,).
+        best: Where they are with all others at zero, (k,).
+        follow: What one unit of each coordinate takes off that, (k, n).
+        variance: With all others known, (k,).
+        gram, projection, power: The misfit left to the others, (n, n), (n,) and a number.
+        log_det: Of their own precision.
+    """
+
+    own: NDArray[np.intp]
+    best: Array
+    follow: Array
+    variance: Array
+    gram: Array
+    projection: Array
+    power: float
+    log_det: float
+
+    @staticmethod
+    def of(all_of: LaplaceEvidence, own: Sequence[int]) -> Local:
+        """Of the coordinates ``own``, in the evidence of all."""
+        cross, b = all_of.gram[own], all_of.projection[own]
+        factor = linalg.cho_factor(cross[:, own] + np.eye(len(own)), lower=True)
+        follow, best = linalg.cho_solve(factor, cross), linalg.cho_solve(factor, b)
+        return Local(
+            np.array(own),
+            best,
+            follow,
+            np.diag(linalg.cho_solve(factor, np.eye(len(own)))),
+            kept_definite(all_of.gram - cross.T @ follow),
+            all_of.projection - cross.T @ best,
+            all_of.power - float(b @ best),
+            2.0 * float(np.log(np.diag(factor[0])).sum()),
+        )
+
+
 class LaplaceEvidence:
     """Evidence of any hypothesis from the Gram matrix of all columns at a point; no simulation.
 
@@ -148,7 +190,7 @@ class LaplaceEvidence:
         parts = _parts(problem)
         with np.errstate(over="ignore", invalid="ignore"):
             for rows in parts:
-                gram += slopes[rows].T @ slopes[rows]
+                gram += gram_of(slopes[rows])
                 self.projection += slopes[rows].T @ right[rows]
             self.power = float(right @ right)
         if not (np.isfinite(gram).all() and np.isfinite(self.power)):
@@ -157,6 +199,9 @@ class LaplaceEvidence:
         self.knots = [_turn_knots(h, slopes, right, parts) for h in responses]
         self.columns = [problem.columns_of(e) for e in problem.effects]
         self.bounds = problem.bounds
+        is_open = np.isneginf(self.bounds[0]) & np.isposinf(self.bounds[1])
+        own = [i for i in range(problem.num_base) if is_open[i] and "@" in problem.names[i]]
+        self.local = Local.of(self, own) if len(own) >= MIN_SPARSE else None
 
     def weigh(self, hypothesis: Hypothesis, wide: Mapping[int, float] = NORMAL) -> SetPosterior:
         """Evidence of a hypothesis and its optimum.
@@ -189,11 +234,15 @@ class LaplaceEvidence:
         amplitude: float,
         wide: Mapping[int, float],
     ) -> tuple[float, Array, Array, float]:
+        local = self.local if knots is None and not wide else None
+        if local is not None:
+            free = np.setdiff1d(free, local.own).tolist()
+        of = self if local is None else local
         count, is_size = len(free), np.array([i >= self.problem.num_base for i in free], dtype=bool)
         low, high = (bound[free] for bound in self.bounds)
         reach = np.where(is_size, np.maximum(REACH, FARTHER * np.abs(self.scaled0[free])), np.inf)
-        b, gram, power = self.projection[free], self.gram[np.ix_(free, free)], self.power
-        log_det = 0.0
+        b, gram, power = of.projection[free], of.gram[np.ix_(free, free)], of.power
+        log_det = 0.0 if local is None else local.log_det
         if knots is not None:  # at their best, whatever the free coordinates are
             gained = amplitude**2 / (1.0 + amplitude**2 * knots.power)
             cross = knots.cross[:, free]
@@ -215,7 +264,8 @@ class LaplaceEvidence:
         mean = linalg.cho_solve(factor, b)
         log_det += 2.0 * float(np.log(np.diag(factor[0])).sum())
         nats = -0.5 * (power - b @ mean) - 0.5 * log_det
-        sd = np.sqrt(np.diag(linalg.cho_solve(factor, np.eye(count))))
+        covariance = linalg.cho_solve(factor, np.eye(count))
+        sd = np.sqrt(np.diag(covariance))
         gained_by_bounds = _log_share(mean, sd, low, high)
         signed = [self.problem.effects[i].signed for i in members for _ in self.columns[i]]
         for k, is_signed in zip(np.flatnonzero(is_size), signed, strict=True):
@@ -226,9 +276,15 @@ class LaplaceEvidence:
             left = knots.projection - cross @ (width * mean)
             chi2 -= float(np.sum((amplitude * left / (1.0 + amplitude**2 * knots.power)) ** 2))
         u, deviation = np.zeros(len(self.x0)), np.zeros(len(self.x0))
-        u[free] = width * mean
+        u[free], deviation[free] = width * mean, width * sd
+        if local is not None:
+            follow = local.follow[:, free]
+            u[local.own] = local.best - follow @ u[free]
+            chi2 -= float(u[local.own] @ u[local.own])
+            along = follow * width
+            deviation[local.own] = np.sqrt(local.variance + ((along @ covariance) * along).sum(1))
         x = self.problem.standardized(u)
-        deviation[free] = width * sd / self.problem.stretch(x)[free]
+        deviation /= self.problem.stretch(x)
         return float(nats + gained_by_bounds.sum() - lost), x, deviation, float(chi2)
 
 

@@ -2,8 +2,9 @@
 
 Steps are Gauss-Newton within a trust region, in scaled coordinates (``Problem.scaled``). Each costs
 one simulation of every run: the slopes are kept by Broyden updates (Broyden 1965, "A class of
-methods for solving nonlinear simultaneous equations") and simulated again only where the linear
-prediction was too far off.
+methods for solving nonlinear simultaneous equations"; of many coordinates row by row, where each
+acts: Schubert 1970, "Modification of a quasi-Newton method for nonlinear equations with a sparse
+Jacobian") and simulated again only where the linear prediction was too far off.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.fitting import summary
 from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.model import has_tangents
+from diffsim.identify.whitening import MIN_SPARSE, gram_of
 
 Array = NDArray[np.float64]
 # relative error up to which the linear prediction counts as exact, and so does the distance in
@@ -124,15 +126,17 @@ class _Iterate:
         off = record - here.record - here.columns @ step
         white_off = self.problem.whiten_all(off)
         moved = float(linalg.norm(self.jacobian @ step))
-        along = step / float(step @ step)
-        at = Linearization(
-            x,
-            record,
-            here.idx,
-            here.columns + np.outer(off, along),
-            here.slope_error + float(linalg.norm(white_off)) / max(moved, 1.0),
-        )
-        jacobian = self.jacobian + np.outer(white_off, along)
+        error = here.slope_error + float(linalg.norm(white_off)) / max(moved, 1.0)
+        if len(step) < MIN_SPARSE:
+            along = step / float(step @ step)
+            columns = here.columns + np.outer(off, along)
+            jacobian = self.jacobian + np.outer(white_off, along)
+        else:  # what does not act in a row goes on not acting there
+            acts = here.columns != 0.0
+            per_row = off / np.maximum(acts @ step**2, np.finfo(float).tiny)
+            columns = here.columns + np.where(acts, np.outer(per_row, step), 0.0)
+            jacobian = self.problem.whiten_all(columns)
+        at = Linearization(x, record, here.idx, columns, error)
         return replace(self, at=at, residual=residual, jacobian=jacobian)
 
 
@@ -219,7 +223,7 @@ def _step(s: _Iterate, low: Array, high: Array) -> Array:
     """argmin |r - J d|^2 + |x(u + d)|^2 within the bounds and the trust region |d_i| <= radius f_i,
     f_i below 1 for parameters that move edges."""
     u = s.scaled
-    gram = s.jacobian.T @ s.jacobian
+    gram = gram_of(s.jacobian)
     is_size = np.arange(len(u)) >= s.problem.num_base
     reach = s.radius * s.problem.step_factors
     least, most = np.maximum(low, u - reach), np.minimum(high, u + reach)

@@ -42,22 +42,28 @@ def optimum(
     gram = kept_definite(gram)
     if not sizes.any():
         return quadratic_optimum(gram + np.eye(len(b)), b, low, high)
-    base = ~sizes
-    if not base.any():
+    if sizes.all():
         return _sizes_optimum(gram, b, low, high, start)
-    # base parameters at their best for any sizes, as long as none is at a bound
-    inner = linalg.cho_factor(gram[np.ix_(base, base)] + np.eye(int(base.sum())))
-    outer = gram[np.ix_(base, sizes)]
-    solved = linalg.cho_solve(inner, np.column_stack([outer, b[base]]))
-    own = gram[np.ix_(sizes, sizes)] - outer.T @ solved[:, :-1], b[sizes] - outer.T @ solved[:, -1]
-    v = np.zeros(len(b))
-    v[sizes] = _sizes_optimum(*own, low[sizes], high[sizes], start[sizes])
-    v[base] = solved[:, -1] - solved[:, :-1] @ v[sizes]
-    if (v[base] < low[base]).any() or (v[base] > high[base]).any():
-        first = np.ones(len(b))
-        first[sizes] = precision_at(v[sizes])
-        v = _reweight_sizes(gram, b, low, high, sizes, first)
-    return v
+    # base parameters at their best for any others, as long as they are not at a bound
+    v, kept = np.zeros(len(b)), sizes
+    while True:
+        base = ~kept
+        inner = linalg.cho_factor(gram[np.ix_(base, base)] + np.eye(int(base.sum())))
+        outer = gram[np.ix_(base, kept)]
+        solved = linalg.cho_solve(inner, np.column_stack([outer, b[base]]))
+        own = gram[np.ix_(kept, kept)] - outer.T @ solved[:, :-1], b[kept] - outer.T @ solved[:, -1]
+        near, far = low[kept], high[kept]
+        if kept is sizes:
+            v[kept] = _sizes_optimum(*own, near, far, start[kept])
+        else:
+            first = np.ones(int(kept.sum()))
+            first[sizes[kept]] = precision_at(v[sizes])
+            v[kept] = _reweight_sizes(*own, near, far, sizes[kept], first)
+        v[base] = solved[:, -1] - solved[:, :-1] @ v[kept]
+        beyond = base & ((v < low) | (v > high))
+        if not beyond.any():
+            return v
+        kept = kept | beyond
 
 
 def kept_definite(gram: Array) -> Array:

@@ -22,6 +22,7 @@ from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
 from diffsim.identify.linearization import Linearization, linearization_at, records_at
 from diffsim.identify.numerics import NumericalEffect
+from diffsim.identify.whitening import gram_of
 
 Array = NDArray[np.float64]
 Members = frozenset[int]
@@ -299,7 +300,7 @@ def costs_of(
     u = wide.scaled(center.x)[list(rest)]
     low, high = (bound[list(rest)] for bound in wide.bounds)
     is_size = np.array(rest) >= wide.num_base
-    gram = slopes.T @ slopes
+    gram = gram_of(slopes)
     costs = np.full(len(records), np.inf)
     known = np.flatnonzero(np.isfinite(records).all(axis=1))
     if not len(known):

@@ -34,6 +34,7 @@ MIN_PIECE_SAMPLES = 8  # samples of a piece
 SEEN = 32  # samples that tell the start of a piece
 PLACES = 8  # of a piece from which the model is asked
 MAX_PIECES = 64  # pieces of a run
+AWAY_SPANS = 3.0  # spans of a channel's record from its middle, beyond which a model runs away
 START_PRIOR_FACTOR = 10.0  # times that a start may differ from what the samples say of it
 _TINY = 1e-9
 
@@ -77,7 +78,8 @@ def cut_run(run: Run, model: SimModel) -> tuple[Piece, ...]:
         if not names or not (np.isfinite(readings).all() and np.isfinite(states).all()):
             return ()
         with np.errstate(over="ignore"):
-            usual = _Usual(_usual_motion(states[0]), _usual_motion(readings[0]))
+            kept = _count_near(readings[0], run.measured)
+            usual = _Usual(_usual_motion(states[0, :kept]), _usual_motion(readings[0, :kept]))
         if not all(np.isfinite(motion).all() for motion in usual):
             return ()  # so far away that its squares leave the range of numbers
         return _Cutter(run, scene, names, usual).cut(start)
@@ -262,6 +264,16 @@ def _on_both_sides(start: Array, scale: Array) -> Array:
     """A start, and starts moved along each state to either side, (2 n + 1, n)."""
     nudge = START_STEP_SHARE * np.diag(scale)
     return np.concatenate([start[None], start + nudge, start - nudge])
+
+
+def _count_near(readings: Array, measured: Array) -> int:
+    """Samples before a path of the model has run away from the record, at least those of a piece:
+    the motion of a lever that turns over without end is not that of the rig."""
+    seen = np.isfinite(measured).any(0)
+    low, high = np.nanmin(measured[:, seen], axis=0), np.nanmax(measured[:, seen], axis=0)
+    off = np.abs(readings[:, seen] - (low + high) / 2.0)
+    left = (off > AWAY_SPANS * (high - low)).any(1)
+    return max(int(np.argmax(left)), MIN_PIECE_SAMPLES) if left.any() else len(left)
 
 
 def _usual_motion(path: Array) -> Array:
