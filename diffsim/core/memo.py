@@ -20,7 +20,7 @@ from diffsim.core.arrays import Array
 
 _Value = TypeVar("_Value")
 LARGE = 4 << 20  # bytes from which on an array is laid aside
-WAITING = 64 * LARGE  # bytes of arrays in memory: with none a first answer wrote 155 files
+WAITING = 256 * LARGE  # bytes of arrays in memory: with a quarter a long record wrote 9 GB
 AT_HAND = 2  # arrays that were asked for last and stay in memory
 MOST_KEPT = 4096  # more than any study asks for: a bound against growing for ever, no choice
 
