@@ -1,7 +1,5 @@
 """docs/study_keys.md is what the classes of the keys say; every key says something."""
 
-from __future__ import annotations
-
 import importlib.util
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The tables of causes: each cause once, every row able to act, words complete."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from collections import Counter

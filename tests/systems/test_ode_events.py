@@ -1,7 +1,5 @@
 """What acts for a limited time: forms, where they lie, and that a model keeps its meaning."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

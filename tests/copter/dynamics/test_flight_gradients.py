@@ -1,7 +1,5 @@
 """Gradients of flights against finite differences: state, commands, feedback, design, effects."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from functools import partial
 

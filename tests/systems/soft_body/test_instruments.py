@@ -1,7 +1,5 @@
 """Sensors of a soft body that each have a clock, a lag, a scale and a zero of their own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
