@@ -315,6 +315,43 @@ def test_a_step_compiles_whole(name):
     torch.testing.assert_close(whole(*inputs.values()), after(*inputs.values()))
 
 
+@pytest.mark.property
+@covering(name=list(BODIES), integrator=INTEGRATORS, kind=KINDS)
+def test_a_turned_world_gives_the_turned_motion(name, integrator, kind):
+    """Energy is that of the shape alone, forces turn with it, and no part pushes the whole."""
+    held = BODIES[name](kind).mesh.x_rest[:, 0] < 0.3  # rails do not turn
+    body, inputs = made(name, kind, integrator=integrator, dt=0.02, fixed=held)
+    here = {n: v.detach() for n, v in inputs.items()}
+    here |= {"gravity": body.gravity, "dirichlet_target": here["x"]}
+    turn = torch.linalg.qr(noise(3, 3, seed=3))[0]
+    turn, shift = turn * torch.linalg.det(turn), torch.tensor([3.0, -2.0, 1.0])
+    vectors = {n: here[n] @ turn.T for n in ("v", "gravity", "external_force") if n in here}
+    there = here | vectors | {n: here[n] @ turn.T + shift for n in ("x", "dirichlet_target")}
+    one, other = (moved(body, given, 3) for given in (here, there))
+    # solves end at 1e-12 of the force scale; velocities are position errors over dt
+    torch.testing.assert_close(other.x, one.x @ turn.T + shift, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(other.v, one.v @ turn.T, rtol=1e-7, atol=1e-7)
+    loads = {
+        n: v
+        for n, v in loads_of(body, here).items()
+        if n not in ("external_force", "dirichlet_target")
+    }
+    energies, forces = [], []
+    for x in (here["x"], there["x"]):
+        energies.append(body.elastic_energy(x, **loads))
+        forces.append(body.elastic_force(x, **loads))
+    torch.testing.assert_close(energies[1], energies[0], rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(forces[1], forces[0] @ turn.T, rtol=1e-10, atol=1e-10)
+    if "pressure" not in inputs:  # an open pocket is pushed
+        none = torch.zeros(3, dtype=torch.float64)
+        torque = torch.linalg.cross(here["x"], forces[0]).sum(0)
+        torch.testing.assert_close(forces[0].sum(0), none, rtol=0, atol=1e-10)
+        torch.testing.assert_close(torque, none, rtol=0, atol=1e-10)
+    if not inputs.keys() & SIGNALS:
+        assert body.elastic_energy(body.x_rest, **loads).abs() < 1e-20
+        assert body.elastic_force(body.x_rest, **loads).abs().max() < 1e-12
+
+
 def rates_of(values: dict[str, Tensor]) -> dict[str, Tensor]:
     """One direction that moves all values at once, each by a tenth of it, with a leading axis."""
     return {
