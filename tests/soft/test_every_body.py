@@ -204,7 +204,10 @@ def state_and_gradients(body: soft.SoftBody, given: dict[str, Tensor]) -> list[T
 
 @pytest.mark.grad
 @covering(
-    name=list(BODIES), integrator=INTEGRATORS, kind=KINDS, method=["auto", "linearly_implicit"]
+    name=list(BODIES),
+    integrator=INTEGRATORS,
+    kind=KINDS,
+    method=["auto", "quasi_newton", "linearly_implicit"],
 )
 def test_derivatives_are_those_of_differences(name, integrator, kind, method):
     """Of a motion, by every input, in both modes; BDF2 takes a third step for two old states."""
