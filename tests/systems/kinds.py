@@ -454,6 +454,9 @@ def saved_means_the_same(ready: Ready) -> None:
     like = ready.study.runs[0]
     commands = {name: 1.5 * np.asarray(u) for name, u in like.command.items()}
     new = replace(like, name="new", group="new", use="test", command=commands)
+    other = setup_of(replace(ready.study, runs=(replace(new, use="fit"),)))
+    with pytest.raises(ValueError, match=r"takes its .* from other runs than the model was fitted"):
+        rebuilt(saved, other)  # magnitudes of these commands
     framed = Ready(saved.framed(replace(ready.study, runs=(new,))))
     whole = Ready(replace(ready.study, runs=(*ready.study.runs[:-1], new)))
     run = next(run for run in whole.cut.runs if run.name == "new")
