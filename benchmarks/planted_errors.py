@@ -252,7 +252,7 @@ class WarmTests:
         # 4: of a test that is asked for by name the file cannot be imported
         is_broken = ended.status == 4 and re.search(r"^ERROR \S+\.py", ended.output, re.MULTILINE)
         if ended.status in (1, 2) or is_broken:
-            found = re.search(r"^(?:FAILED|ERROR) (\S+)", ended.output, re.MULTILINE)
+            found = re.search(r"^(?:FAILED|ERROR) (\S+?):?(?: |$)", ended.output, re.MULTILINE)
             return Outcome(state=CAUGHT, cpu_s=ended.cpu_s, by=found[1] if found else last)
         if ended.status == 0:
             return Outcome(state=MISSED, cpu_s=ended.cpu_s)

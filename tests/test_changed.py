@@ -1,7 +1,5 @@
 """The tests that a change can touch are found from the imports, and no others."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 """Nothing that the library answers moves unseen: every public call, every cause of every kind,
 every environment, design and device, and what the shell says and writes (``tests.known``)."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")

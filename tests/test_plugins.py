@@ -1,7 +1,5 @@
 """What a user's package adds by entry points is made by name, as what is shipped."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -5,7 +5,6 @@ A new key that says it names a file, or whose meaning mentions one, fails here u
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -25,18 +24,12 @@ from diffsim.data import load_study
 from diffsim.mesh import load_surface
 from diffsim.systems.registry import setup_of
 from tests.envs.soft_files import finger, with_model
+from tests.scripts import load_script
 
 ROOT = Path(__file__).parent.parent
 PUBLISHED = ROOT / "diffsim" / "systems" / "published"
 SECRET = "time_s,secret,word\n0,1,hunter2\n1,2,hunter2\n"
 MESSAGE = r"must (stay in|be a path relative to) its folder|cannot be followed"
-
-
-def page():
-    spec = importlib.util.spec_from_file_location("page", ROOT / "scripts" / "security_page.py")
-    module = sys.modules["page"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def study(**keys: Any) -> Callable[[Path], object]:
@@ -166,7 +159,7 @@ def noting_files() -> Iterator[list[str]]:
 
 def test_every_key_that_names_a_file_is_attacked_here_and_listed():
     """Where the list differs: python scripts/security_page.py."""
-    module = page()
+    module = load_script("security_page.py")
     stated = module.stated_paths()
     assert {(p.block, p.key) for p in stated if p.reach in (INSIDE, CODE)} == set(CASES)
     between = module.PAGE.read_text(encoding="utf-8").partition(module.MARKS[0])[2]

@@ -1,26 +1,14 @@
 """docs/study_keys.md is what the classes of the keys say; every key says something."""
 
-from __future__ import annotations
-
 import importlib.util
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 
 from diffsim.core.schema_keys import blocks_of, keys_of
 from diffsim.data.study_schema import Fact, StudyFile
 from diffsim.systems.registry import DESCRIPTIONS
-
-ROOT = Path(__file__).parent.parent
-SCRIPT = ROOT / "scripts" / "study_keys_page.py"
-
-
-def script():
-    spec = importlib.util.spec_from_file_location("study_keys_page", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+from tests.scripts import load_script
 
 
 def descriptions():
@@ -31,7 +19,7 @@ def descriptions():
 
 def test_page_is_up_to_date():
     """Where this fails: python scripts/study_keys_page.py."""
-    module = script()
+    module = load_script("study_keys_page.py")
     below = module.PAGE.read_text(encoding="utf-8").partition(module.MARK)[2]
     assert below == f"\n{module.page()}"
 

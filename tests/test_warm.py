@@ -1,7 +1,5 @@
 """Processes forked from the warm one end, speak and fail as those of ``subprocess.run`` do."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The benchmark of all copter stages runs, and its gradients are right."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

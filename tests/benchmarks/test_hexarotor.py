@@ -1,7 +1,5 @@
 """The comparison of L-BFGS and CMA-ES on a hexarotor: same starts, same time, honest table."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The table of members: medians over rounds, a column for each instruction set and count."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks import members

@@ -1,7 +1,5 @@
 """benchmarks/reference_numbers.py: every bit is shown, runs repeat, what fails is said."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The published procedure of the sealed cylinders, by its values; pull tests of a servo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Benchmarks of soft bodies at tiny size: they run, methods agree, halved steps come nearer."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """benchmarks/stokes_sampling.py and stokes_amplifier.py at tiny size: starts, tables."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

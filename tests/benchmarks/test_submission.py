@@ -1,7 +1,5 @@
 """Results in the form of ``nonlinear_benchmarks``: scored by the package's own code."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
 

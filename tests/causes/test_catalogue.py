@@ -1,8 +1,5 @@
 """The tables of causes: each cause once, every row able to act, words complete."""
 
-from __future__ import annotations
-
-import importlib.util
 import re
 from collections import Counter
 from pathlib import Path
@@ -12,8 +9,8 @@ import pytest
 import diffsim
 from diffsim.causes import all_rows, domains, rows
 from diffsim.causes.row import ANY, Row
+from tests.scripts import load_script
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "causes_page.py"
 LETTERS = re.compile(r"[a-z][a-z0-9_]*")
 
 
@@ -104,9 +101,7 @@ def test_a_row_that_cannot_act_is_refused(change, said):
 
 def test_the_page_of_all_causes_is_up_to_date():
     """Where this fails: python scripts/causes_page.py."""
-    spec = importlib.util.spec_from_file_location("causes_page", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_script("causes_page.py")
     kept = module.PAGE.read_text(encoding="utf-8").partition(module.MARK)[2]
     assert kept == f"\n{module.page()}"
 

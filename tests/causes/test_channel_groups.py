@@ -12,7 +12,7 @@ from diffsim.causes.channel_groups import channel_groups, channels_of
 from diffsim.causes.signals import Grid, with_play
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
-from diffsim.systems.registry import description_of, setup_of
+from diffsim.systems.registry import setup_of
 
 STEP = 0.02
 T = STEP * np.arange(150)
@@ -73,9 +73,6 @@ def test_without_a_statement_kinds_and_each_of_few_channels_are_tried():
 def test_what_no_channel_is_called_is_told():
     with pytest.raises(ValueError, match="no sensor, kind or channel 'carrige'; did you mean 'car"):
         channels_of(CHANNELS, "carrige")
-    study = Study("s", "ode", CHANNELS, runs(), model=MODEL | {"clocks": {"camra": 0.1}})
-    (problem,) = description_of(study).problems(study)
-    assert "clocks.camra: no sensor, kind or channel 'camra'" in str(problem)
 
 
 def test_a_play_starts_anywhere_in_it():
@@ -129,21 +126,6 @@ def test_a_play_and_a_late_camera_on_one_of_two_alike_channels_are_named():
     ):
         (size,) = next(c.size for c in report.causes if c.name == name).values()
         assert size.low <= truth <= size.high and size.high - size.low < 0.1 * truth, name
-
-
-def test_a_stated_clock_is_fitted_for_each_run_and_no_cause():
-    clock = {"carriage": {"value": 0.0, "sd": 0.03, "per": "run", "unit": "s"}}
-    study = Study("gantry", "ode", CHANNELS, runs(), model=MODEL | {"clocks": clock})
-    setup = setup_of(study)
-    assert "sensor_delay_of_carriage" not in {e.name for e in setup.effects}
-    assert "sensor_delay_of_motor" in {e.name for e in setup.effects}
-    place = [p.name for p in setup.model.base].index("clock_of_carriage@fast")
-    q = setup.model.at_prior()
-    plain = setup.model.predict(study.runs[1], q).numpy()
-    q[place] += 2.0 * STEP / 0.03  # two samples late
-    late = setup.model.predict(study.runs[1], q).numpy()
-    np.testing.assert_array_equal(late[:, 0], plain[:, 0])
-    np.testing.assert_allclose(late[2:, 1], plain[:-2, 1], atol=1e-12)
 
 
 def test_what_is_read_slowly_may_be_late_by_half_a_sample():

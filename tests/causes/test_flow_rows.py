@@ -1,7 +1,5 @@
 """Pumps, gauges and meters of a network that is recorded in time; levels do without."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

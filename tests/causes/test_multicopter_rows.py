@@ -1,7 +1,5 @@
 """Causes that flights have by the tables alone: commands, readings in windows, rows of a user."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Causes that a user adds by a row, through every port."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """An actuator that moves in steps: its map, its slopes, when it is named and when not."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

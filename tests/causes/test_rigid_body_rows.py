@@ -1,7 +1,5 @@
 """Bodies in free flight, seen by a camera and a radar: one of them is late, lags or is off."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

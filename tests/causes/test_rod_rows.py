@@ -1,7 +1,5 @@
 """What drives and cameras do to a rod that is recorded in time is found; poses do without."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

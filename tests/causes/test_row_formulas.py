@@ -1,7 +1,5 @@
 """What formulas of rows may name: other channels, columns, facts, memories, further numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

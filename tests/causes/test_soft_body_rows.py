@@ -1,7 +1,5 @@
 """Causes of soft bodies by their rows: what a body offers, and causes that are new to it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

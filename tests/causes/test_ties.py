@@ -1,7 +1,5 @@
 """What several members have alike: ties, exchanges, a bus; rows of drives against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

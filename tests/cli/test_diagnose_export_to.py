@@ -1,7 +1,5 @@
 """`diagnose export --to`: the whole answer, what it carries and what not, flown on the runs."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 

@@ -1,7 +1,5 @@
 """``diffsim diagnose faults``: groups of a study, and recordings that are not in it."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``diffsim diagnose extend`` with further recordings: sizes mean what they meant at the fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import yaml
 

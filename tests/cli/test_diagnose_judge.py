@@ -1,7 +1,5 @@
 """``diffsim diagnose judge``: a frozen model on runs that the diagnosis did not have."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A tilted hexacopter that is nowhere symmetric, with every effect on."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -1,7 +1,5 @@
 """Units as people write them, and the SI units they stand for."""
 
-from __future__ import annotations
-
 import math
 import random
 import time

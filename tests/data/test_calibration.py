@@ -1,7 +1,5 @@
 """A camera from clicked points, without OpenCV."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

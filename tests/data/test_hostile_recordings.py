@@ -4,8 +4,6 @@ What stands in a damaged file may be read as other numbers where a format has no
 not vanish without a word, and no reader may hang, take the memory or show another error.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import random

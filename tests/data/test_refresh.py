@@ -1,7 +1,5 @@
 """A sensor's own clock, found in records alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import savgol_filter

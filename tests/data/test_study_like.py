@@ -1,7 +1,5 @@
 """``like:`` in a study, and where published recordings are looked for."""
 
-from __future__ import annotations
-
 import pytest
 
 from diffsim.data import find_dataset

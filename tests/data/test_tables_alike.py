@@ -1,7 +1,5 @@
 """One recording written as several programs would write it: one study, one set of numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -8,13 +8,13 @@ import inspect
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from torch import nn
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.scripts import load_script
+
 _CALLABLE = re.compile(r"Callable\[\[[^\]]*\], [^\]]*(?:\[[^\]]*\])?\]")
 CALLED = ("__call__", "forward")
 
@@ -44,10 +44,7 @@ class Public:
 
 def load_api_page() -> ModuleType:
     """The script that writes ``docs/api.md``."""
-    spec = importlib.util.spec_from_file_location("api_page", ROOT / "scripts" / "api_page.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_script("api_page.py")
 
 
 def find_public() -> list[Public]:

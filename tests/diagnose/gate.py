@@ -1,7 +1,5 @@
 """Gate (a) of a diagnosis: the score of an effect by the adjoint and by differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -1,8 +1,6 @@
 """What cannot be simulated ends no diagnosis: a candidate that cannot be moved is not judged, a set
 that diverges on runs which choose between causes is not named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -5,8 +5,6 @@ what was reached, not what was hoped for, and only fall: who needs one more take
 The walk ``library`` judges the causes of the library alone, ``laws`` goes as the command line does.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

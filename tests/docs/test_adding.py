@@ -1,7 +1,5 @@
 """docs/adding.md is true: its files exist, and what is added as it says works, to a verdict."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

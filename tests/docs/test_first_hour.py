@@ -3,24 +3,17 @@
 What the blocks do is tested by test_recipes and test_tutorials; the script runs from a wheel.
 """
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 
+from tests.scripts import load_script
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def load():
-    path = ROOT / "scripts" / "first_hour.py"
-    spec = importlib.util.spec_from_file_location("first_hour", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_every_page_has_blocks_that_compile():
-    first_hour = load()
+    first_hour = load_script("first_hour.py")
     for name in first_hour.PAGES:
         kinds = {kind for kind, _ in first_hour.blocks(ROOT / name)}
         assert "python" in kinds, name
@@ -28,7 +21,7 @@ def test_every_page_has_blocks_that_compile():
 
 
 def test_a_page_runs_in_its_order_and_a_stumble_is_told(tmp_path, capsys):
-    first_hour = load()
+    first_hour = load_script("first_hour.py")
     page = tmp_path / "page.md"
     blocks = {"python": "print(1)", "yaml": "# a.yaml\nb: 1", "sh": "grep b a.yaml\nfalse"}
     page.write_text("".join(f"```{kind}\n{text}\n```\n" for kind, text in blocks.items()))

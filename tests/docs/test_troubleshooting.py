@@ -1,7 +1,5 @@
 """Messages of the page for troubleshooting and words for language models are the package's."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the copters' tasks keep from step to step, and when they must not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from gymnasium.wrappers import AddRenderObservation  # noqa: E402
 
 import diffsim.envs as envs  # noqa: E402
 from tests.envs.cases import COARSE  # noqa: E402
+from tests.scripts import load_script  # noqa: E402
 
 
 @pytest.mark.parametrize("env_id", envs.ENV_IDS)
@@ -68,32 +68,22 @@ def test_lengths_of_the_native_batch(length: int) -> None:
         make("diffsim/CopterHover-v0", num_envs=2, max_episode_steps=0)
 
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "environment_pages.py"
-
-
-def script():
-    spec = importlib.util.spec_from_file_location("environment_pages", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_pages_are_up_to_date() -> None:
     """Where this fails: python scripts/environment_pages.py."""
-    module = script()
+    module = load_script("environment_pages.py")
     kept = {path.name: path.read_text(encoding="utf-8") for path in module.FOLDER.glob("*.md")}
     assert kept == module.pages()
 
 
 def test_every_page_has_its_picture() -> None:
-    module = script()
+    module = load_script("environment_pages.py")
     for name in module.pages().keys() - {"README.md"}:
         assert (module.IMAGES / f"env_{Path(name).stem}.png").stat().st_size > 5_000
 
 
 def test_what_a_page_shows_is_a_motion_of_its_environment() -> None:
     """Three moments of the arm, whose nodes have moved."""
-    found = script().moments("TendonReach")
+    found = load_script("environment_pages.py").moments("TendonReach")
     assert len(found) == 3
     (task, first), (_, second), (_, last) = found
     assert (first["x"] - second["x"]).abs().max() > 0.01

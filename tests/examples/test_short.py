@@ -1,7 +1,5 @@
 """The shortest examples: each against a closed form, or against its own statement."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

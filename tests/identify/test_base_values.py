@@ -1,7 +1,5 @@
 """Base values, fitted starts and causes that nobody wrote down: each as it is stated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

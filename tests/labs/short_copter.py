@@ -1,7 +1,5 @@
 """The multicopter laboratory's flights, cut short: the whole study takes 3 CPU s to fly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from labs.virtual import CopterLab

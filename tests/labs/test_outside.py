@@ -1,7 +1,5 @@
 """Cases made by other people's simulators: a few always, all of them where time does not matter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lsim

@@ -1,7 +1,5 @@
 """Two versions on the same cases: what counts as right, and how their rows stand side by side."""
 
-from __future__ import annotations
-
 import json
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The log: searches interrupted anywhere end with the bits of one that was not."""
 
-from __future__ import annotations
-
 import json
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Many starts: seeds, failures, and the lower of two valleys."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -29,7 +29,6 @@ KERNEL_TESTS = (
     "tests/stokes/test_cut_cells.py",
     "tests/stokes/test_equations.py",
     "tests/stokes/test_flow_tangents.py",
-    "tests/stokes/test_iterative.py::test_gradcheck",
     "tests/test_arguments.py",
     "tests/test_fuzz.py",
 )

@@ -6,6 +6,7 @@ A body with something new gets a row in ``BODIES``.
 
 from __future__ import annotations
 
+import itertools
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,14 +19,24 @@ from torch import Tensor
 from diffsim import soft
 from tests.covering import covering
 from tests.gradients import check_directions
-from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body, two_muscles
+from tests.soft.cases import (
+    SHARP,
+    deformed,
+    element_of,
+    irregular_mesh,
+    leaf,
+    noise,
+    rail_mask,
+    soft_body,
+    two_muscles,
+)
 from tests.soft.test_chambers import hollow
 from tests.soft.test_slack_fibers import fibers_of
 from tests.soft.test_step_gradients import INTEGRATORS, METHODS, TOLERANCE
 from tests.soft.test_tangents import IMPLICIT, assert_close, central
 
 KINDS = ["hex", "tet"]
-SIGNALS = ("activation", "pressure")
+SIGNALS = ("activation", "pressure", "external_force", "dirichlet_target")
 
 
 class Parts(NamedTuple):
@@ -44,17 +55,13 @@ class Parts(NamedTuple):
 
 def solid(kind: str) -> Any:
     """Two hexahedra, or the six tetrahedra of one."""
-    return irregular_mesh(kind, (2, 1, 1) if kind == "hex" else (1, 1, 1), (2.0, 1.0, 1.0))
+    cells = (2, 1, 1) if kind in ("hex", "assumed_strain") else (1, 1, 1)
+    return irregular_mesh(kind, cells, (2.0, 1.0, 1.0))
 
 
 def spread(count: int, seed: int) -> Tensor:
     """Numbers about one, one of each element or node."""
     return 1.0 + 0.2 * noise(count, seed=seed).tanh()
-
-
-def of_material(name: str, **inputs: Any) -> Callable[[str], Parts]:
-    constants = {"youngs_modulus": 30.0, "poissons_ratio": 0.3, **inputs}
-    return lambda kind: Parts(solid(kind), {"material": name}, constants)
 
 
 def muscles(kind: str) -> Parts:
@@ -108,12 +115,35 @@ def second_shares(kind: str) -> Parts:
     return Parts(m, {"material": "mooney_rivlin", "rayleigh_beta": 0.02}, inputs)
 
 
+def everything(element: str | None = None, **changes: Any) -> Callable[[str], Parts]:
+    """All that claims a gradient at once: on rails, targets that move, numbers of each element."""
+
+    def make(kind: str) -> Parts:
+        kind = element or kind
+        m = solid(kind)
+        inputs = {
+            "external_force": 0.2 * noise(m.num_nodes, 3, seed=3),
+            "activation": [0.8, 0.3],
+            "dirichlet_target": m.x_rest + 0.05 * noise(m.num_nodes, 3, seed=4),
+            "youngs_modulus": 30.0 * spread(m.num_elements, 0),
+            "poissons_ratio": 0.3 * spread(m.num_elements, 1),
+            "density": 1.5 * spread(m.num_nodes, 2),
+            "gravity": [0.3, -0.2, -1.0],
+            "rayleigh_alpha": 0.4,
+            "rayleigh_beta": 0.02 * spread(m.num_elements, 3),
+            "attached_mass": 0.2 * spread(m.num_nodes, 7),
+            "fiber_stiffness": [8.0, 6.0],
+        }
+        options = {"element": element_of(kind), "fixed": rail_mask(m), "muscles": two_muscles()}
+        return Parts(m, options | changes, inputs)
+
+    return make
+
+
 BODIES: dict[str, Callable[[str], Parts]] = {
-    **{name: of_material(name) for name in soft.MATERIALS if name != "mooney_rivlin"},
+    **{name: everything(material=name) for name in soft.MATERIALS if name != "mooney_rivlin"},
     "second shares": second_shares,
-    "thesis weights": lambda kind: of_material("pd")(kind)._replace(
-        options={"volume_weight": "thesis"}
-    ),
+    "thesis weights": everything(volume_weight="thesis"),
     "muscles": muscles,
     "slack fibers": slack_fibers,
     "cable": cable,
@@ -121,7 +151,14 @@ BODIES: dict[str, Callable[[str], Parts]] = {
     "pocket": inflated("pocket"),
     "regions": regions,
     "weighted nodes": weighted_nodes,
+    "assumed strain": everything("assumed_strain"),
+    "quadratic": everything("quadratic"),
 }
+ONLY_MOVING = ("x", "v", "rayleigh_alpha", "rayleigh_beta")
+"""What does not matter at rest."""
+NO_ENERGY = ("external_force", "dirichlet_target", "density", "gravity", "node_mass",
+             "attached_mass", "added_mass")  # fmt: skip
+"""What the energy of a shape does not depend on."""
 
 
 def made(name: str, kind: str, **changes: Any) -> tuple[soft.SoftBody, dict[str, Tensor]]:
@@ -129,7 +166,7 @@ def made(name: str, kind: str, **changes: Any) -> tuple[soft.SoftBody, dict[str,
     parts = BODIES[name](kind)
     held = parts.mesh.x_rest[:, 0] < 0.3
     body = soft_body(parts.mesh, **{"fixed": held, "dt": 0.05, **parts.options, **changes})
-    x = torch.where(held[:, None], parts.mesh.x_rest, deformed(parts.mesh, 0.1))
+    x = torch.where(body.fixed, parts.mesh.x_rest, deformed(parts.mesh, 0.1))
     state = {"x": 0.5 * (x + parts.mesh.x_rest), "v": 0.3 * noise(*x.shape, seed=2)}
     return body, {n: leaf(v) for n, v in (state | parts.inputs).items()}
 
@@ -159,7 +196,10 @@ def state_and_gradients(body: soft.SoftBody, given: dict[str, Tensor]) -> list[T
 
 @pytest.mark.grad
 @covering(
-    name=list(BODIES), integrator=INTEGRATORS, kind=KINDS, method=["auto", "linearly_implicit"]
+    name=list(BODIES),
+    integrator=INTEGRATORS,
+    kind=KINDS,
+    method=["auto", "quasi_newton", "linearly_implicit"],
 )
 def test_derivatives_are_those_of_differences(name, integrator, kind, method):
     """Of a motion, by every input, in both modes; BDF2 takes a third step for two old states."""
@@ -188,7 +228,7 @@ def test_derivatives_are_those_of_differences(name, integrator, kind, method):
 @covering(name=list(BODIES), kind=KINDS)
 def test_energy_force_and_rest_under_load_have_the_derivatives_of_differences(name, kind):
     body, inputs = made(name, kind)
-    names = [n for n in inputs if n not in ("v", "density", "rayleigh_beta") and "mass" not in n]
+    names = [n for n in inputs if n == "x" or n not in (*ONLY_MOVING, *NO_ENERGY)]
 
     def energy_and_force(*values):
         given = dict(zip(names, values, strict=True))
@@ -202,29 +242,44 @@ def test_energy_force_and_rest_under_load_have_the_derivatives_of_differences(na
     (slope,) = torch.autograd.grad(energy, args[0])
     torch.testing.assert_close(force.detach(), -slope, rtol=0, atol=1e-13)
 
-    def at_rest(*values):
-        return body.static_equilibrium(
-            **loads_of(body, dict(zip(names[1:], values, strict=True)))
-        ).x
+    loads = [n for n in inputs if n not in (*ONLY_MOVING, "added_mass")]
 
-    if len(names) > 1:
-        check_directions(at_rest, args[1:], **TOLERANCE)
+    def at_rest(*values):
+        return body.static_equilibrium(**loads_of(body, dict(zip(loads, values, strict=True)))).x
+
+    if loads:
+        check_directions(at_rest, [inputs[n] for n in loads], **TOLERANCE)
 
 
 @covering(
     name=list(BODIES), integrator=["implicit_euler", "bdf2", "semi_implicit_euler"], kind=KINDS
 )
 def test_members_threads_and_copies_have_the_same_bits(name, integrator, kind):
+    """Members have states, forces and targets of their own, and share the others; contraction
+    muscles are alike in all, so activations are their own without these."""
+    own = ["x", "v", "external_force", "dirichlet_target"]
+    own += ["activation"] * (name in ("slack fibers", "cable"))
     dt = 0.01 if integrator == "semi_implicit_euler" else 0.05
     body, inputs = made(name, kind, integrator=integrator, dt=dt)
-    start = inputs["x"].detach() + 0.02 * noise(3, *inputs["x"].shape, seed=5)
-    start = torch.where(body.fixed, body.x_rest, start)
-    batch = inputs | {"x": leaf(start), "v": leaf(inputs["v"].detach().expand_as(start))}
+    members = {n: inputs[n].detach().expand(2, 3, *inputs[n].shape) for n in own if n in inputs}
+    for seed, (n, value) in enumerate(members.items()):
+        members[n] = value + 0.02 * noise(*value.shape, seed=5 + seed)
+    members["x"] = torch.where(body.fixed, body.x_rest, members["x"])
+    batch = inputs | {n: leaf(value) for n, value in members.items()}
     whole = state_and_gradients(body, batch)
-    for k in range(3):
-        alone = state_and_gradients(body, batch | {n: leaf(batch[n][k].detach()) for n in "xv"})
-        for one, other in zip(alone[:4], whole[:4], strict=True):
-            torch.testing.assert_close(one, other[k], rtol=0, atol=0)
+    sums = dict.fromkeys(inputs.keys() - members.keys(), 0.0)
+    for i, j in itertools.product(range(2), range(3)):
+        one = {n: leaf(value[i, j]) for n, value in members.items()}
+        alone = state_and_gradients(body, inputs | one)
+        for k, (found, expected) in enumerate(zip(alone, whole, strict=True)):
+            name = ["x", "v", *inputs][k]
+            if k < 2 or name in members:
+                torch.testing.assert_close(found, expected[i, j], rtol=0, atol=0)
+            else:
+                sums[name] = sums[name] + found
+    for name, found in zip(inputs, whole[2:], strict=True):
+        if name in sums:  # added in another order
+            torch.testing.assert_close(found, sums[name], rtol=1e-11, atol=1e-11)
     twin = pickle.loads(pickle.dumps(body))
     twin.solver = replace(body.solver, num_threads=2)
     for one, other in zip(state_and_gradients(twin, batch), whole, strict=True):
@@ -255,6 +310,44 @@ def test_a_step_compiles_whole(name):
     torch.testing.assert_close(whole(*inputs.values()), after(*inputs.values()))
 
 
+@pytest.mark.property
+@covering(name=list(BODIES), integrator=INTEGRATORS, kind=KINDS)
+def test_a_turned_world_gives_the_turned_motion(name, integrator, kind):
+    """Energy is that of the shape alone, forces turn with it, and no part pushes the whole."""
+    held = BODIES[name](kind).mesh.x_rest[:, 0] < 0.3  # rails do not turn
+    body, inputs = made(name, kind, integrator=integrator, dt=0.02, fixed=held)
+    here = {n: v.detach() for n, v in inputs.items()}
+    here |= {"gravity": body.gravity, "dirichlet_target": here["x"]}
+    turn = torch.linalg.qr(noise(3, 3, seed=3))[0]
+    turn, shift = turn * torch.linalg.det(turn), torch.tensor([3.0, -2.0, 1.0])
+    vectors = {n: here[n] @ turn.T for n in ("v", "gravity", "external_force") if n in here}
+    there = here | vectors | {n: here[n] @ turn.T + shift for n in ("x", "dirichlet_target")}
+    one, other = (moved(body, given, 3) for given in (here, there))
+    # solves end at 1e-12 of the force scale; velocities are position errors over dt
+    torch.testing.assert_close(other.x, one.x @ turn.T + shift, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(other.v, one.v @ turn.T, rtol=1e-7, atol=1e-7)
+    loads = {
+        n: v
+        for n, v in loads_of(body, here).items()
+        if n not in ("external_force", "dirichlet_target")
+    }
+    energies, forces = [], []
+    for x in (here["x"], there["x"]):
+        energies.append(body.elastic_energy(x, **loads))
+        forces.append(body.elastic_force(x, **loads))
+    torch.testing.assert_close(energies[1], energies[0], rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(forces[1], forces[0] @ turn.T, rtol=1e-10, atol=1e-10)
+    if "pressure" not in inputs:  # an open pocket is pushed
+        none = torch.zeros(3, dtype=torch.float64)
+        torque = torch.linalg.cross(here["x"], forces[0]).sum(0)
+        torch.testing.assert_close(forces[0].sum(0), none, rtol=0, atol=1e-10)
+        torch.testing.assert_close(torque, none, rtol=0, atol=1e-10)
+    if "pressure" not in inputs:  # muscles of activation 1 are as long as at rest
+        loads |= {n: torch.ones_like(v) for n, v in loads.items() if n == "activation"}
+        assert body.elastic_energy(body.x_rest, **loads).abs() < 1e-20
+        assert body.elastic_force(body.x_rest, **loads).abs().max() < 1e-12
+
+
 def rates_of(values: dict[str, Tensor]) -> dict[str, Tensor]:
     """One direction that moves all values at once, each by a tenth of it, with a leading axis."""
     return {
@@ -282,6 +375,7 @@ def test_tangents_of_a_motion_are_those_of_differences(name, integrator, kind, m
     rates = rates_of(values)
     start, directions = soft.State(values["x"], values["v"]), directions_of(body, values, rates)
     found = soft.rollout_tangents(body, start, 3, 1, directions, **loads_of(body, values))
+    assert torch.equal(found.x[-1], moved(body, values, 3).x)
     expected = central(lambda given: moved(body, given, 3).x, values, rates, 0)
     assert_close(found.tangent[-1, 0], expected, 1e-6)
 

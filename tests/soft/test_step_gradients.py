@@ -8,14 +8,11 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from tests.covering import covering
 from tests.gradients import check_directions
 from tests.helpers import check_layer
 from tests.soft.cases import (
-    KINDS,
     SHARP,
     deformed,
-    element_of,
     irregular_mesh,
     leaf,
     noise,
@@ -71,47 +68,6 @@ def layer_of(body, names, num_steps=2):
         return torch.cat([state.x.flatten(), 0.1 * state.v.flatten()])
 
     return layer
-
-
-@covering(integrator=INTEGRATORS, kind=KINDS, per_element=[False, True])
-def test_every_input(integrator, kind, per_element):
-    """Two steps (three for BDF2, whose third is the first with gradients of two old states)."""
-    m = irregular_mesh(
-        kind, (2, 1, 1) if kind in ("hex", "assumed_strain") else (1, 1, 1), (1.0, 1.0, 1.0)
-    )
-    fixed = rail_mask(m)
-    body = soft_body(
-        m,
-        element=element_of(kind),
-        fixed=fixed,
-        muscles=two_muscles(),
-        integrator=integrator,
-        dt=0.02 if integrator == "semi_implicit_euler" else 0.1,
-    )
-    inputs = all_inputs(m, per_element, fixed)
-    layer = layer_of(body, inputs, 3 if integrator == "bdf2" else 2)
-    args = tuple(inputs.values())
-    out = layer(*args)
-    grads = torch.autograd.grad(out, args, torch.linspace(1, 2, out.numel(), dtype=out.dtype))
-    for name, grad in zip(inputs, grads, strict=True):
-        assert grad.abs().max() > 1e-6, f"{name} has no gradient"
-    check_directions(layer, args, seeds=(0, 1), **TOLERANCE)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("method", METHODS)
-def test_every_method(method, kind):
-    m = irregular_mesh(kind, (1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(
-        m,
-        element=element_of(kind),
-        fixed=torch.tensor([0, 1]),
-        solver=soft.SolverOptions(method=method, **SHARP),
-    )
-    inputs = all_inputs(m)
-    names = ("x", "v", "external_force", "dirichlet_target", "youngs_modulus", "rayleigh_beta")
-    args = tuple(inputs[name] for name in names)
-    check_directions(layer_of(body, names), args, **TOLERANCE)
 
 
 @pytest.mark.parametrize("rayleigh_beta", [0.0, 0.02])
@@ -244,31 +200,6 @@ def test_step_from_the_kink(method):
     assert torch.autograd.gradcheck(lambda v: layer(x, v), (v,), **TOLERANCE)
 
 
-@pytest.mark.parametrize("kind", ["hex", "tet"])
-def test_static_equilibrium(kind):
-    m = irregular_mesh(kind, (1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(m, fixed=torch.tensor([0, 1, 2, 3]))
-    names = (
-        "external_force",
-        "dirichlet_target",
-        "youngs_modulus",
-        "poissons_ratio",
-        "density",
-        "gravity",
-        "attached_mass",
-    )
-    inputs = all_inputs(m)
-
-    def layer(external_force, dirichlet_target, *parameters):
-        physics = body.physics(**dict(zip(names[2:], parameters, strict=True)))
-        return body.static_equilibrium(
-            external_force=external_force, dirichlet_target=dirichlet_target, physics=physics
-        ).x
-
-    args = tuple(inputs[name] for name in names)
-    check_directions(layer, args, seeds=(0, 1), **TOLERANCE)
-
-
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("block", [1, 2, 3, 7])
 def test_checkpoints_change_nothing(integrator, block):
@@ -305,53 +236,6 @@ def test_checkpoints_change_nothing(integrator, block):
     # The same numbers summed in another order: a few roundings.
     for one, other in zip(plain_grads, saved_grads, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_batch_equals_one_by_one(integrator, kind):
-    m = irregular_mesh(
-        kind, (2, 1, 1) if kind in ("hex", "assumed_strain") else (1, 1, 1), (1.0, 1.0, 1.0)
-    )
-    body = soft_body(
-        m,
-        element=element_of(kind),
-        fixed=rail_mask(m),
-        muscles=two_muscles()[:1],
-        integrator=integrator,
-        dt=0.02 if integrator == "semi_implicit_euler" else 0.1,
-    )
-    x = torch.stack([deformed(m, seed=k) for k in range(6)]).view(2, 3, -1, 3)
-    names = ("v", "external_force", "dirichlet_target")
-    varied = {n: 0.2 * noise(2, 3, m.num_nodes, 3, seed=k) for k, n in enumerate(names)}
-    varied["dirichlet_target"] = varied["dirichlet_target"] * 0.2 + m.x_rest
-    activation = 0.8 + 0.1 * noise(2, 3, 1)
-
-    def run(pick):
-        given = {k: leaf(pick(t)) for k, t in {**varied, "x": x, "activation": activation}.items()}
-        shared = {"youngs_modulus": leaf(30.0), "rayleigh_beta": leaf(0.01), "density": leaf(1.5)}
-        state = soft.State(given["x"], given["v"])
-        for _ in range(2):
-            state = body(
-                state,
-                external_force=given["external_force"],
-                activation=given["activation"],
-                dirichlet_target=given["dirichlet_target"],
-                physics=body.physics(**shared),
-            )
-        loss = (pick(noise(*x.shape)) * state.x).sum() + (pick(noise(*x.shape)) * state.v).sum()
-        loss.backward()
-        return state, {k: t.grad for k, t in given.items()}, {k: t.grad for k, t in shared.items()}
-
-    whole, own, total = run(lambda t: t)
-    singles = [run(lambda t, i=i, j=j: t[i, j]) for i in range(2) for j in range(3)]
-    for k, (state, grads, _) in enumerate(singles):
-        torch.testing.assert_close(whole.x[k // 3, k % 3], state.x, rtol=0, atol=0)
-        for name, grad in grads.items():
-            torch.testing.assert_close(own[name][k // 3, k % 3], grad, rtol=0, atol=0)
-    for name, grad in total.items():  # sums in another order
-        expected = sum(parts[name] for _, _, parts in singles)
-        torch.testing.assert_close(grad, expected, rtol=1e-12, atol=1e-12)
 
 
 def test_equal_contraction_activations_share_their_gradient():

@@ -63,50 +63,6 @@ def test_rest_stays_at_rest(integrator, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_energy_is_invariant_and_force_turns_with_the_body(kind):
-    body = soft_body(irregular_mesh(kind), muscles=two_muscles())
-    x, turn = deformed(body.mesh), rotation()
-    activation = torch.tensor([0.7, 0.2], dtype=torch.float64)
-    moved = x @ turn.T + torch.tensor([3.0, -2.0, 1.0])
-    energy = [body.elastic_energy(p, activation=activation) for p in (x, moved)]
-    force = [body.elastic_force(p, activation=activation) for p in (x, moved)]
-    close(energy[1], energy[0], 1e-12)
-    close(force[1], force[0] @ turn.T, 1e-11)
-    close(force[0].sum(0), torch.zeros(3, dtype=torch.float64), 1e-11)
-    torque = torch.linalg.cross(x, force[0]).sum(0)
-    close(torque, torch.zeros_like(torque), 1e-11)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_a_turned_world_gives_the_turned_step(integrator, kind):
-    m = irregular_mesh(kind, (2, 1, 1))
-    options = {
-        "fixed": torch.tensor([0, 1, 2]),
-        "muscles": two_muscles(),
-        "integrator": integrator,
-        "rayleigh_beta": 0.02,
-        "rayleigh_alpha": 0.1,
-        "dt": 0.02,
-    }
-    body = soft_body(m, **options)
-    turn, shift = rotation(), torch.tensor([3.0, -2.0, 1.0], dtype=torch.float64)
-    x, v = deformed(m), noise(m.num_nodes, 3)
-    push = noise(m.num_nodes, 3, seed=5)
-    here = run(body, soft.State(x, v), 3, external_force=push, dirichlet_target=x)
-    there = run(
-        body,
-        soft.State(x @ turn.T + shift, v @ turn.T),
-        3,
-        external_force=push @ turn.T,
-        dirichlet_target=x @ turn.T + shift,
-        physics=body.physics(gravity=turn @ body.gravity),
-    )
-    close(there.x, here.x @ turn.T + shift)
-    close(there.v, here.v @ turn.T, 1e-7)  # velocities are position errors over dt
-
-
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_free_bodies_keep_their_momentum(integrator, kind):
     """All integrators keep linear momentum, damped or not. The explicit one also keeps angular
@@ -303,48 +259,6 @@ def test_patch(kind, volume_weight):
     close(body.elastic_energy(target), expected, 1e-12)
 
 
-def uniaxial(kind, nu, volume_weight):
-    """(E, nu) found by pulling a box by 1e-5 on rollers."""
-    m = (mesh.hex_box if kind == "hex" else mesh.tet_box)((2, 2, 2))
-    x = m.x_rest
-    fixed = torch.zeros(m.num_nodes, 3, dtype=torch.bool)
-    for axis in range(3):
-        fixed[:, axis] = x[:, axis] == 0.0
-    fixed[x[:, 0] == 1.0, 0] = True
-    strain = 1e-5
-    target = x.clone()
-    target[x[:, 0] == 1.0, 0] += strain
-    body = soft_body(
-        m,
-        fixed=fixed,
-        gravity=(0.0, 0.0, 0.0),
-        poissons_ratio=nu,
-        youngs_modulus=1e6,
-        volume_weight=volume_weight,
-    )
-    state = body.static_equilibrium(dirichlet_target=target)
-    pull = -body.elastic_force(state.x)[x[:, 0] == 1.0, 0].sum()
-    contraction = -(state.x - x)[x[:, 1] == 1.0, 1].mean()
-    return float(pull / strain), float(contraction / strain)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45, 0.49])
-def test_small_strain_gives_back_the_constants(kind, nu):
-    youngs_modulus, poissons_ratio = uniaxial(kind, nu, "small_strain")
-    # The next term of the stress is of the order of strain / (1 - 2 nu) = 5e-4.
-    assert youngs_modulus == pytest.approx(1e6, rel=1e-3)
-    assert poissons_ratio == pytest.approx(nu, abs=1e-3)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_thesis_weights_soften(kind):
-    """lambda / 3 in place of lambda: E' = mu (3 l + 2 mu) / (l + mu) and nu' = l / (2 (l + mu))."""
-    youngs_modulus, poissons_ratio = uniaxial(kind, 0.45, "thesis")
-    assert poissons_ratio == pytest.approx(0.375, abs=1e-4)
-    assert youngs_modulus == pytest.approx(0.9483e6, rel=2e-4)
-
-
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_a_rail_leaves_one_axis_free(integrator):
     m = irregular_mesh("hex", (2, 1, 1))
@@ -357,19 +271,6 @@ def test_a_rail_leaves_one_axis_free(integrator):
     # All nodes slide along x together: nothing is strained.
     close(shift, shift.mean().expand_as(shift), 1e-8)
     assert shift.mean() == pytest.approx(0.5 * 2.0 * 0.2**2, rel=0.11)  # Euler: + h / t
-
-
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_a_moving_boundary_is_followed(integrator):
-    """A rigidly carried body arrives where it is carried, at the carrier's velocity."""
-    m = irregular_mesh("hex", (2, 1, 1))
-    body = soft_body(m, fixed=torch.arange(m.num_nodes), integrator=integrator, dt=0.02)
-    speed = torch.tensor([1.0, -0.5, 2.0], dtype=torch.float64)
-    state = soft.State(m.x_rest, speed.expand_as(m.x_rest).contiguous())
-    for k in range(5):
-        state = body(state, dirichlet_target=m.x_rest + speed * 0.02 * (k + 1))
-    close(state.x, m.x_rest + 0.1 * speed, 1e-13)
-    close(state.v, speed.expand_as(state.v), 1e-11)
 
 
 def bar(cells=(8, 2, 2), **changes):
@@ -443,17 +344,17 @@ def test_a_muscle_shortens_its_body(muscle_kind, kind):
     assert all(np.diff(lengths) < 0.0)
 
 
-@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2", "implicit_midpoint"])
-def test_nodes_carried_at_constant_speed_have_that_speed(integrator):
-    m = mesh.hex_box((1, 1, 1), (1.0, 1.0, 1.0))
-    body = soft_body(
-        m, dt=0.1, integrator=integrator, gravity=(0.0, 0.0, 0.0), fixed=torch.arange(8)
-    )
-    speed = torch.tensor([1.0, 0.0, -0.5], dtype=torch.float64)
-    state = body.rest_state()
-    for k in range(4):
-        state = body(state, dirichlet_target=m.x_rest + 0.1 * (k + 1) * speed)
-    # BDF2 takes two steps to forget that the nodes were at rest before.
-    if integrator != "bdf2":
-        torch.testing.assert_close(state.v, speed.expand(8, 3), atol=1e-12, rtol=0.0)
-    torch.testing.assert_close(state.x, m.x_rest + 0.4 * speed, atol=1e-12, rtol=0.0)
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("starts_at_rest", [False, True])
+def test_a_moving_boundary_is_followed(integrator, starts_at_rest):
+    """A body that is carried as a whole arrives where it is carried, at the carrier's velocity."""
+    m = irregular_mesh("hex", (2, 1, 1))
+    body = soft_body(m, fixed=torch.arange(m.num_nodes), integrator=integrator, dt=0.02)
+    speed = torch.tensor([1.0, -0.5, 2.0], dtype=torch.float64)
+    state = soft.State(m.x_rest, (0.0 if starts_at_rest else 1.0) * speed.expand_as(m.x_rest))
+    for k in range(5):
+        state = body(state, dirichlet_target=m.x_rest + speed * 0.02 * (k + 1))
+    close(state.x, m.x_rest + 0.1 * speed, 1e-13)
+    # BDF2 takes two steps to forget that the nodes were at rest before
+    if not (starts_at_rest and integrator == "bdf2"):
+        close(state.v, speed.expand_as(state.v), 1e-11)

@@ -5,7 +5,6 @@ import torch
 
 from diffsim import mesh, soft
 from tests.soft.cases import (
-    KINDS,
     element_of,
     irregular_mesh,
     noise,
@@ -97,19 +96,6 @@ def assert_close(found, expected, rtol):
     assert float((found - expected).norm()) < rtol * float(expected.norm())
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("integrator", IMPLICIT)
-def test_against_differences(integrator, kind):
-    body = make_body(kind, integrator)
-    values = inputs_of(body)
-    rates = rates_of(values)
-    found = tangents(body, values, rates)
-    assert torch.equal(found.x, simulate(body, values).x)
-    for k in range(found.tangent.shape[1]):
-        expected = central(lambda given: simulate(body, given).x, values, rates, k)
-        assert_close(found.tangent[:, k], expected, 1e-6)
-
-
 @pytest.mark.parametrize("kind", ["hex", "assumed_strain"])
 def test_damping_that_starts_to_act(kind):
     """A body without damping, along a direction that gives it some."""
@@ -165,36 +151,6 @@ def test_signals_of_time_and_state():
     for k, (a, b) in enumerate([(h, 0.0), (0.0, h)]):
         ends = [simulated(stiffness + s * a, rise + s * b)[:, -1].square() for s in (1, -1)]
         assert_close(found.tangent[:, k], (ends[0] - ends[1]) / (2.0 * h), 1e-6)
-
-
-def test_static_equilibrium():
-    names = ["external_force", "activation", "dirichlet_target", "youngs_modulus", "gravity"]
-    m = irregular_mesh("hex")
-    body = soft_body(m, fixed=torch.arange(4), muscles=two_muscles())
-    values = {n: v for n, v in inputs_of(body).items() if n in [*names, "density"]}
-    rates = rates_of(values, names)
-
-    def equilibrium(given):
-        signals = {n: given[n] for n in SIGNALS}
-        physical = {n: v for n, v in given.items() if n not in SIGNALS}
-        return body.static_equilibrium(physics=body.physics(**physical), **signals).x
-
-    physical = {n: v for n, v in values.items() if n not in SIGNALS}
-    found = soft.static_tangents(
-        body,
-        equilibrium(values),
-        len(names) + 1,
-        soft.Directions(
-            **{n: rates[n] for n in SIGNALS},
-            physics=soft.physics_directions(
-                body, physical, {n: rates[n] for n in physical if n in rates}
-            ),
-        ),
-        physics=body.physics(**physical),
-        **{n: values[n] for n in SIGNALS},
-    )
-    for k in range(len(found)):
-        assert_close(found[k], central(equilibrium, values, rates, k), 1e-6)
 
 
 def test_one_factor_serves_all_directions():

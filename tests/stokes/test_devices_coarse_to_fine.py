@@ -1,7 +1,5 @@
 """Designs sampled on a coarser grid: same optimum, honest unit of the loss, resumable."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

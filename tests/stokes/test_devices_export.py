@@ -1,7 +1,5 @@
 """Finished devices for workshop and viewers: closed solids, the field itself, all files."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the devices' pictures show: angles, speeds, both inlets at once, every position."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

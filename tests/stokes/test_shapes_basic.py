@@ -1,7 +1,5 @@
 """Primitives, motions and combinations: signs, distances, gradients, ties."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Grids and extracted interfaces: lengths, areas, watertightness, orientation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

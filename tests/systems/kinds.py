@@ -454,6 +454,9 @@ def saved_means_the_same(ready: Ready) -> None:
     like = ready.study.runs[0]
     commands = {name: 1.5 * np.asarray(u) for name, u in like.command.items()}
     new = replace(like, name="new", group="new", use="test", command=commands)
+    other = setup_of(replace(ready.study, runs=(replace(new, use="fit"),)))
+    with pytest.raises(ValueError, match=r"takes its .* from other runs than the model was fitted"):
+        rebuilt(saved, other)  # magnitudes of these commands
     framed = Ready(saved.framed(replace(ready.study, runs=(new,))))
     whole = Ready(replace(ready.study, runs=(*ready.study.runs[:-1], new)))
     run = next(run for run in whole.cut.runs if run.name == "new")
@@ -698,6 +701,30 @@ def begun_later(run: Run) -> Run:
     return replace(run, time_s=run.time_s + 64.0)
 
 
+def stated_clocks_are_fitted(ready: Ready) -> None:
+    """A stated clock is a number of each run that does what the cause did, and no cause; what no
+    channel is called is told."""
+    late = [name for name in ready.effects if name.startswith("sensor_delay_of_")]
+    if "clocks" not in type(description_of(ready.study)).model_fields or not late:
+        return
+    cause, (name, *others) = ready.effects[late[0]], [n.split("_of_", 1)[1] for n in late]
+
+    def with_clock(**clocks: Any) -> Ready:
+        return Ready(replace(ready.study, model={**ready.study.model, "clocks": clocks}))
+
+    own = with_clock(**{name: {"value": 0, "sd": f"{cause.typical} s", "per": "run"}})
+    assert {n.split("_of_", 1)[1] for n in own.effects if n.startswith(late[0][:15])} == {*others}
+    q = own.setup.model.at_prior()
+    q[[p.name for p in own.setup.model.base].index(f"clock_of_{name}@{own.run.name}")] = SHARE
+    with torch.no_grad():
+        found = own.setup.model.predict(own.run, q) / own.noise
+    wanted = ready.shown(ready.run, {cause: uniform(cause, SHARE)})
+    torch.testing.assert_close(found, wanted, rtol=1e-9, atol=1e-6, equal_nan=True)
+    wrong = with_clock(**{f"{name}x": 0.01}).study
+    told = "\n".join(str(problem) for problem in description_of(wrong).problems(wrong))
+    assert f"clocks.{name}x: no sensor, kind or channel '{name}x'; did you mean '{name}'" in told
+
+
 def names_are_spelled_one_way(ready: Ready) -> None:
     """Names, families and units of causes, and the units in which people read sizes."""
     for e in ready.setup.effects:
@@ -736,6 +763,7 @@ STATEMENTS = (
     many_points_are_as_one_by_one,
     answers_do_not_depend_on_what_was_asked_before,
     clocks_may_begin_at_any_second,
+    stated_clocks_are_fitted,
     names_are_spelled_one_way,
     numerical_causes_are_shares_of_finer_settings,
 )

@@ -1,7 +1,5 @@
 """A pendulum as described: held torques, a clock that is not even, and rows that got lost."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

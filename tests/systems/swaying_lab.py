@@ -4,8 +4,6 @@ Timoshenko's beam in cubic elements (Przemieniecki 1968), its lowest modes drive
 acceleration and integrated by scipy.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import linalg
 

@@ -1,7 +1,5 @@
 """A bouncing, rolling ball against an integrator, and its description."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

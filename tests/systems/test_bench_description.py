@@ -1,7 +1,5 @@
 """Benches that a study describes by laws: any propeller, any material, what bends a law."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Sensors of a flight that each have a clock, a lag, a scale and a zero of their own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +9,7 @@ from diffsim.causes.signals import Grid
 from diffsim.diagnose import diagnose
 from diffsim.systems.multicopter.lag import lagged_in_windows
 from diffsim.systems.multicopter.scene import Flyer
-from diffsim.systems.registry import description_of, setup_of
+from diffsim.systems.registry import setup_of
 from tests.systems.test_multicopter_description import MODEL, study
 
 f64 = torch.float64
@@ -113,18 +111,6 @@ def test_a_lag_in_windows_is_the_exponential_filter():
     torch.testing.assert_close(seen[5:], wanted[1:], atol=1e-12, rtol=0.0)
     none = torch.zeros(1, dtype=f64)
     torch.testing.assert_close(lagged_in_windows(step, grid, none), step)
-
-
-def test_a_stated_clock_is_no_cause_and_one_of_nothing_is_told():
-    clock = {"imu": {"value": 0, "sd": "20 ms", "per": "run"}}
-    made = told(clocks=clock)
-    setup = setup_of(made)
-    names = {e.name for e in setup.effects}
-    assert "sensor_delay_of_imu" not in names and "sensor_delay_of_baro" in names
-    assert f"clock_of_imu@{made.runs[0].name}" in {p.name for p in setup.model.base}
-    wrong = told(clocks={"imo": 0.01})
-    (problem,) = description_of(wrong).problems(wrong)
-    assert "model.clocks.imo: no sensor, kind or channel 'imo'; did you mean 'imu'" in str(problem)
 
 
 def test_a_late_barometer_is_named():

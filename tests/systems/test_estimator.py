@@ -1,7 +1,5 @@
 """An estimator that knows no drag, against a filter by other formulas and closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Rods and balls in space, as pages of a diagnosis draw them."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Every kind of system keeps the contract of ``kinds.py``, in the studies of ``tests/studies``."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Systems that a study describes by formulas: the plain model, its causes, and mistakes in it."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from functools import lru_cache

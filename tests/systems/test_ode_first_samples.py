@@ -1,7 +1,5 @@
 """A state that starts at a channel's first sample starts as well known as the sensor knows it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A held command that changed while rows were lost: a nuisance of the run, no cause."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Runs of formulas are cut where two starts part, and nowhere else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The tossed cube's closed form against an integrator, and impulses against hand calculations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Rigid bodies described in a study: mistakes in terms of keys, hidden effects, nothing hidden."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Rates from a Python function: traced to formulas, and only where the user says so."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

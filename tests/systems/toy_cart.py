@@ -1,7 +1,5 @@
 """A cart on a spring, described by formulas: recordings with hidden causes."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

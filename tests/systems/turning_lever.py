@@ -1,7 +1,5 @@
 """A lever on a motor, described by formulas: gentle runs swing, wild ones turn over."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The page of an answer that holds laws nobody listed: picture, formula, what else was weighed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

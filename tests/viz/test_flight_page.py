@@ -1,7 +1,5 @@
 """The page of a flight: the vehicle stands where the log says, and the page stays small."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """The surface of a hexahedral mesh as a small file; small PNGs."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from diffsim.causes.channel_groups import CLOCKS, channels_of
+from diffsim.causes.channel_groups import CLOCKS, clock_problems
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import HELD
 from diffsim.copter.exchange.mjcf_text import whole_scene
@@ -173,13 +173,13 @@ class OutsideDescription(Description):
         checks: list[Callable[[], object]] = [
             partial(hooks_of.command_groups, study, self.hooks.command),
             partial(hooks_of.instruments, study, self.hooks.output),
-            *(partial(channels_of, study.channels, name) for name in self.clocks),
         ]
         for check in checks:
             try:
                 check()
             except ValueError as error:
                 out.append(Problem("error", "model", str(error)))
+        out += clock_problems(study.channels, self.clocks)
         known = {name for run in study.runs for name in run.command}
         for name in self.environment.action:
             if name not in known:

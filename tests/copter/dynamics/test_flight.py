@@ -1,7 +1,5 @@
 """Flights against closed forms, conservation, order of convergence and the public tool."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

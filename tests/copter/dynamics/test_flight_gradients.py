@@ -1,6 +1,5 @@
-"""Gradients of flights against finite differences: state, commands, feedback, design, effects."""
-
-from __future__ import annotations
+"""Gradients of flights against finite differences, beside those by every tensor of ``fly``, with
+all effects and feedback, in ``tests/derivatives``."""
 
 from dataclasses import fields, replace
 from functools import partial
@@ -19,11 +18,6 @@ from tests.helpers import with_derivatives
 
 pytestmark = pytest.mark.grad
 STEPS, ROTORS, BATCH = 3, 5, 2
-EFFECT_TENSORS = [
-    (name, field.name)
-    for name, effect in all_effects(ROTORS, STEPS).present()
-    for field in fields(effect)
-]
 
 
 def case(seed=3):
@@ -74,31 +68,10 @@ def test_case_is_inside_the_bounds():
     assert bool((thrusts < crooked_copter(ROTORS).max_thrusts - 0.1).all())
 
 
-@pytest.mark.parametrize("name", [f.name for f in fields(FlightState)])
-def test_start(name):
-    start = tumbling(BATCH, ROTORS)
-    check(lambda v: run(start=replace(start, **{name: v})), getattr(start, name))
-
-
-@pytest.mark.parametrize("effects", [None, FlightEffects()], ids=["all effects", "none"])
-@pytest.mark.parametrize("name", ["commands", "gain", "reference"])
-def test_control(name, effects):
-    check(lambda v: run(**{name: v}, effects=effects), case()[name])
-
-
-@pytest.mark.parametrize("effects", [None, FlightEffects()], ids=["all effects", "none"])
-@pytest.mark.parametrize("name", ["mass", "positions", "torque_ratios", "max_thrusts", "radii"])
-def test_design(name, effects):
+def test_the_largest_thrusts_are_felt_where_commands_are_above_them():
     vehicle = crooked_copter(ROTORS)
-    if name == "max_thrusts":  # felt where commands are above them only
-        vehicle = vehicle.replace(max_thrusts=vehicle.max_thrusts - 4.0)
-    if name == "radii" and effects is not None:
-        pytest.skip("radii act through the ground effect only")
-
-    def flown(value):
-        return run(vehicle=vehicle.replace(**{name: value}), effects=effects)
-
-    check(flown, getattr(vehicle, name))
+    low = vehicle.max_thrusts - 4.0
+    check(lambda v: run(vehicle=vehicle.replace(max_thrusts=v)), low)
 
 
 def test_spins_share_the_gradient_of_the_torque_ratios():
@@ -124,17 +97,6 @@ def test_inertia_and_directions():
 
     check(of_inertia, vehicle.inertia)
     check(of_directions, vehicle.directions)
-
-
-@pytest.mark.parametrize(("effect", "name"), EFFECT_TENSORS)
-def test_effect(effect, name):
-    effects = all_effects(ROTORS, STEPS)
-
-    def flown(value):
-        changed = replace(getattr(effects, effect), **{name: value})
-        return run(effects=replace(effects, **{effect: changed}))
-
-    check(flown, getattr(getattr(effects, effect), name))
 
 
 @pytest.mark.parametrize("shape", [(3,), (STEPS, 3), (BATCH, STEPS, 3)])

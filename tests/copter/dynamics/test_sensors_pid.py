@@ -1,7 +1,5 @@
 """Sensors: what they read without noise and how it spreads; the PID baseline flies."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

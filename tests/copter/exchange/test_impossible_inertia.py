@@ -1,7 +1,5 @@
 """Inertia that no body has, in every file of a vehicle: the entry, its limit, the likely slip."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Closed-loop flights: hold their place, obey clamp, battery and ground, refuse what cannot fly."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

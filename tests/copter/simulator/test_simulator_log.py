@@ -1,7 +1,5 @@
 """What a flight leaves behind, and the command that makes it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

@@ -1,7 +1,5 @@
 """Missions, sticks and the wall clock."""
 
-from __future__ import annotations
-
 import sys
 import types
 

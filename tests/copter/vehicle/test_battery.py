@@ -1,7 +1,5 @@
 """Batteries: table, load, power, endurance, and the sag of a flight against scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

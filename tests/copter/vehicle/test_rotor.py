@@ -1,7 +1,5 @@
 """Rotor models: fits recover what made the data, bench figures, maps and their inverses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

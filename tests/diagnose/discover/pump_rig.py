@@ -1,7 +1,5 @@
 """Two pumps and a junction, by Ohm's law alone: recordings with something hidden."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from diffsim.data.study import Channel, Column, Run, Study

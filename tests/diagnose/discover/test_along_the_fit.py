@@ -1,7 +1,5 @@
 """Friction that no state feels: laws are weighed along the simulation as fitted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What an answer says of laws that nobody listed, and of the numbers that they act on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Laws by the slopes of a fit that holds them, and where such a fit begins."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

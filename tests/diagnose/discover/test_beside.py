@@ -1,7 +1,5 @@
 """A law that nobody listed and a cause of the library, which help only together."""
 
-from __future__ import annotations
-
 import pytest
 
 from diffsim.cli.diagnose_inputs import inputs_of

@@ -1,7 +1,5 @@
 """Simulations that lie on recordings, and what laws would do there, against the simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

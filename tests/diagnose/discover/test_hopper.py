@@ -1,7 +1,5 @@
 """Sand runs out of a hopper as fast when it is full as when it is not; the model knows water."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

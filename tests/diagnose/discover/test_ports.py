@@ -1,7 +1,5 @@
 """Laws that nobody listed, in systems that offer ports and no more."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

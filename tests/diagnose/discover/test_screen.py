@@ -1,7 +1,5 @@
 """The evidence of a law beside a fit, and what it gains where it was not fitted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import linalg, sparse, special, stats

@@ -1,7 +1,5 @@
 """Recordings with something hidden that no library lists, from the plain fit to the answer."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

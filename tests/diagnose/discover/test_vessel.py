@@ -1,7 +1,5 @@
 """A vessel that leaks through a hole, whose model has none: the pressure's root at a rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

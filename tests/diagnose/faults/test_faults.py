@@ -1,7 +1,5 @@
 """Faults of single groups: hidden ones are named, sound days stay silent, intervals hold."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Slopes of the posterior of spreads, and shares of normal distributions, by other means."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A weak second cause is not named: it may be what the first one's form has wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Sizes that are factors of a slip, in words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

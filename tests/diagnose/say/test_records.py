@@ -1,7 +1,5 @@
 """Rows of a report in the units of the user."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

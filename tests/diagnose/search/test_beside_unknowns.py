@@ -1,7 +1,5 @@
 """Sets beside unknown causes: what is simulated for one serves the others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

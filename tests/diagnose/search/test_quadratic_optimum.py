@@ -1,7 +1,5 @@
 """The minimum of a quadratic within bounds, singular ones too."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The beam recordings: what beam.py's docstring claims is measured here."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

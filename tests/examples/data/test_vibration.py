@@ -1,7 +1,5 @@
 """Free-vibration analysis on synthetic signals whose answers are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

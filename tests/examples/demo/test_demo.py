@@ -1,7 +1,5 @@
 """The demo ends with a page and numbers, with measured data or without."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

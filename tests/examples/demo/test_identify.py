@@ -1,7 +1,5 @@
 """The fit on an oscillator whose parameters are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Common times and release shift: each with an answer known beforehand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

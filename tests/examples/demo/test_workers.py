@@ -1,7 +1,5 @@
 """Jobs side by side: order kept, failure and Ctrl-C end all."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

@@ -1,7 +1,5 @@
 """The story's own parts: frames joined, misfits judged, pictures, no recording."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

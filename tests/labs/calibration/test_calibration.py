@@ -1,7 +1,5 @@
 """Thresholds that are listed, set, followed, answered with, and counted."""
 
-from __future__ import annotations
-
 import json
 import math
 import operator

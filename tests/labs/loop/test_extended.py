@@ -1,7 +1,5 @@
 """The swimmer with a diagnosis's causes: gradients, draws, robust strokes, what mending buys."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The study of the published recordings against facts from their own notes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

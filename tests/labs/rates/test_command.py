@@ -1,7 +1,5 @@
 """The command from drawing to page: sealed or not, interrupted, gone on with."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

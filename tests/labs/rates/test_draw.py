@@ -1,7 +1,5 @@
 """A case follows from master seed, domain and number alone; a third of each kind."""
 
-from __future__ import annotations
-
 from collections import Counter
 from functools import cache
 

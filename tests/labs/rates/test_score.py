@@ -1,7 +1,5 @@
 """What an answer counts as, by hand; and what is counted over rows."""
 
-from __future__ import annotations
-
 import csv
 import io
 

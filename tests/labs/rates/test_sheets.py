@@ -1,7 +1,5 @@
 """Drawn cases: data sheets that are off, and first sentences that are amiss."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The copter library on the real simulator against the independent laboratory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Recordings of hidden laws: what a study shows, what stays sealed, and how fine steps are."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

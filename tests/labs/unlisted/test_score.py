@@ -1,7 +1,5 @@
 """What an answer counts as: hand-made reports against the truth of a recorded case."""
 
-from __future__ import annotations
-
 import argparse
 
 import pytest

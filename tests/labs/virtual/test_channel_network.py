@@ -1,7 +1,5 @@
 """The channel network against linear algebra, quadrature and conservation of mass."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp

@@ -1,7 +1,5 @@
 """The virtual laboratory against closed forms, and that its effects are in its recordings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

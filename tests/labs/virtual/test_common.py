@@ -1,7 +1,5 @@
 """Noise, decoys, arguments, and that a hidden effect is the only difference to a null case."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

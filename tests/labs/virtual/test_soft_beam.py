@@ -1,7 +1,5 @@
 """The soft-beam laboratory against closed forms, another discretization and finer steps."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

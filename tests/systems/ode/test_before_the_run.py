@@ -1,7 +1,5 @@
 """What commands were before a record: zero, where the start rests so; else their first values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

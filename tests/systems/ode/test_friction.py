@@ -1,7 +1,5 @@
 """Dry friction that holds at rest, where the step is far too long to follow it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

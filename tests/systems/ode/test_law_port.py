@@ -1,7 +1,5 @@
 """Where laws may enter a described system, against its equations; laws as causes of a study."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

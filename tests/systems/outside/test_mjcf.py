@@ -1,7 +1,5 @@
 """MuJoCo models as simulators, where MuJoCo is installed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameters of a MuJoCo model mean what the file with that number means; batches, divergence."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Payloads of MuJoCo models: which bodies may carry one, and that it is a point mass there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

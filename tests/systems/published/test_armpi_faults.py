@@ -1,7 +1,5 @@
 """An arm with one faulty servo a run, six healthy runs known: nine names, as the files came."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What docs/measured/cascaded_tanks.md says of the tanks, with nothing but their description."""
 
-from __future__ import annotations
-
 import pytest
 
 from diffsim.cli.diagnose_inputs import read_study

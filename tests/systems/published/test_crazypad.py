@@ -1,7 +1,5 @@
 """Crazyflies with cut propellers and weights: each group judged by the others, from its YAML."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

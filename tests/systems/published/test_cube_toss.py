@@ -1,7 +1,5 @@
 """What docs/measured/cube_toss.md says of the tossed cube, with nothing but its description."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

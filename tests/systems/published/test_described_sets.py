@@ -1,7 +1,5 @@
 """Measured sets described by formulas: their causes, sizes, and runs that no fit has seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

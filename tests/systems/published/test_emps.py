@@ -1,7 +1,5 @@
 """What docs/measured/emps.md says of the positioning system, with nothing but its description."""
 
-from __future__ import annotations
-
 import pytest
 
 from diffsim.cli.diagnose_inputs import read_study

@@ -1,7 +1,5 @@
 """First answers of published sets by the command alone, unlisted laws among the causes."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """What docs/measured/nano_drone.md says of the nano drone, with nothing but its description."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

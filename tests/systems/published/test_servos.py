@@ -1,7 +1,5 @@
 """Servos on a pendulum: a twin in the files' form with hidden causes, and the recorded ones."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

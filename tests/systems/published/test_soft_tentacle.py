@@ -1,7 +1,5 @@
 """The soft tentacle: what elements cost, what sessions changed, and poses that no fit has seen."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

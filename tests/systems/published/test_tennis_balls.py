@@ -1,7 +1,5 @@
 """What the page of the tennis balls claims, with nothing but their description."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Rods that a study describes: any taper, tendons, markers, sessions; hidden causes are found."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Equilibria of slender rods against closed forms, a second solver, and differences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Causes of soft bodies by name, for models that no study describes."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from diffsim.causes.catalogue import rows

@@ -1,7 +1,5 @@
 """Sensors of a soft body that each have a clock, a lag, a scale and a zero of their own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +11,7 @@ from diffsim.data.study import Channel
 from diffsim.diagnose import diagnose
 from diffsim.systems.registry import setup_of
 from diffsim.systems.soft_body.sensor import tilt_camera
-from tests.systems.soft_body.described import BAR, TENDON, described, predicted, run_of, study_of
+from tests.systems.soft_body.described import BAR, TENDON, predicted, run_of, study_of
 
 STEP = 0.02
 T = STEP * np.arange(40)
@@ -78,24 +76,6 @@ def test_a_late_sensor_shows_what_was_and_nothing_moves_the_other():
     both = predicted(bar(), {"sensor_delay_of_camera": STEP, "sensor_delay": STEP})[0]
     torch.testing.assert_close(both[2:, 0], plain[:-2, 0], atol=2e-9, rtol=0.0)
     torch.testing.assert_close(both[1:, 1], plain[:-1, 1], atol=2e-9, rtol=0.0)
-
-
-def test_a_stated_clock_is_fitted_for_each_run_and_no_cause():
-    clock = {"camera": {"value": 0, "sd": "30 ms", "per": "run"}}
-    study = bar(clocks=clock)
-    setup = setup_of(study)
-    assert "sensor_delay_of_camera" not in {e.name for e in setup.effects}
-    assert "sensor_delay_of_laser" in {e.name for e in setup.effects}
-    plain, late = predicted(study)[0], predicted(study, **{"clock_of_camera@a": STEP / 0.03})[0]
-    torch.testing.assert_close(late[1:, 0], plain[:-1, 0], atol=2e-9, rtol=0.0)
-    torch.testing.assert_close(late[:, 1], plain[:, 1])
-
-
-def test_a_clock_of_what_there_is_not_is_told():
-    study = bar(clocks={"camra": 0.01})
-    (problem,) = described(study).problems(study)
-    assert str(problem).startswith("error: model.clocks.camra: no sensor, kind or channel 'camra';")
-    assert "did you mean 'camera'" in str(problem)
 
 
 @pytest.mark.slow

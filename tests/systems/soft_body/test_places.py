@@ -1,7 +1,5 @@
 """Markers on stubs are carried by the nodes around; what forces keep has the same bits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Scenes that differ by their commands alone are simulated at once, and to the same numbers."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
