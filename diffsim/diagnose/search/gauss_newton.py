@@ -36,6 +36,7 @@ KEPT_RTOL = 1.0  # relative error from which slopes are simulated again
 LOST_RTOL = 10.0  # relative error of a step from whose end no slopes lead back
 MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
 LEAST_RECORDS = 60.0  # simulations of all runs, by their weight, that any fit may take
+LEAST_SLOPES = 2.0  # times all slopes, that a fit of a set may take where they are simulations
 OVERSPENT = "its share of the budget was spent"
 MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
@@ -195,7 +196,7 @@ def iterated(
     evaluations, message = 0, f"no end after {MAX_STEPS} steps"
     # steps by the slopes that are there are cheap where slopes are not: as many as new ones cost
     is_dear = not (model.batched or has_tangents(model))
-    last = until + (problem.cost_of_many(2 * len(start.x)) if is_dear else 0.0)
+    last = until + (problem.cost_of_slopes() if is_dear else 0.0)
     for _ in range(MAX_STEPS):
         is_spent = model.simulations.steps > until
         if model.simulations.steps > last:
