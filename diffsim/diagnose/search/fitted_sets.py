@@ -202,11 +202,12 @@ def _suit_unknowns(search: Search, center: Center) -> Search:
 
 
 def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:
-    """Whether the verdict hangs on how exact this evidence is."""
-    ahead, slack = search.nats(key) - search.nats(Hypothesis(best)), search.settings.rival_nats
+    """Whether the verdict hangs on how exact this evidence is; a set that was fitted last may have
+    more of it than the center."""
+    nats, slack = search.nats(key), search.settings.rival_nats
     if key.effects >= best:
-        return abs(ahead - KEEP_NATS) < slack
-    return ahead > -ALONE_NATS
+        return abs(nats - search.nats(Hypothesis(best)) - KEEP_NATS) < slack
+    return nats > max(search.nats(h) for h in search.posteriors if h.unknown is None) - ALONE_NATS
 
 
 def _simulated_beside(search: Search, key: Hypothesis, place: Center, best: Members) -> Search:

@@ -69,6 +69,11 @@ def test_what_one_simulation_refutes_takes_no_slopes():
     ahead = replace(evidence.weigh(key), nats=search.nats(Hypothesis(best)) + 1.0)
     made = replace(search.simulations, at_unknowns={})
     search = replace(search, simulations=made, posteriors={**search.posteriors, key: ahead})
+    assert beside_unknowns._could_decide(search, key, best)
+    alone = Hypothesis(key.effects)  # fitted after the center, and better
+    better = replace(search.posteriors[alone], nats=ahead.nats + 5.0)
+    moved = replace(search, posteriors={**search.posteriors, alone: better})
+    assert not beside_unknowns._could_decide(moved, key, best)
     model, runs = search.null.case.model, search.wide.runs
     before = model.simulations.count
     found = beside_unknowns._simulated_beside(search, key, search.plain, best)
