@@ -248,6 +248,16 @@ class Problem(Coordinates, WhitenedRuns):
         """Weighted steps of simulations at a number of points and of one more, of all runs."""
         return self.cost() * (1.0 + number * (TOGETHER if self.model.batched else 1.0))
 
+    def cost_of_slopes(self) -> float:
+        """Weighted steps of central differences along all coordinates that move a run."""
+        there = {name for e in self.effects for name in e.shapes}
+        idle = {p.name for p in self.model.base if p.of_effect} - there
+        moving = [name for name in self.names if name not in idle]
+        return sum(
+            self.model.cost(run, self.numerics) * (1 + 2 * sum(touches(n, run) for n in moving))
+            for run in self.runs
+        )
+
     def records(self, points: Array) -> Array:
         """Predicted samples of all runs at K points, (K, N) [unit of the channel].
 

@@ -61,7 +61,8 @@ def corrected(null: Null, once: float) -> tuple[Null, NullCorrection]:
     x = null.at.x - found.correction.shift.numpy()
     problem = case.problem(null.noise.whitener)
     x = np.clip(x, *problem.bounds)
-    fit, at = gauss_newton(problem, replace(null.at, x=x, record=problem.record(x)))
+    until = case.model.simulations.steps + case.settings.plain_steps
+    fit, at = gauss_newton(problem, replace(null.at, x=x, record=problem.record(x)), until=until)
     return replace(null, case=case, fit=fit, at=at), found
 
 

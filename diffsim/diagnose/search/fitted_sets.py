@@ -26,6 +26,7 @@ from diffsim.identify import Fit, Problem
 from diffsim.identify.bandwidth import num_cosines_of
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import Linearization, linearization_at
+from diffsim.identify.model import has_tangents
 from diffsim.identify.unknown import Unknown
 
 
@@ -163,19 +164,23 @@ def weigh_unknowns(search: Search, center: Center) -> Search:
         search = _suit_unknowns(search, center)
     places = {search.plain: [NONE]}
     places[center] = [center.members, *(center.members - {i} for i in center.members)]
-    lies: dict[Hypothesis, LaplaceEvidence] = {}
+    lies: dict[Hypothesis, tuple[Center, LaplaceEvidence]] = {}
     for place, sets in places.items():
         evidence, made = search.simulations.with_unknowns(
             place, search.unknowns, search.num_families
         )
         keys = [Hypothesis(s, u) for s in sets for u in range(len(search.unknowns))]
-        new = {key: evidence for key in keys if key not in lies}  # the plain model comes first
+        # the plain model comes first
+        new = {key: (place, evidence) for key in keys if key not in lies}
         lies |= new
         posteriors = {key: evidence.weigh(key) for key in new}
         search = replace(search, simulations=made, posteriors={**search.posteriors, **posteriors})
     for key in sorted(lies, key=lambda h: -search.nats(h)):
+        place, evidence = lies[key]
         if _could_decide(search, key, center.members):
-            search = relinearized(search, key, lies[key])
+            search = _simulated_beside(search, key, place, center.members)
+        if _could_decide(search, key, center.members):
+            search = relinearized(search, key, evidence)
     return search
 
 
@@ -197,11 +202,41 @@ def _suit_unknowns(search: Search, center: Center) -> Search:
 
 
 def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:
-    """Whether the verdict hangs on how exact this evidence is."""
-    ahead, slack = search.nats(key) - search.nats(Hypothesis(best)), search.settings.rival_nats
+    """Whether the verdict hangs on how exact this evidence is; a set that was fitted last may have
+    more of it than the center."""
+    nats, slack = search.nats(key), search.settings.rival_nats
     if key.effects >= best:
-        return abs(ahead - KEEP_NATS) < slack
-    return ahead > -ALONE_NATS
+        return abs(nats - search.nats(Hypothesis(best)) - KEEP_NATS) < slack
+    return nats > max(search.nats(h) for h in search.posteriors if h.unknown is None) - ALONE_NATS
+
+
+def _simulated_beside(search: Search, key: Hypothesis, place: Center, best: Members) -> Search:
+    """A set with an unknown cause, weighed by a simulation where linear evidence leads, if that
+    leaves it no chance: where all slopes take simulations of their own, one tells first.
+
+    Args:
+        search: Sets that were weighed so far.
+        key: The set and the unknown cause.
+        place: Where it has linear evidence.
+        best: Members of the best set.
+    """
+    model = search.wide.model
+    if model.batched or has_tangents(model) or key.effects >= best:
+        return search
+    assert key.unknown is not None
+    made, cause = search.simulations, search.unknowns[key.unknown]
+    own = made.coordinates(key.effects)
+    response, _ = made.responses(cause, key.unknown, place.members, place.at)
+    try:
+        at, search = _record_set(search, key.effects, search.posteriors[key].x[own])
+    except DiffsimError:  # slopes may still be simulated on the way there
+        return search
+    there = replace(at, idx=tuple(range(len(own))), columns=place.at.slopes(own))
+    found = _weigh_beside(search, made.narrow(key.effects), there, response, own)
+    chance = search.nats(Hypothesis(best)) - ALONE_NATS - search.linear_slack(best)
+    if found.nats >= chance:
+        return search
+    return replace(search, posteriors={**search.posteriors, key: found})
 
 
 def relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> Search:

@@ -35,8 +35,11 @@ REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
 # where each slope takes simulations of its own: of a step that kept its promise
 KEPT_PROMISE = 0.75  # share of the promised nats
 KEPT_RTOL = 1.0  # relative error from which slopes are simulated again
+LOST_RTOL = 10.0  # relative error of a step from whose end no slopes lead back
 MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
 LEAST_RECORDS = 60.0  # simulations of all runs, by their weight, that any fit may take
+LEAST_SLOPES = 2.0  # times all slopes, that a fit of a set may take where they are simulations
+OVERSPENT = "its share of the budget was spent"
 MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
 
@@ -88,7 +91,8 @@ class _Iterate:
         """Take a step if it lowers the cost; the radius follows the error of the linear prediction.
 
         Along a curved valley records bend while the cost falls as it should: where slopes are dear,
-        steps get no shorter there, and Broyden's updates serve for longer.
+        steps get no shorter there, and Broyden's updates serve for longer. A step that leaves the
+        valley is followed by the one that leads back to it, before slopes are simulated again.
 
         Args:
             step: In scaled coordinates, (n,).
@@ -97,22 +101,22 @@ class _Iterate:
             The next iterate, and the error above which slopes are simulated again; 0: the cost is
             not lower.
         """
-        x = self.problem.standardized(self.scaled + step)
         longest = float((np.abs(step) / self.problem.step_factors).max())
         shorter = replace(self, radius=0.25 * longest)
-        try:
-            record = self.problem.record(x)
-        except DiffsimError:  # too far to be simulated
+        after, enough = self._moved(step), self.cost - 2.0 * KEPT_PROMISE * self.promised(step)
+        if after is None:
             return shorter, 0.0
-        r = self.problem.residual_of(record)
-        with np.errstate(over="ignore"):  # of an unstable simulation: too far as well
-            cost = float(r @ r + x @ x)
-        if not cost < self.cost:
-            return shorter, 0.0
-        after = self._update_slopes(x, step, record, r)
-        has_fallen = 0.5 * (self.cost - cost) > KEPT_PROMISE * self.promised(step)
         model = self.problem.model
-        is_kept = has_fallen and not (model.batched or has_tangents(model))
+        is_dear = not (model.batched or has_tangents(model))
+        is_lost = after.at.slope_error - self.at.slope_error > LOST_RTOL
+        if is_dear and after.cost > enough and not is_lost:
+            way = _step(replace(after, radius=longest), *self.problem.bounds)
+            back = after._moved(way) if way.any() else None
+            if back is not None and back.cost < after.cost:
+                after = back
+        if not after.cost < self.cost:
+            return shorter, 0.0
+        is_kept = is_dear and after.cost < enough
         if after.at.slope_error - self.at.slope_error > REFRESH_RTOL and not is_kept:
             return replace(after, radius=max(0.5 * longest, 0.5 * self.radius)), REFRESH_RTOL
         limit = KEPT_RTOL if is_kept else REFRESH_RTOL
@@ -120,9 +124,17 @@ class _Iterate:
             return replace(after, radius=2.0 * longest), limit
         return after, limit
 
-    def _update_slopes(self, x: Array, step: Array, record: Array, residual: Array) -> _Iterate:
-        """At x, the end of a step; Broyden's update of the slopes."""
-        here = self.at
+    def _moved(self, step: Array) -> _Iterate | None:
+        """A step further, with Broyden's update of the slopes; None: too far to be simulated."""
+        here, x = self.at, self.problem.standardized(self.scaled + step)
+        try:
+            record = self.problem.record(x)
+        except DiffsimError:
+            return None
+        residual = self.problem.residual_of(record)
+        with np.errstate(over="ignore"):  # of an unstable simulation: too far as well
+            if not np.isfinite(residual @ residual):
+                return None
         off = record - here.record - here.columns @ step
         white_off = self.problem.whiten_all(off)
         moved = float(linalg.norm(self.jacobian @ step))
@@ -183,12 +195,16 @@ def iterated(
     """The last iterate of ``gauss_newton``, how and why it ended, and the number of trial points:
     all of it but the uncertainties."""
     low, high = problem.bounds
-    s = _first(problem, start)
+    s, model = _first(problem, start), problem.model
     ended: Ended = "budget"
     evaluations, message = 0, f"no end after {MAX_STEPS} steps"
+    # steps by the slopes that are there are cheap where slopes are not: as many as new ones cost
+    is_dear = not (model.batched or has_tangents(model))
+    last = until + (problem.cost_of_slopes() if is_dear else 0.0)
     for _ in range(MAX_STEPS):
-        if problem.model.simulations.steps > until:
-            message = "its share of the budget was spent"
+        is_spent = model.simulations.steps > until
+        if model.simulations.steps > last:
+            message = OVERSPENT
             break
         behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
         step = _step(s, low, high)
@@ -199,6 +215,9 @@ def iterated(
             if s.at.slope_error == 0.0 or has_exact_slopes(s.at, s.misfit) or is_outranked:
                 ended, message = "converged", f"a further step promises {promised:.1g} nats"
                 break
+            if is_spent:
+                message = OVERSPENT
+                break
             s = s.refreshed()
             continue
         evaluations += 1
@@ -207,7 +226,11 @@ def iterated(
             ended, message = "stalled", "no step along the slopes lowers the cost"
             break
         if s.at.slope_error > limit:
-            s = s.refreshed()
+            if not is_spent:
+                s = s.refreshed()
+            elif limit == 0.0:
+                message = OVERSPENT
+                break
     return s, ended, message, evaluations
 
 

@@ -34,7 +34,11 @@ from diffsim.diagnose.search.from_prior import (
     is_prior_too_dear,
     promising_sets,
 )
-from diffsim.diagnose.search.gauss_newton import LEAST_RECORDS, has_exact_slopes
+from diffsim.diagnose.search.gauss_newton import (
+    LEAST_RECORDS,
+    LEAST_SLOPES,
+    has_exact_slopes,
+)
 from diffsim.diagnose.search.scan import BORROWED
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
@@ -188,10 +192,16 @@ def refit(
     # as many as are fitted from the data sheet have their turn, however hopeless the first one is
     turn = FROM_PRIOR / LEAST_REFITS * search.settings.refit_steps
     most = max(turn, LEAST_RECORDS * search.wide.cost())
+    narrow = search.simulations.narrow(members)
+    if not (narrow.model.batched or has_tangents(narrow.model)):  # each slope is simulations
+        most = max(most, LEAST_SLOPES * narrow.cost_of_slopes())
     most = min(search.null.case.settings.plain_steps, most)
     for center in starts if begin is None else starts[:1]:
         try:
-            start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
+            if best is not None and best[0].ended == "budget":  # on from there, not anew
+                start = search.simulations.kept(members, best[1]).fitted[members]
+            else:
+                start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
             fit, at = search.simulations.fitted_from(
                 members, start, search.best_cost(), begin, most
             )

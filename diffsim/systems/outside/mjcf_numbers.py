@@ -155,6 +155,8 @@ class Numbers:
         self._data = mujoco.MjData(plain)
         self._reflected = self._list_reflected(plain) if by_ratio else {}
         self._reaches: dict[int, tuple[Array, Array]] = {}
+        # asked for at each call
+        self._servos = [self._servo(i) for i in range(len(plain.actuator_gaintype))]
 
     def find(self, kind: str, name: str, where: str) -> int:
         """Index of a body, joint, actuator or sensor.
@@ -326,7 +328,7 @@ class Numbers:
         elif what in ("gainprm", "biasprm"):
             getattr(m, f"actuator_{what}")[i, path.entry] = value
         else:
-            _put_gain(m, path, i, value, self._servo(i))
+            _put_gain(m, path, i, value, self._servos[i])
 
     def _servo(self, i: int) -> str | None:
         """What the first gain of an actuator belongs to: its bias, or nothing; None: neither."""

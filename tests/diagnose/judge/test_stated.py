@@ -121,3 +121,23 @@ def test_beside_what_may_be_zero_a_size_holds_that_of_the_set_without_it(disagre
     assert not sure.low < alone < sure.high
     assert open_.low < alone < open_.high and open_.value == sure.value
     assert open_.low <= sure.low and sure.high <= open_.high
+
+
+def test_a_fit_that_ended_before_its_optimum_is_uncertain_by_what_is_left_of_the_way(disagreeing):
+    """Of an arm 17.5 to 18.9 N m of friction was stated by a fit on its way to 19.0."""
+    _, setup, _, about = disagreeing
+    i = next(i for i, e in enumerate(setup.effects) if e.name == "drag")
+    alone = Hypothesis(frozenset({i}))
+    entry = about.search.posteriors[alone]
+    begun = entry.fit.x.copy()
+    begun[-1] -= 6.0 * entry.fit.covariance[-1, -1] ** 0.5
+
+    def size(ended):
+        there = replace(entry, fit=replace(entry.fit, x=begun, ended=ended))
+        search = replace(about.search, posteriors={**about.search.posteriors, alone: there})
+        of = replace(about, search=search, sized={alone: 1.0}, members=NONE, factors={}, usual=1.0)
+        return of.size(i)["size"]
+
+    optimum = float(entry.fit.values["drag"])
+    assert size("converged").high < optimum
+    assert size("budget").low < size("converged").low and size("budget").high > optimum

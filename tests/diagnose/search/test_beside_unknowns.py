@@ -52,6 +52,36 @@ def test_unknown_causes_share_the_simulations_of_a_set():
     np.testing.assert_allclose(nats[1], alone[0], atol=0.05)
 
 
+def test_what_one_simulation_refutes_takes_no_slopes():
+    """Slopes at zero promise a size at which the record is elsewhere altogether."""
+
+    def apply(scene, size, run):
+        moved = linear.shapes("push", run)[..., 0] * (size[..., 0] + 5.0 * size[..., 0] ** 3)
+        return replace(scene, record=scene.record + moved)
+
+    steep, right = replace(linear.line("steep"), apply=apply), linear.line("push")
+    drift = (UnknownDrift(0, "drift"),)
+    search = searched((steep, right), {right: 5.0}, unknowns=drift)
+    best, key = frozenset({1}), Hypothesis(frozenset({0}), 0)
+    evidence, _ = search.simulations.with_unknowns(search.plain, drift, search.num_families)
+    ahead = replace(evidence.weigh(key), nats=search.nats(Hypothesis(best)) + 1.0)
+    made = replace(search.simulations, at_unknowns={})
+    search = replace(search, simulations=made, posteriors={**search.posteriors, key: ahead})
+    assert beside_unknowns._could_decide(search, key, best)
+    alone = Hypothesis(key.effects)  # fitted after the center, and better
+    better = replace(search.posteriors[alone], nats=ahead.nats + 5.0)
+    moved = replace(search, posteriors={**search.posteriors, alone: better})
+    assert not beside_unknowns._could_decide(moved, key, best)
+    model, runs = search.null.case.model, search.wide.runs
+    before = model.simulations.count
+    found = beside_unknowns._simulated_beside(search, key, search.plain, best)
+    assert model.simulations.count == before + len(runs)
+    assert found.nats(key) < search.nats(Hypothesis(best)) - 100.0
+    # of the best set itself slopes decide
+    beside_best = beside_unknowns._simulated_beside(search, key, search.plain, key.effects)
+    assert beside_best is search
+
+
 def test_what_was_simulated_far_away_does_not_serve():
     search = searched((bent(),), {linear.line("push"): 2.0})
     at = search.simulations.fitted[SET]

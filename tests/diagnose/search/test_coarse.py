@@ -62,6 +62,14 @@ def test_corrected_records_are_the_finer_ones_around_where_they_were_told():
     assert renewed_at(null.fit)[2] < NUMERICS_LAMBDA
 
 
+def test_a_corrected_plain_fit_ends_where_a_plain_fit_does():
+    before, null, _ = correct_toy()
+    assert null.fit.converged
+    cut = replace(before.case, settings=replace(before.case.settings, plain_steps=0.0))
+    short, _ = corrected(replace(before, case=cut), 1.0)
+    assert short.fit.ended == "budget"
+
+
 def test_where_no_end_is_in_sight_the_whole_change_counts(monkeypatch):
     monkeypatch.setattr(coarse, "MAX_LEVELS", 1)
     monkeypatch.setattr(coarse, "_next", lambda sizes: 1.0)  # each refinement changes as much again

@@ -62,8 +62,9 @@ def test_a_curved_valley_is_followed_to_its_end():
     problem = Problem(model, runs, WhiteNoise(linear.CHANNELS), ())
     found, _ = gauss_newton(problem, linearization_at(problem, np.zeros(2)))
     assert found.converged
-    # 242 where every step off the slopes is followed by shorter ones and by new slopes
-    assert model.simulations.count < 220
+    # 242 where every step off the slopes is followed by shorter ones and by new slopes, 197 where
+    # one that leaves the valley is not followed by the one back
+    assert model.simulations.count < 180
     best = fit(model, runs, linear.CHANNELS, max_evaluations=200)
     assert best.converged
     assert abs(found.chi2 + found.prior - best.chi2 - best.prior) < 0.1

@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from diffsim.diagnose.judge.gain import validation_of
 from diffsim.diagnose.judge.judge import judge
+from diffsim.diagnose.search import search as searching
 from diffsim.diagnose.search.evidence import KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.diagnose.search.search import begin, fitted_to_end, refit
@@ -77,3 +79,22 @@ def test_effects_act_only_at_points_where_they_are_not_zero():
         plain, late, again = model.predict_many(study.runs[0], points, {delay: sizes})
     assert seen == [0.02]
     assert torch.equal(plain, again) and not torch.equal(plain, late)
+
+
+def test_a_fit_that_its_budget_ended_goes_on_from_there_and_not_from_another_start(monkeypatch):
+    search, _ = search_of_a_pair()
+    begun, ends, fitted_from = [], [], Simulations.fitted_from
+
+    def cut_short(self, members, start, *args):
+        begun.append(start.x[self.coordinates(members)])
+        fit, at = fitted_from(self, members, start, *args)
+        ends.append(at.x)
+        is_last = len(ends) == 3
+        return replace(fit, ended="converged" if is_last else "budget", chi2=1e6 - len(ends)), at
+
+    monkeypatch.setattr(Simulations, "fitted_from", cut_short)
+    monkeypatch.setattr(searching, "_starts", lambda search, *_: [search.plain] * 3)
+    monkeypatch.setattr(searching, "_disappoints", lambda *_: True)
+    assert DELAY in refit(search, DELAY).fits
+    assert np.abs(ends[0] - begun[0]).max() > 0.1
+    assert [list(x) for x in begun[1:]] == [pytest.approx(list(x)) for x in ends[:-1]]
