@@ -39,7 +39,9 @@ from diffsim.identify.setup import LawPort
 
 PARTS_OF_WAY = (1.0, 0.5, 0.25, 0.125)  # of a law's first step, the longest that holds is taken
 KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
-LAW_RECORDS = 200.0  # simulations of all runs, by their weight, that the fit of a law may take
+# simulations of all runs, by their weight, that a law's fit may take, or all that laws may cost: of
+# two tanks, a law beside the cause that leaves least had not come half its way in 200
+LAW_RECORDS = 200.0
 NUM_JUDGING = 2  # laws of a screen whose fits tell whether its slopes hold
 NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
 ALIKE = 2  # of them at one entry, or of one variable
@@ -189,10 +191,10 @@ def find_laws(
             break  # laws explain more than the plain model or the best set of causes does
         if not may_fit():
             break
-        screened = _screen(fit, port, progress, SCREEN_SHARE * most_steps)
+        screened = _screen(fit, port, progress, most_steps)
         num_tried += screened.num_tried
         every += screened.screen.found
-        table = Table(library, SCREEN_SHARE * most_steps)
+        table = Table(library, most_steps)
         for k, fitted in enumerate(_rounds(screened, fit, port, may_fit, table)):
             rounds = [*rounds, []] if len(rounds) == k else rounds
             rounds[k] += fitted
@@ -267,23 +269,24 @@ class _ScreenWithFit:
 def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _ScreenWithFit:
     """All laws weighed along the recordings; where the best of them keeps little of what it
     promises there, along the simulations as fitted, too: the screen that keeps more."""
-    screen = screen_laws(follow(fit, port), port, progress, most_steps)
-    led = _with_best_fitted(screen, fit, port)
+    most_of_screen = SCREEN_SHARE * most_steps
+    screen = screen_laws(follow(fit, port), port, progress, most_of_screen)
+    led = _with_best_fitted(screen, fit, port, most_steps)
     is_led = any(response.shape[1] for response in screen.followed.responses)
     if led.keeps_promise or not is_led:
         return led
-    along_fit = screen_laws(follow(fit, port, max_steps=0), port, progress, most_steps)
-    as_fitted = _with_best_fitted(along_fit, fit, port)
+    along_fit = screen_laws(follow(fit, port, max_steps=0), port, progress, most_of_screen)
+    as_fitted = _with_best_fitted(along_fit, fit, port, most_steps)
     better = as_fitted if as_fitted.kept > led.kept else led
     return replace(better, num_tried=led.num_tried + as_fitted.num_tried)
 
 
-def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort) -> _ScreenWithFit:
+def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort, most_steps: float) -> _ScreenWithFit:
     """The screen with the first of its best laws that keeps what it promises, or the one that keeps
     most: slopes of one law may hold nowhere near, such as of a mass whose frequency is off."""
     tried = [_ScreenWithFit(screen, None, None, sum(len(c.basis.tried) for c in screen.found))]
     for candidate in _choose(screen.found, KEEP_NATS)[:NUM_JUDGING]:
-        law = _fit_law(screen, fit, candidate, port, ())
+        law = _fit_law(screen, fit, candidate, port, (), most_steps)
         kept = 0.0 if law is None else law.nats
         tried.append(replace(tried[0], candidate=candidate, law=law, kept=kept))
         if tried[-1].keeps_promise:
@@ -302,7 +305,7 @@ def _rounds(
     them, while that is worth its price."""
     screen = screened.screen
     standing: tuple[FittedLaw, ...] = ()
-    first = 0.0
+    first, most_steps = 0.0, np.inf if table is None else table.most_steps
     for _ in MOST_LAWS:
         beside = []
         if table is not None and not standing:
@@ -318,7 +321,9 @@ def _rounds(
             is_fitted = candidate is screened.candidate  # it costs nothing more
             if candidate.nats < FITTED_SHARE * best or not (is_fitted or may_fit()):
                 continue
-            law = screened.law if is_fitted else _fit_law(screen, fit, candidate, port, standing)
+            law = screened.law
+            if not is_fitted:
+                law = _fit_law(screen, fit, candidate, port, standing, most_steps)
             if law is not None and law.nats > least:
                 fitted.append(law)
         most = max((f.nats for f in fitted), default=0.0) + KEEP_NATS
@@ -327,7 +332,7 @@ def _rounds(
             if together:
                 yield together
             return
-        screen, pairs = _fit_pairs(screen, fit, fitted, port, standing)
+        screen, pairs = _fit_pairs(screen, fit, fitted, port, standing, most_steps)
         fitted += pairs
         yield [*fitted, *together]
         law = max(fitted, key=lambda f: f.nats)
@@ -342,6 +347,7 @@ def _fit_pairs(
     fitted: Sequence[FittedLaw],
     port: LawPort,
     standing: Sequence[FittedLaw],
+    most_steps: float,
 ) -> tuple[Screen, list[FittedLaw]]:
     """Laws multiplied by another variable, where fitted laws enter, if two explain more than any of
     these by the price of the choice; none where one leaves noise: a line times a constant is a
@@ -354,7 +360,7 @@ def _fit_pairs(
     least = best.nats + KEEP_NATS + _price(count)
     promised = max(f.candidate.nats for f in fitted) + KEEP_NATS
     better = [c for c in pairs if c.nats > promised and c.gained > KEEP_NATS]
-    made = [_fit_law(screen, fit, c, port, standing) for c in better[:NUM_PAIRS]]
+    made = [_fit_law(screen, fit, c, port, standing, most_steps) for c in better[:NUM_PAIRS]]
     kept = [law for law in made if law is not None and law.nats > least]
     return screen, [replace(law, num_pairs=count) for law in kept]
 
@@ -365,7 +371,7 @@ class Table:
 
     Attributes:
         library: The causes.
-        most_steps: Weighted steps that their columns may take.
+        most_steps: Weighted steps that laws may cost, their columns a share of it.
     """
 
     library: Sequence[Effect]
@@ -374,11 +380,11 @@ class Table:
 
 def _fit_beside(screen: Screen, fit: Fit, port: LawPort, table: Table) -> list[FittedLaw]:
     """Laws beside a cause of the library, as one table of both ranks them."""
-    causes = causes_along(screen.followed, table.library, table.most_steps)
+    causes = causes_along(screen.followed, table.library, SCREEN_SHARE * table.most_steps)
     pairs, count = best_pairs(screen, causes)
     out = []
     for pair in pairs:
-        law = _fit_law(screen, fit, pair.law, port, (), pair.cause)
+        law = _fit_law(screen, fit, pair.law, port, (), table.most_steps, pair.cause)
         if law is not None:
             out.append(replace(law, num_pairs=count))
     return out
@@ -450,6 +456,7 @@ def _fit_law(
     candidate: Candidate,
     port: LawPort,
     standing: Sequence[FittedLaw],
+    most_steps: float,
     cause: CauseAlong | None = None,
 ) -> FittedLaw | None:
     """A law fitted in the simulator from what the recordings tell, beside a cause of the library
@@ -469,7 +476,8 @@ def _fit_law(
         gram = every.T @ every + np.eye(every.shape[1])
         asked = np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
         start = linearization_at(problem, _begin(problem, before, asked))
-        until = problem.model.simulations.steps + LAW_RECORDS * problem.cost()
+        most = max(LAW_RECORDS * problem.cost(), most_steps)
+        until = problem.model.simulations.steps + most
         ended, _ = gauss_newton(problem, start, until=until)
     except DiffsimError:
         return None

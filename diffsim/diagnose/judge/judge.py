@@ -188,7 +188,8 @@ class Judgment:
 
 
 def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
-    """Decide; while a name of the best set makes unseen runs worse, withdraw the worst one.
+    """Decide; while a name of the best set makes unseen runs worse, withdraw the one that does so
+    most surely, by the end of its interval: of two that go together rounding decides the values.
 
     One at a time: members that share a misfit look bad together, and the rest may be good once one
     of them is gone. What is withdrawn takes all sets with it, so evidence decides anew.
@@ -233,7 +234,7 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             if (gain := gain_over(validation, without.fit, best, seed)) is not None:
                 now[i] = gain
         gains = gains | now
-        harmful = {i: g.value for i, g in now.items() if g.status == "withdrawn"}
+        harmful = {i: g.high for i, g in now.items() if g.status == "withdrawn"}
         if validation.residuals(best) is None:  # it diverges there: without the one missed least
             less = {i: Hypothesis(decision.best - {i}) for i in sorted(decision.best)}
             harmful = {i: -search.nats(h) for i, h in less.items() if h in search.posteriors}

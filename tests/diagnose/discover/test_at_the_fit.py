@@ -1,5 +1,7 @@
 """Laws by the slopes of a fit that holds them, and where such a fit begins."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -44,7 +46,7 @@ def best_law(plain, port):
         for c in screen.found
         if c.entry.kind == "reading" and c.variable.name == "force" and not c.basis.wave
     )
-    fitted = stage._fit_law(screen, plain, law, port, ())
+    fitted = stage._fit_law(screen, plain, law, port, (), math.inf)
     assert fitted is not None
     return screen, fitted
 
@@ -59,6 +61,19 @@ def test_slopes_at_a_fit_tell_of_a_law_at_a_reading_what_those_along_the_record_
     rates = [form.numbers["rate"][0] for form in forms]
     assert rates == pytest.approx([-0.6, -0.6], abs=0.05)
     assert forms[1].size == pytest.approx(forms[0].size, rel=0.05)
+
+
+def test_a_law_may_take_all_that_laws_may_cost(monkeypatch):
+    """Two tanks' best law, beside a cause, was cut short by a count of records, and lost."""
+    plain, port = plain_fit(lambda force: 2e-3 * np.exp(-0.6 * force))
+    screen, fitted = best_law(plain, port)
+    monkeypatch.setattr(stage, "LAW_RECORDS", 0.0)
+    ends = [
+        law.fit.ended
+        for most_steps in (0.0, 1e3 * plain.problem.cost())
+        if (law := stage._fit_law(screen, plain, fitted.candidate, port, (), most_steps))
+    ]
+    assert ends == ["budget", "converged"]
 
 
 def test_a_first_step_that_is_too_long_is_shortened():

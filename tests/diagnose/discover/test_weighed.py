@@ -179,7 +179,7 @@ def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
     # where it leaves noise, no law of two variables can explain more
     quiet = SimpleNamespace(**{**vars(law), "fit": SimpleNamespace(chi2=99.0, num_samples=100)})
     unasked = SimpleNamespace()
-    assert stage._fit_pairs(unasked, None, [quiet], None, ()) == (unasked, [])  # type: ignore
+    assert stage._fit_pairs(unasked, None, [quiet], None, (), 0.0) == (unasked, [])  # type: ignore
 
 
 def test_a_hidden_mass_is_tried_within_its_resonance():

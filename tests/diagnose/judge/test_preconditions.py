@@ -11,6 +11,7 @@ import pytest
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.judge import judge
 from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import (
@@ -296,6 +297,21 @@ def test_what_only_linear_evidence_speaks_against_is_not_refuted(monkeypatch):
     )
     row = causes(diagnosed({PUSH: 1.0}, (PUSH, OTHER)))["other"]
     assert row.status == "not visible below"
+
+
+def test_of_two_names_that_do_harm_the_one_that_surely_does_is_withdrawn(monkeypatch):
+    """A fish lost its stretching tendon or its drag as shares of 4.7 to 5 fell by chance."""
+    both = {"push": Gain(-5.0, -30.0, -0.3, 2.0, 4), "other": Gain(-4.7, -8.0, -1.7, 2.4, 4)}
+    fine = Gain(0.9, 0.8, 0.95, 9.0, 4, 1.0)
+
+    def told(validation, without, fit, seed):
+        names = {e.name for e in fit.problem.effects}
+        left = names - {e.name for e in without.problem.effects}
+        return both[min(left)] if len(names) == 2 and len(left) == 1 else fine
+
+    monkeypatch.setattr(judge, "gain_over", told)
+    report = diagnosed({PUSH: 3.0, OTHER: 3.0}, (PUSH, OTHER))
+    assert report.best_names == ("push",)
 
 
 def run_apart(*sizes: float, course: float = 0.0):
