@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.checked import checked
+
 #: Columns by name, all of one length: float64, integers or text.
 Columns = dict[str, NDArray[Any]]
 
@@ -92,6 +94,7 @@ def require_text_room(longest: int, count: int) -> None:
         )
 
 
+@checked
 def flat(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
     """Columns of an array with a row per sample.
 
