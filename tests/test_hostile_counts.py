@@ -192,9 +192,45 @@ def parquet_of_one_value(path):
             file.write_table(table)
 
 
+def parquet_of_a_long_list(path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    pyarrow = pytest.importorskip("pyarrow")
+    ends, zeros = pyarrow.array([0, 1_300_000, 1_300_001], "int32"), np.zeros(1_300_001)
+    lists = pyarrow.ListArray.from_arrays(ends, pyarrow.array(zeros))
+    parquet.write_table(pyarrow.table({"time_s": [0.0, 1.0], "q": lists}), path)
+
+
+def mcap_with(path, messages, compression="zstd"):
+    """Messages of a topic in one chunk.
+
+    Args:
+        path: File to be written.
+        messages: JSON.
+        compression: Of the chunk.
+    """
+    writer = pytest.importorskip("mcap.writer")
+    kind = writer.CompressionType[compression.upper()]
+    with path.open("wb") as file:
+        log = writer.Writer(file, chunk_size=2**30, compression=kind)
+        log.start()
+        channel = log.register_channel("t", "json", log.register_schema("s", "jsonschema", b"{}"))
+        for k, data in enumerate(messages):
+            log.add_message(channel, k * 10**9, data, k)
+        log.finish()
+
+
+def mcap_of_zeros(path):
+    mcap_with(path, [b'{"q": 1, "w": "' + bytes(11_000_000).replace(b"\0", b"0") + b'"}'])
+
+
+def mcap_of_zeros_by_lz4(path):
+    mcap_with(path, [b'{"q": ' + b" " * 11_000_000 + b"1}"], "lz4")
+
+
 @pytest.mark.parametrize(
     ("write", "suffix"),
-    [(hdf5_of_a_fill_value, "h5"), (npz_of_zeros, "npz"), (mat_of_zeros, "mat"),
+    [(parquet_of_a_long_list, "parquet"), (mcap_of_zeros, "mcap"), (mcap_of_zeros_by_lz4, "mcap"),
+     (hdf5_of_a_fill_value, "h5"), (npz_of_zeros, "npz"), (mat_of_zeros, "mat"),
      (parquet_of_one_value, "parquet")],
 )  # fmt: skip
 def test_a_small_file_of_many_numbers_is_refused(tmp_path, monkeypatch, write, suffix):
@@ -207,6 +243,57 @@ def test_a_small_file_of_many_numbers_is_refused(tmp_path, monkeypatch, write, s
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 5e7
+
+
+LONG = 20_000 * "x"  # in 200 rows an array of 16 MB
+
+
+def hdf5_of_text(path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file["time_s"], file["w"] = np.arange(200.0), ["y"] * 199 + [LONG]
+
+
+def parquet_of_text(path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = {"time_s": np.arange(200.0), "w": ["y"] * 199 + [LONG]}
+    parquet.write_table(pytest.importorskip("pyarrow").table(table), path)
+
+
+def records_of_text(path):
+    rows = [{"time_s": k, "w": "y"} for k in range(199)] + [{"time_s": 199, "w": LONG}]
+    path.write_text("\n".join(map(json.dumps, rows)))
+
+
+def mcap_of_text(path):
+    words = ["y"] * 10_100 + [LONG[:300]]  # in another block of messages than the first ones
+    mcap_with(path, [json.dumps({"w": word}).encode() for word in words])
+
+
+@pytest.mark.parametrize(
+    ("write", "suffix"),
+    [(hdf5_of_text, "h5"), (parquet_of_text, "parquet"), (records_of_text, "jsonl"),
+     (mcap_of_text, "mcap")],
+)  # fmt: skip
+def test_one_long_cell_is_refused(tmp_path, monkeypatch, write, suffix):
+    """In an array of text each cell takes the room of the longest: 4 MB of JSON took 16 GB."""
+    monkeypatch.setattr(columns, "MOST_UNPACKED", 10**7)
+    write(tmp_path / f"log.{suffix}")
+    with pytest.raises(ValueError, match=r"a text of [0-9,]+ letters in a column of [0-9,]+ rows"):
+        read_columns(tmp_path / f"log.{suffix}")
+
+
+def test_columns_of_parquet_that_are_not_read_may_be_of_any_size(tmp_path, monkeypatch):
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    monkeypatch.setattr(columns, "MOST_UNPACKED", 10**7)
+    words = pyarrow.array(["a", None, "b"]).dictionary_encode()
+    table = {"time_s": [0.0, 1.0, 2.0], "w": words, "b": [bytes(5_000_000)] * 3}
+    parquet.write_table(pyarrow.table(table), tmp_path / "log.parquet")
+    found = read_columns(tmp_path / "log.parquet")
+    assert {name: found[name].tolist() for name in found} == {
+        "time_s": [0.0, 1.0, 2.0],
+        "w": ["a", "", "b"],  # not that of another row
+    }
 
 
 def test_wide_records_are_refused(tmp_path):

@@ -199,13 +199,17 @@ def refused_ranges() -> dict[str, list[float]]:
 
 def interval_told(ranged: Ranged) -> re.Match[str] | None:
     """The interval of the first refusal that names the argument."""
-    for bad in FAR:
+    is_count = False
+    for bad in (*FAR, *map(int, FAR)):
+        if isinstance(bad, int) and not is_count:
+            return None
         try:
             ask(ranged, bad)
         except Exception as error:
             told = TOLD.search(str(error))
             if told and re.search(word_of(ranged), str(error)):
                 return told
+            is_count |= "whole number, got" in str(error)
     return None
 
 

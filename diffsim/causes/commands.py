@@ -12,6 +12,7 @@ from diffsim.causes.catalogue import rows
 from diffsim.causes.ports import on_commands
 from diffsim.causes.row import ANY, Row
 from diffsim.causes.signals import Between
+from diffsim.core.checked import checked
 from diffsim.core.units import factor
 from diffsim.identify.effect import Effect, Needs
 
@@ -24,6 +25,7 @@ _USUAL_STEPS = 10.0  # as in the row of the cause
 ACTUATOR = "actuator"  # the table
 
 
+@checked
 @dataclass(frozen=True)
 class CommandGroup:
     """Commands that go the same way.
@@ -56,6 +58,7 @@ class CommandGroup:
         object.__setattr__(self, "scales", MappingProxyType(dict(self.scales)))
 
 
+@checked
 def command_cause(
     name: str, group: CommandGroup, *, system: str = ANY, needs: Needs | None = None
 ) -> Effect:

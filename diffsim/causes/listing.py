@@ -27,6 +27,7 @@ from diffsim.causes.readings import (
 )
 from diffsim.causes.row import Row, spell_plainly
 from diffsim.causes.ties import MAX_PAIRED, Member, pairs, ties
+from diffsim.core.checked import checked
 from diffsim.core.units import NO_UNIT, powers_of
 from diffsim.identify.effect import Effect
 
@@ -36,6 +37,7 @@ _INERTIA = "F s^2/X"
 _POWERS = {"X/s": 1.0, "1/s": 0.0, "(X)^0.5/s": 0.5}  # of the level in units of flows
 
 
+@checked
 def list_causes(plant: Plant) -> tuple[Effect, ...]:
     """Causes of a system, those of its table and of what that includes.
 

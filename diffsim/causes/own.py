@@ -30,6 +30,7 @@ from diffsim.causes.ports import (
 from diffsim.causes.row import ANY, Row
 from diffsim.causes.signals import MAPS
 from diffsim.core.check import did_you_mean
+from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import Names
 from diffsim.data.study import Study
@@ -75,6 +76,7 @@ _KINDS = {
 }
 
 
+@checked
 def own_causes(rows: Sequence[OwnRow], plant: Plant, study: Study) -> tuple[Effect, ...]:
     """Effects of rows that a study states under ``effects.own``.
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.ports import Sessions, on_place
 from diffsim.causes.scales import Scales
+from diffsim.core.checked import checked
 from diffsim.data.study import Channel
 from diffsim.identify.effect import Apply
 
@@ -25,6 +26,7 @@ IN_TIME = "in_time"  # fact: samples of a run follow each other in time
 LATE_RECORD = "late_record"  # fact: a record that is late as a whole shows as no late command does
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Place:
     """A place at which a force may act.
@@ -62,6 +64,7 @@ class Store:
     area: str | None = None
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plant:
     """A described system, as causes of the library, causes of a user and laws see it.

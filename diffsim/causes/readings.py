@@ -16,6 +16,7 @@ from diffsim.causes.ports import on_clock, on_readings
 from diffsim.causes.row import ANY, Row, spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.causes.scene import PLAY_START
+from diffsim.core.checked import checked
 from diffsim.data.study import Channel, Run
 from diffsim.identify.effect import Effect
 
@@ -24,6 +25,7 @@ _OF_EACH = ("sensor_offset", "sensor_drift")  # with a size for each channel
 _IN_TURN = ("bus_age",)  # of which each channel has one size more than the one before it
 
 
+@checked
 @dataclass(frozen=True)
 class Instrument:
     """Channels that causes change alike.

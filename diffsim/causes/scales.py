@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from diffsim.core.checked import checked
 from diffsim.data.study import Run, Study
 
 SCALES = "scales"  # place in a study's frame
@@ -34,6 +35,7 @@ class CommandScale:
     rate: float
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class Scales:
     """Usual magnitudes over the runs to fit.

@@ -103,6 +103,7 @@ class Obstacle:
         """Points of the shape's frame (..., 3) [m] in the world."""
         return y @ self.rotation.T + self.position
 
+    @checked
     def after(self, dt: float) -> Obstacle:
         """The obstacle ``dt`` [s] later; velocity and angular velocity are held."""
         if not self.moves:
@@ -142,6 +143,7 @@ class Obstacle:
         turned = rotation_offset(self.angular_velocity * dt, x - self.position)
         return self.velocity * dt + turned
 
+    @checked
     def label(self, index: int) -> str:
         """How messages call it."""
         return repr(self.name) if self.name else f"{index} ({type(self.shape).__name__})"

@@ -11,7 +11,8 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial, wraps
-from typing import Any, NamedTuple, TypeVar, overload
+from types import UnionType
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, overload
 
 import numpy as np
 import torch
@@ -39,11 +40,12 @@ _ROWS: dict[Any, list[tuple[str, _Check | None]]] = {}
 """Checks by function: a graph must not find them in what a wrapper encloses."""
 _NUMBERS = {"Number", "Value", "Vector"}
 _PLAIN: dict[str, tuple[tuple[type, ...], str]] = {
-    "float": ((float, int), "a number"),
-    "int": ((int,), "a whole number"),
+    "float": ((float, int, np.number), "a number"),
+    "int": ((int, np.integer), "a whole number"),
     "str": ((str,), "text"),
-    "bool": ((bool, int), "True or False"),
+    "bool": ((bool, int, np.bool_), "True or False"),
 }
+_BUILT_IN = {kind.__name__: kind for kind in (dict, list, set, frozenset, type, bytes, slice)}
 
 
 @overload
@@ -51,10 +53,14 @@ def checked(function: _F, /) -> _F: ...
 
 
 @overload
-def checked(**shapes: Shape) -> Callable[[_F], _F]: ...
+def checked(function: _F, /, *, kinds_only: bool, **shapes: Shape) -> _F: ...
 
 
-def checked(function: _F | None = None, /, **shapes: Shape) -> Any:
+@overload
+def checked(*, kinds_only: bool = False, **shapes: Shape) -> Callable[[_F], _F]: ...
+
+
+def checked(function: _F | None = None, /, *, kinds_only: bool = False, **shapes: Shape) -> Any:
     """Decorator of what is public: arguments are checked by their annotations.
 
     A ``Tensor`` must be dense, on the CPU, finite, at most ``LARGEST`` and of the shape that is
@@ -65,6 +71,7 @@ def checked(function: _F | None = None, /, **shapes: Shape) -> Any:
 
     Args:
         function: Function, method, or a class, of which ``__init__`` is checked.
+        kinds_only: Numbers may be any: of records of results, which may say that there is none.
         **shapes: Shapes of tensors by the argument's name, as ``require`` takes them.
 
     Returns:
@@ -72,10 +79,10 @@ def checked(function: _F | None = None, /, **shapes: Shape) -> Any:
         it is their sizes that do not fit one another.
     """
     if function is None:
-        return partial(checked, **shapes)
+        return partial(checked, kinds_only=kinds_only, **shapes)
     if inspect.isclass(function):
         made: Any = function
-        made.__init__ = checked(made.__init__, **shapes)
+        made.__init__ = checked(made.__init__, kinds_only=kinds_only, **shapes)
         return made
 
     @wraps(function)
@@ -84,7 +91,7 @@ def checked(function: _F | None = None, /, **shapes: Shape) -> Any:
             return function(*args, **named)
         row = _ROWS.get(function)
         if row is None:
-            row = _ROWS[function] = _checks_of(function, shapes)
+            row = _ROWS[function] = _checks_of(function, shapes, kinds_only)
         for (_, check), value in zip(row, args, strict=False):
             if check is not None:
                 check(value)
@@ -107,7 +114,7 @@ def checked(function: _F | None = None, /, **shapes: Shape) -> Any:
 
 
 def _checks_of(
-    function: Callable[..., Any], shapes: dict[str, Shape]
+    function: Callable[..., Any], shapes: dict[str, Shape], kinds_only: bool
 ) -> list[tuple[str, _Check | None]]:
     """Names of arguments in their order, and what checks each."""
     named = getattr(inspect.unwrap(function), "__globals__", {})
@@ -125,7 +132,7 @@ def _checks_of(
             continue
         optional = len(words) < len(_alternatives(text)) or parameter.default is None
         shape = shapes.get(name, ("...",))
-        found.append((name, partial(_check, name, shape, optional, takes)))
+        found.append((name, partial(_check, name, shape, optional, takes, kinds_only)))
     return found
 
 
@@ -142,11 +149,19 @@ def _alternatives(text: str) -> list[str]:
 
 
 class _Taker(NamedTuple):
-    """What an alternative of an annotation takes: classes, and their name in messages."""
+    """What an alternative of an annotation takes: classes, or what has attributes."""
 
     kinds: tuple[type, ...]
     what: str
     numbers: bool = False
+    attributes: tuple[str, ...] = ()
+
+    def fits(self, value: Any) -> bool:
+        """Whether a value is of a class, or has what a protocol asks for."""
+        has = self.attributes and all(
+            hasattr(type(value), name) or hasattr(value, name) for name in self.attributes
+        )
+        return isinstance(value, self.kinds) or bool(has)
 
 
 def _taker(word: str, named: Mapping[str, Any]) -> _Taker | None:
@@ -158,26 +173,56 @@ def _taker(word: str, named: Mapping[str, Any]) -> _Taker | None:
     if head in _CONTAINERS:
         arrays = () if head in ("Mapping", "Callable") else (Tensor, np.ndarray)
         return _Taker((*_CONTAINERS[head], *arrays), f"a {head}")
-    thing: Any = named.get(head.partition(".")[0])
+    thing: Any = {**_BUILT_IN, **named}.get(head.partition(".")[0])
     for part in head.split(".")[1:]:
         thing = getattr(thing, part, None)
-    if not inspect.isclass(thing) or getattr(thing, "_is_protocol", False):
+    made_of = get_origin(thing)  # of an alias, such as Array
+    if head == "Literal" or made_of is Literal:
+        return _Taker((str, int, bool), "one of the words that are told")
+    if made_of is Union or made_of is UnionType:
+        thing, made_of = None, [get_origin(part) or part for part in get_args(thing)]
+        if tuple in made_of:
+            made_of.append(list)
+    kinds = made_of if isinstance(made_of, list) else [made_of or thing]
+    if not all(map(inspect.isclass, kinds)) or any(
+        k is Any or hasattr(k, "__set__") for k in kinds
+    ):
         return None
-    return _Taker((thing,), f"a {head}")
+    if getattr(thing, "_is_protocol", False):
+        above = [kind for kind in thing.__mro__ if getattr(kind, "_is_protocol", False)]
+        names = {n for kind in above for n in (*vars(kind), *vars(kind).get("__annotations__", ()))}
+        public = tuple(sorted(n for n in names if n[0] != "_" or n == "__call__"))
+        return _Taker((), f"a {head}", attributes=public) if public else None
+    if kinds == [np.ndarray]:
+        return _Taker((np.ndarray,), "an array")
+    words = [head] if thing is not None else [k.__name__ for k in kinds if k is not type(None)]
+    said = (f"{'an' if word[0] in 'AEIOU' else 'a'} {word}" for word in words)
+    return _Taker(tuple(kinds), " or ".join(said).replace("a Tensor", "a torch.Tensor"))
 
 
-def _check(name: str, shape: Shape, optional: bool, takes: Sequence[_Taker], value: Any) -> None:
+def _check(
+    name: str,
+    shape: Shape,
+    optional: bool,
+    takes: Sequence[_Taker],
+    kinds_only: bool,
+    value: Any,
+) -> None:
     if value is None and optional:
         return
-    number = getattr(value, "ndim", None) == 0 and any(t.kinds[0] is float for t in takes)
+    number = getattr(value, "ndim", None) == 0 and any(float in t.kinds[:1] for t in takes)
     is_text = isinstance(value, str) and not any(str in t.kinds for t in takes)
     is_flag = isinstance(value, bool) and not any(bool in t.kinds for t in takes)
-    fits = any(isinstance(value, t.kinds) for t in takes) and not is_text and not is_flag
+    fits = any(t.fits(value) for t in takes) and not is_text and not is_flag
+    is_row = not kinds_only and isinstance(value, (list, tuple))
+    fits = fits or (is_row and any(np.ndarray in t.kinds for t in takes))
     if not (number or fits):
         if len(takes) == 1 and takes[0].kinds == (Tensor,):
             require(name, value, shape)
         wanted = " or ".join(dict.fromkeys(t.what for t in takes))
         raise TypeError(f"{name} must be {wanted}, got {type(value).__name__} {value!r:.40}")
+    if kinds_only:
+        return
     if isinstance(value, Tensor):
         whole = not value.is_floating_point() and not value.is_complex()
         require(name, value, shape, value.dtype if whole else torch.float64)
@@ -185,5 +230,5 @@ def _check(name: str, shape: Shape, optional: bool, takes: Sequence[_Taker], val
             raise ValueError(f"{name} must be at most {LARGEST:g}, where squares are numbers")
     elif any(t.numbers for t in takes):
         as_array(name, value)
-    elif isinstance(value, float) and math.isnan(value):
+    elif isinstance(value, (float, np.floating)) and math.isnan(value):
         raise ValueError(f"{name} must be a number, got nan")

@@ -12,7 +12,8 @@ from typing import Any
 import yaml
 
 MAX_BYTES = 20_000_000
-MAX_NODES = 1_000_000  # keys, values and lists, aliases counted as what they stand for
+MAX_LETTERS = 5_000_000  # 4 CPU s, where all is short words
+MAX_NODES = 200_000  # 3 CPU s; keys, values and lists, aliases counted as what they stand for
 MAX_DEPTH = 50  # lists and mappings inside of each other
 
 
@@ -125,6 +126,8 @@ def read_text(path: str | Path, max_bytes: int = MAX_BYTES) -> str:
 
 def compose_yaml(text: str, source: str | Path) -> yaml.Node | None:
     """The tree of nodes with their lines, bounded as in ``load_yaml``; None of an empty text."""
+    if len(text) > MAX_LETTERS:
+        raise ValueError(f"{source}: must have at most {MAX_LETTERS:,} letters, got {len(text):,}")
     try:
         loader = _Loader(text)
         try:

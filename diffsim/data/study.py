@@ -10,6 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.data.fault_keys import FaultKeys
 
 USES = ("fit", "select", "test")
@@ -18,6 +19,7 @@ USES = ("fit", "select", "test")
 TIMELESS = "_timeless"  # fact of runs whose samples have no order, made by a system
 
 
+@checked
 @dataclass(frozen=True)
 class Channel:
     """One measured quantity with its unit and noise.
@@ -46,6 +48,7 @@ class Channel:
     upper: float | None = None
 
 
+@checked
 @dataclass(frozen=True)
 class Command:
     """What is known of a command beyond its samples.
@@ -85,6 +88,7 @@ class Column:
     header: str
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class Run:
     """One execution of a command, with the samples that were measured.
@@ -117,6 +121,7 @@ class Run:
     files: tuple[str, ...] = ()
     raw: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
 
+    @checked
     def part(self, keep: slice | NDArray[Any]) -> Run:
         """Some of the samples.
 
@@ -125,6 +130,7 @@ class Run:
         """
         return self.mapped(lambda values: values[keep])
 
+    @checked
     def mapped(self, change: Callable[[Array], Array]) -> Run:
         """The run with all of its samples changed.
 
@@ -141,6 +147,7 @@ class Run:
         )
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class Study:
     """Recorded runs with what is known about them.
@@ -205,6 +212,7 @@ class Study:
         """The study as a diagnosis may see it before its answer is frozen."""
         return replace(self, runs=tuple(r for r in self.runs if r.use != "test"))
 
+    @checked
     def runs_for(self, use: str) -> tuple[Run, ...]:
         """Runs of one use, by order."""
         return tuple(sorted((r for r in self.runs if r.use == use), key=lambda r: r.order))

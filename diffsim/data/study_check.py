@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.check import LARGEST
+from diffsim.core.checked import checked
 from diffsim.core.units import factor, to_si
 from diffsim.data.record import record_findings
 from diffsim.data.shared_rows import SHARED_BITS, bits_of, shared_stretches
@@ -39,6 +40,7 @@ MAX_SCATTER = 4.0  # times the stated sd and that of other runs: at most 2.7 in 
 MAX_COMMAND_SCATTER = 0.02  # rms, of the command's range; repeats of one group must agree to this
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Problem:
     """One thing that is wrong with a study.
@@ -60,6 +62,7 @@ class Problem:
         return f"{self.severity}: {self.where}: {self.message}"
 
 
+@checked
 def check_study(study: Study) -> list[Problem]:
     """All problems of a study, errors first; an empty list means that it is fit for a diagnosis."""
     problems = [*_check_plan(study), *_check_channels(study)]

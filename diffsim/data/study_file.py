@@ -34,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
 from diffsim.core.figures import list_first
 from diffsim.core.inside import inside
@@ -66,6 +67,7 @@ _KINDS = {
 }
 
 
+@checked
 def load_study(
     path: str | Path, more_runs: Sequence[Mapping[str, Any]] = (), *, strict: bool = True
 ) -> Study:
@@ -305,6 +307,7 @@ def _has_names(given: Any) -> bool:
     )
 
 
+@checked
 def find_dataset(name: str, data: str | Path | None = None) -> Path | None:
     """Folder of a data set: under ``data``, else DIFFSIM_DATA, else the folders of ``_paths``.
 

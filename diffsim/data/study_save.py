@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from diffsim.core.checked import checked
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_file import STUDY_FILE
@@ -20,6 +21,7 @@ from diffsim.data.study_file import STUDY_FILE
 _FILE_NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]*")
 
 
+@checked
 def save_study(study: Study, folder: str | Path, *, overwrite: bool = False) -> Path:
     """Write ``study.yaml`` and its runs; the folder is there whole or not at all.
 

@@ -24,7 +24,7 @@ from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import did_you_mean
 from diffsim.core.progress import say_stage
 from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
-from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES
+from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES, text_of
 
 Rows = IntArray
 MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
@@ -361,7 +361,7 @@ class Table:
         if self._is_array(name):
             self.used.add(name)
             return self._arrays[name]
-        return self.numbers(name) if self.is_number[name] else np.array(self.texts(name))
+        return self.numbers(name) if self.is_number[name] else text_of(self.texts(name))
 
     def columns(self) -> Columns:
         """All columns by name, each (num_rows,): numbers, or text."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.threads import one_thread
 from diffsim.core.version import __version__
@@ -84,6 +85,7 @@ Begins = Sequence[Begin]
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
+@checked
 @one_thread
 def diagnose(
     study: Study,

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.core.plugins import ENVIRONMENTS, find_plugins, load_plugin
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.envs.env import TaskEnv
@@ -148,6 +149,7 @@ def _find_named(short: str) -> tuple[type[Task], TaskFile | None]:
     return own, None
 
 
+@checked
 def make_task(name: str | Path, **options: Any) -> Task:
     """A task, to be rolled out differentiably.
 
@@ -188,6 +190,7 @@ def make_env(
     return TaskEnv(task, render_mode=render_mode, sensor_noise=sensor_noise)
 
 
+@checked
 def make_vector(
     name: str | Path,
     num_envs: int,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from diffsim.core.arrays import Mask
+from diffsim.core.checked import checked
 from diffsim.envs.vector_env import TaskVectorEnv
 
 
@@ -21,6 +22,7 @@ class Sb3VecEnv(VecEnv):
     ``terminal_observation``, from which stable-baselines3 bootstraps the value.
     """
 
+    @checked
     def __init__(self, env: TaskVectorEnv):
         if env.autoreset_mode != AutoresetMode.SAME_STEP:
             raise ValueError(

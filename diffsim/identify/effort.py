@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from diffsim.core.checked import checked
 from diffsim.identify.jacobian import Jacobian
 
 FIT_RTOL = 3e-4  # where a misfit is large no name explains it, and its last nats do not matter
 FIT_NATS = 0.02  # far below the 3 nats that separate two names
 
 
+@checked
 @dataclass(frozen=True)
 class SearchSettings:
     """Effort of the search over sets of effects.
@@ -50,6 +52,7 @@ class SearchSettings:
     unknown_steps: int = 3
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisSettings:
     """Effort of a diagnosis; thresholds of the verdict are constants in ``diagnose``.

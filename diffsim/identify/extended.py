@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import Parameter, Scene, SimModel
@@ -112,6 +113,7 @@ class ExtendedModel(SimModel):
         return ExtendedModel(inner, self.effects, self.base, self.refined)
 
 
+@checked
 def extended_model(fit: Fit) -> ExtendedModel:
     """The fitted model and its effects as one model.
 

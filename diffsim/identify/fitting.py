@@ -15,6 +15,7 @@ from torch import Tensor
 from diffsim import optim
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Aside
 from diffsim.core.record import Ended, Solve, announce, is_recording
@@ -33,6 +34,7 @@ METHODS = ("gauss_newton", "lbfgs")
 QR_ROWS = 2048  # rows factored at a time: of a hundred columns, what an L2 cache holds
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The most probable parameters and what is known of them.
@@ -102,6 +104,7 @@ class Fit:
         return posterior_covariance(self.jacobian)
 
 
+@checked
 def fit(
     model: SimModel,
     runs: Sequence[Run],

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 
 PredictMany = Callable[[Sequence[Tensor]], Tensor]  # K points -> (K, ...)
 METHODS = ("auto", "differences", "forward_mode")
@@ -50,6 +51,7 @@ class Stencil:
 Tangents = Callable[[Mapping[int, Stencil]], "tuple[Array, Array] | None"]
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Jacobian:
     """Method and step of the derivatives of a prediction.

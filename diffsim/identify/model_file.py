@@ -33,6 +33,7 @@ import yaml
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.core.files import to_plain, write_text_atomic
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.study import Study
@@ -141,6 +142,7 @@ class SavedModel:
         return replace(study, frame=self.frame)
 
 
+@checked
 def save_extended(
     fit: Fit,
     path: str | Path,

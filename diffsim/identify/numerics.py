@@ -7,10 +7,12 @@ from typing import Any, NoReturn
 
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Numerics:
     """Factors on the model's own settings.
@@ -42,6 +44,7 @@ REFINEMENTS = {
 """What the numerics gate refines, one setting at a time."""
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NumericalEffect(Effect):
     """S + phi (S(refined) - S): phi near 1 says that the setting is too coarse.
@@ -56,6 +59,7 @@ class NumericalEffect(Effect):
     refined: Numerics
 
 
+@checked
 def coarse(setting: str, refined: Numerics) -> NumericalEffect:
     """The candidate "coarse_SETTING".
 

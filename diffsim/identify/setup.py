@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
@@ -17,6 +18,7 @@ from diffsim.identify.problem import Problem
 from diffsim.identify.unknown import Unknown
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class DiagnosisSetup:
     """Model, candidate causes and options that ``diagnose`` takes beside the study.

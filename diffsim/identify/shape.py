@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
+from diffsim.core.checked import checked
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovingShape:
     """Surface of a body or vehicle at the sample times of a run.
@@ -26,6 +28,7 @@ class MovingShape:
     closed: bool = False
 
     @classmethod
+    @checked
     def of_balls(cls, places_m: Array, radii_m: Array) -> MovingShape:
         """Balls, which look the same however they are turned.
 

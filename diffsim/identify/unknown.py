@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.identify.effect import Effect
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model import has_tangents
@@ -73,6 +74,7 @@ class UnknownForce(Unknown):
         most_knots: Largest number of them.
     """
 
+    @checked
     def __init__(
         self,
         effect: Effect,
@@ -133,6 +135,7 @@ class UnknownDrift(Unknown):
         num_knots: Largest number of knots in time, over the longest run.
     """
 
+    @checked
     def __init__(self, channel: int, name: str, knots_per_s: float = 5.0, num_knots: int = 30):
         self.channel, self.name = channel, name
         self.knots_per_s, self.num_knots = knots_per_s, num_knots
@@ -189,6 +192,7 @@ class UnknownLaw(Unknown):
         return problem.whiten_all(self.mix(slopes))
 
 
+@checked
 def smooth_covariance(knots: Array, length: float) -> Array:
     """(m, m) squared-exponential covariance of values at ``knots``."""
     return np.exp(-0.5 * ((knots[:, None] - knots[None, :]) / length) ** 2)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.memo import Memo
 from diffsim.data.study import Channel, Run
 
@@ -48,6 +49,7 @@ class WhiteNoise:
         channels: Channels with a known noise ``sd`` each.
     """
 
+    @checked
     def __init__(self, channels: Sequence[Channel]):
         missing = [c.name for c in channels if c.sd is None]
         if missing:

@@ -21,6 +21,7 @@ from torch.func import functional_call, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.envs.rollout import Controller, rollout_task
 from diffsim.envs.task import Task
 from diffsim.learn.open_loop import make_open_loop
@@ -28,6 +29,7 @@ from diffsim.learn.run import Update, rng_state, set_rng_state
 from diffsim.learn.setup import Setup, broke_down
 
 
+@checked
 @dataclass(frozen=True)
 class CmaOptions:
     """Options of ``CmaLearner``.
@@ -53,6 +55,7 @@ class CmaLearner:
         options: Options of the method.
     """
 
+    @checked
     def __init__(self, setup: Setup, options: CmaOptions | None = None):
         self.options = options or CmaOptions()
         self.task: Task = setup.require_new().make_task()

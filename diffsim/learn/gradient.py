@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.control import MLPController
+from diffsim.core.checked import checked
 from diffsim.envs.rollout import rollout_task
 from diffsim.envs.task import Task, TaskState
 from diffsim.learn.adam import Adam
@@ -19,6 +20,7 @@ from diffsim.learn.run import Update, rng_state, set_rng_state
 from diffsim.learn.setup import Setup, broke_down
 
 
+@checked
 @dataclass(frozen=True)
 class GradientOptions:
     """Options of ``GradientLearner``.
@@ -96,6 +98,7 @@ class GradientLearner:
         options: Options of the method.
     """
 
+    @checked
     def __init__(self, setup: Setup, options: GradientOptions | None = None):
         self.options = options or GradientOptions()
         self.task: Task = setup.make_task()

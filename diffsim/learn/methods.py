@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.learn.gradient import GradientLearner, GradientOptions
 from diffsim.learn.mixed import MixedLearner, MixedOptions
 from diffsim.learn.run import Learner
@@ -17,6 +18,7 @@ Options = Mapping[str, Any]
 METHODS = ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc", "cma")
 
 
+@checked
 def make_learner(method: str, setup: Setup, options: Options) -> Learner:
     """A method ready to train.
 

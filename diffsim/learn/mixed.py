@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from torch.func import functional_call, vjp, vmap
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.envs.rollout import Episode, rollout_task
 from diffsim.envs.task import Task, TaskState
 from diffsim.learn.gradient import GradientLearner, GradientOptions
@@ -33,6 +34,7 @@ from diffsim.learn.setup import Setup, broke_down
 FIXED_WEIGHTS = {"first_order": 1.0, "zeroth_order": 0.0}
 
 
+@checked
 @dataclass(frozen=True)
 class MixedOptions(GradientOptions):
     """Options of ``MixedLearner``; besides those of ``GradientOptions``.
@@ -180,6 +182,7 @@ class MixedLearner(GradientLearner):
 
     options: MixedOptions
 
+    @checked
     def __init__(self, setup: Setup, options: MixedOptions | None = None):
         super().__init__(setup, options or MixedOptions())
 

@@ -17,6 +17,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from diffsim.control import MLPController
+from diffsim.core.checked import checked
 from diffsim.envs.sb3 import Sb3VecEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
@@ -33,6 +34,7 @@ from diffsim.learn.stable_baselines3 import (
 )
 
 
+@checked
 @dataclass(frozen=True)
 class PpoOptions:
     """Options of ``PpoLearner``.
@@ -81,6 +83,7 @@ class PpoLearner:
         options: Options of the method.
     """
 
+    @checked
     def __init__(self, setup: Setup, options: PpoOptions | None = None):
         self.options = o = options or PpoOptions()
         self.task: Task = setup.make_task()

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from diffsim.core.checked import checked
 from diffsim.envs.task_file import is_task_file, read_task_file
 from diffsim.learn.gradient import GradientOptions
 from diffsim.learn.setup import Setup
@@ -20,6 +21,7 @@ from diffsim.learn.setup import Setup
 Options = Mapping[str, Any]
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Recipe:
     """How a task is trained.
@@ -36,6 +38,7 @@ class Recipe:
     budget: Options = field(default_factory=dict)
     gradient: Options = field(default_factory=dict)
 
+    @checked
     def setup_of(self, task: str, *, task_options: Options | None = None, **fields: Any) -> Setup:
         """Set-up of a run by gradient; what is given here goes before the recipe's.
 
@@ -96,6 +99,7 @@ RECIPES: dict[str, Recipe] = {
 }
 
 
+@checked
 def recipe(task: str) -> Recipe:
     """The recipe of a task, by its name or file; an empty one where none was measured.
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import torch
 from torch import nn
 
+from diffsim.core.checked import checked
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 from diffsim.core.optional import ask_for
 from diffsim.core.progress import show_progress
@@ -56,6 +57,7 @@ class Learner(Protocol):
         """Continue from ``state_dict``."""
 
 
+@checked(kinds_only=True)
 @dataclass
 class Run:
     """A run in progress, and its results.
@@ -82,6 +84,7 @@ class Run:
 _COUNTERS = ("steps", "gradient_steps", "updates", "seconds", "wall_seconds", "finished")
 
 
+@checked
 def train(
     setup: Setup, learner: Learner, folder: str | Path, *, resume: bool = False, show: bool = True
 ) -> Run:
@@ -147,6 +150,7 @@ def train(
     return run
 
 
+@checked
 def read_rows(path: str | Path) -> list[Row]:
     """Ratings of a run's folder, or of a file of them; an empty list where there are none.
 

@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from diffsim.control import MLPController
+from diffsim.core.checked import checked
 from diffsim.envs.sb3 import Sb3VecEnv
 from diffsim.envs.task import Task
 from diffsim.envs.vector_env import TaskVectorEnv
@@ -33,6 +34,7 @@ from diffsim.learn.stable_baselines3 import (
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
+@checked
 @dataclass(frozen=True)
 class SacOptions:
     """Options of ``SacLearner``.
@@ -73,6 +75,7 @@ class SacLearner:
     algorithm: type[Any] = SAC
     options: SacOptions
 
+    @checked
     def __init__(self, setup: Setup, options: SacOptions | None = None):
         self.options = o = options or self._default_options()
         self.task: Task = setup.make_task()

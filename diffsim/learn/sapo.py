@@ -19,6 +19,7 @@ from torch.nn import functional
 
 from diffsim.control import MLPController
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 from diffsim.envs.task import Task
 from diffsim.learn.adam import Adam
 from diffsim.learn.explorer import Explorer, normal_entropy
@@ -30,6 +31,7 @@ LOG_SPREAD_BOUNDS = (-5.0, 2.0)  # as in the authors' and in usual implementatio
 _SPREAD_SEED = 5_000  # added to the run's: other weights than the controller's and the critics'
 
 
+@checked
 @dataclass(frozen=True)
 class SapoOptions(WindowOptions):
     """Options of ``SapoLearner``: those of ``WindowOptions``, and more; 0 kept: no target critics.
@@ -169,6 +171,7 @@ class SapoLearner(ShortHorizonLearner):
         options: Options of the method.
     """
 
+    @checked
     def __init__(self, setup: Setup, options: SapoOptions | None = None):
         o = options or SapoOptions()
         seed = setup.seed + _SPREAD_SEED

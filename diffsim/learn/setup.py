@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.control import MLPController
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.envs.registry import make_task
 from diffsim.envs.rollout import Controller, rollout_task
@@ -24,6 +25,7 @@ EVALUATION_SEED = 20_000  # of the starts that rate controllers; no run trains w
 WARM_UP_ENVS, WARM_UP_HOLD = 8, 5
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Setup:
     """One training run, whatever the method.
@@ -80,6 +82,7 @@ class Setup:
         """What folders of results call the task."""
         return task_label(self.task)
 
+    @checked
     def first_controller(self, task: Task) -> MLPController:
         """The controller that every method starts from; ``task`` is what ``make_task`` made."""
         if self.start:

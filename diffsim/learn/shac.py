@@ -10,11 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from diffsim.control import MLPController
+from diffsim.core.checked import checked
 from diffsim.learn.explorer import Explorer, normal_entropy
 from diffsim.learn.setup import Setup
 from diffsim.learn.short_horizon import ShortHorizonLearner, WindowOptions
 
 
+@checked
 @dataclass(frozen=True)
 class ShacOptions(WindowOptions):
     """Options of ``ShacLearner``: those of ``WindowOptions``."""
@@ -51,6 +53,7 @@ class ShacLearner(ShortHorizonLearner):
         options: Options of the method.
     """
 
+    @checked
     def __init__(self, setup: Setup, options: ShacOptions | None = None):
         o = options or ShacOptions()
         super().__init__(setup, o, lambda task: FixedSpread(task.num_actions, o.exploration), 1)

@@ -11,10 +11,12 @@ from typing import Any
 
 from sb3_contrib import TQC
 
+from diffsim.core.checked import checked
 from diffsim.learn.sac import SacLearner, SacOptions
 from diffsim.learn.setup import Setup
 
 
+@checked
 @dataclass(frozen=True)
 class TqcOptions(SacOptions):
     """Options of ``TqcLearner``: those of SAC, and one of its own.
@@ -37,6 +39,7 @@ class TqcLearner(SacLearner):
     algorithm: type[Any] = TQC
     options: TqcOptions
 
+    @checked
     def __init__(self, setup: Setup, options: TqcOptions | None = None):
         super().__init__(setup, options)
 

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from diffsim.control import MLPController
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.files import to_plain, write_bytes_atomic
 from diffsim.envs.registry import make_task
 from diffsim.envs.task import Task, TaskState
@@ -31,6 +32,7 @@ from diffsim.learn.setup import EVALUATION_SEED
 _WHOLE = ("normalizer.count",)
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Trained:
     """A controller with the task that it was trained for.
@@ -59,6 +61,7 @@ class Trained:
         """What folders of results call the task."""
         return task_label(self.task)
 
+    @checked
     def make_task(self, *, changed: bool = False) -> Task:
         """The task.
 
@@ -76,6 +79,7 @@ class Trained:
             require_unchanged(name, self.task_file, "the controller")
         return make_task(name, **dict(self.task_options))
 
+    @checked
     def controller(self, task: Task) -> MLPController:
         """The network, for the task that ``make_task`` made.
 
@@ -124,6 +128,7 @@ def replay(trained: Trained, task: Task) -> Replay:
     return Replay(states, torch.stack(commands), torch.stack(rewards))
 
 
+@checked
 def load_trained(name: str) -> Trained:
     """A controller that comes with the package.
 
@@ -136,6 +141,7 @@ def load_trained(name: str) -> Trained:
     return read_trained(FOLDER / f"{require_choice('controller', name, trained_names())}.npz")
 
 
+@checked
 def read_trained(path: str | Path) -> Trained:
     """A controller from a file that ``write_trained`` wrote.
 

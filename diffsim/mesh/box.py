@@ -10,6 +10,7 @@ import torch
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_counts, require_numbers
+from diffsim.core.checked import checked
 from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import HEX_CORNERS
 
@@ -38,6 +39,7 @@ def hex_box(
     return HexMesh(torch.from_numpy(x), torch.from_numpy(hexes))
 
 
+@checked
 def tet_box(
     cells: Sequence[int] = (4, 4, 4),
     size: Sequence[float] = (1.0, 1.0, 1.0),

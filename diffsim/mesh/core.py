@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import IntArray
 from diffsim.core.check import require, require_constant
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.module import loadable
 from diffsim.core.numbers import values_of
@@ -77,6 +78,7 @@ class Mesh:
         keys = torch.unique(pairs[:, 0] * self.num_nodes + pairs[:, 1])
         return torch.stack([keys // self.num_nodes, keys % self.num_nodes], dim=1)
 
+    @checked
     def nodes_where(self, predicate: Callable[[Tensor], Tensor]) -> Tensor:
         """Indices of the nodes at which ``predicate(x_rest)`` holds.
 
@@ -98,6 +100,7 @@ class Mesh:
             raise MeshError(f"no node satisfies the predicate; the mesh spans {self._span()}")
         return nodes
 
+    @checked
     def nodes_near_plane(self, axis: int | str, value: float, tol: float | None = None) -> Tensor:
         """Indices of the nodes with ``|x[axis] - value| <= tol``.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
+from diffsim.core.checked import checked
 from diffsim.mesh.closed_surface import SurfaceLike, closed_surface
 
 if TYPE_CHECKING:
@@ -43,11 +44,13 @@ class Nearest(NamedTuple):
 class SurfaceDistance:
     """Callable (N, 3) -> (N,) [m], negative inside a closed surface."""
 
+    @checked
     def __init__(self, surface: SurfaceLike):
         """Take a watertight trimesh or the path of a surface file."""
         self._prepare(*closed_surface(surface))
 
     @classmethod
+    @checked
     def of_triangles(cls, x: Array, faces: IntArray) -> SurfaceDistance:
         """Distance to triangles (F, 3) of vertices (V, 3) [m], known to be closed and outwards."""
         made = cls.__new__(cls)
@@ -73,11 +76,13 @@ class SurfaceDistance:
         self._reach = float(np.linalg.norm(pieces - centers[:, None], axis=2).max())
         return cKDTree(centers)
 
+    @checked
     def __call__(self, points: Array) -> Array:
         """Signed distance of points, (N, 3) [m] -> (N,) [m]."""
         near = self.nearest(points)
         return near.sign * near.distance
 
+    @checked
     def nearest(self, points: Array) -> Nearest:
         """The closest feature of the surface for points (N, 3) [m]."""
         points = np.asarray(points, np.float64)

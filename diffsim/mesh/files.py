@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_number
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.files import replacing
 from diffsim.core.numbers import to_numpy
@@ -38,6 +39,7 @@ VOLUME_FORMATS = MESHIO_FORMATS
 SURFACE_FORMATS = (".stl", ".obj", ".ply", ".off", ".glb")
 
 
+@checked
 def load(path: str | Path, scale: float = 1.0) -> HexMesh | TetMesh:
     """Read a volume mesh; nodes that no element uses are dropped.
 
@@ -71,6 +73,7 @@ def mesh_of(path: Path, x: Tensor, elements: Tensor) -> HexMesh | TetMesh:
         ) from error
 
 
+@checked
 def load_arrays(path: str | Path, scale: float = 1.0) -> tuple[Tensor, Tensor]:
     """Positions (V, 3) float64 [m] and elements (E, 8) or (E, 4) int64 of a file, unchecked."""
     content = read_volume(Path(path), scale)
@@ -98,6 +101,7 @@ def read_volume(path: Path, scale: float) -> VolumeFile:
     return replace(content, x=np.ascontiguousarray(content.x * scale))
 
 
+@checked
 def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     """Read a triangle surface (.stl, .obj, .ply, .off, .glb); several bodies become one mesh.
 

@@ -14,6 +14,7 @@ import torch
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.optional import optional
 from diffsim.core.record import warn
@@ -31,6 +32,7 @@ VOLUME_ERROR = 0.01  # of a mesh, above which it is said: mass and stiffness fol
 FINEST = 1e-4  # spacing over the diagonal: some 1e12 elements, more than a memory holds
 
 
+@checked
 def voxelize(surface: SurfaceLike, spacing: float, keep: str | None = None) -> HexMesh:
     """Cubes whose center lies inside a closed surface.
 
@@ -54,6 +56,7 @@ def voxelize(surface: SurfaceLike, spacing: float, keep: str | None = None) -> H
     return _warn_of_volume(hex_from_mask(inside, low, spacing, keep), x, faces)
 
 
+@checked
 def tetrahedralize(
     surface: SurfaceLike,
     spacing: float,

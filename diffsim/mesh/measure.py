@@ -57,6 +57,7 @@ class Range:
         return Range(low, float(values.mean()), high, tuple(counts.tolist()), tuple(edges.tolist()))
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Quality:
     """Quality of a mesh; ``str()`` prints a table.

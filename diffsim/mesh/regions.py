@@ -50,6 +50,7 @@ class RegionMesh:
             raise ValueError(f"region must hold indices of names in [-1, {len(self.names)})")
         object.__setattr__(self, "region", region)
 
+    @checked
     def elements(self, name: str) -> Tensor:
         """Indices of a region's elements, ascending, (num_selected,) int64.
 
@@ -90,6 +91,7 @@ class RegionMesh:
         return torch.stack([*table, rest])[self.region]  # -1 is the last: the default
 
 
+@checked
 def load_regions(path: str | Path, scale: float = 1.0, key: str | None = None) -> RegionMesh:
     """Read a volume mesh and its regions of material.
 

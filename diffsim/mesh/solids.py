@@ -10,6 +10,7 @@ import torch
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_number, require_numbers
+from diffsim.core.checked import checked
 from diffsim.mesh import sdf
 from diffsim.mesh.box import box_arrays
 from diffsim.mesh.core import HexMesh, TetMesh
@@ -27,6 +28,7 @@ _ROUND = 0.6
 """How round the core is: 0 a cube, 1 a ball."""
 
 
+@checked
 def hex_sphere(radius: float, spacing: float, center: Center = (0.0, 0.0, 0.0)) -> HexMesh:
     """A ball: a rounded cube of hexahedra within layers that end on the sphere.
 
@@ -54,6 +56,7 @@ def hex_sphere(radius: float, spacing: float, center: Center = (0.0, 0.0, 0.0)) 
     return _hex(np.concatenate(parts) * radius, np.concatenate(elements), center)
 
 
+@checked
 def hex_cylinder(
     radius: float, height: float, spacing: float, center: Center = (0.0, 0.0, 0.0)
 ) -> HexMesh:
@@ -69,6 +72,7 @@ def hex_cylinder(
     return _hex(x.reshape(-1, 3), _sweep(quads, len(uv), count, closed=False), center)
 
 
+@checked
 def hex_torus(
     major_radius: float, minor_radius: float, spacing: float, center: Center = (0.0, 0.0, 0.0)
 ) -> HexMesh:
@@ -93,12 +97,14 @@ def hex_torus(
     return _hex(x.reshape(-1, 3), _sweep(quads, len(uv), count, closed=True), center)
 
 
+@checked
 def tet_sphere(radius: float, spacing: float, center: Center = (0.0, 0.0, 0.0)) -> TetMesh:
     """A ball of tetrahedra; nodes of the surface lie on the sphere (see `tet_from_sdf`)."""
     shape = sdf.sphere(radius, center)
     return tet_from_sdf(shape, _around(center, [radius] * 3), spacing)
 
 
+@checked
 def tet_cylinder(
     radius: float, height: float, spacing: float, center: Center = (0.0, 0.0, 0.0)
 ) -> TetMesh:
@@ -107,6 +113,7 @@ def tet_cylinder(
     return tet_from_sdf(shape, _around(center, [radius, radius, 0.5 * height]), spacing)
 
 
+@checked
 def tet_torus(
     major_radius: float, minor_radius: float, spacing: float, center: Center = (0.0, 0.0, 0.0)
 ) -> TetMesh:

@@ -18,6 +18,7 @@ import torch
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.mesh.box import grid_hexes
 from diffsim.mesh.core import TetMesh
@@ -32,6 +33,7 @@ ALPHA_LONG, ALPHA_SHORT = 0.24999, 0.41189
 _INSIDE, _ON, _OUTSIDE = -1, 0, 1
 
 
+@checked
 def tet_from_sdf(
     sdf: Callable[[Any], Any],
     bounds: Sequence[Sequence[float]],

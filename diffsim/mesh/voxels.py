@@ -10,6 +10,7 @@ import torch
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.mesh.box import grid_hexes
 from diffsim.mesh.core import HexMesh
@@ -20,6 +21,7 @@ _CHUNK = 1 << 20
 LONG = 10.0  # [m], of a body: longer ones are asked for their unit
 
 
+@checked
 def hex_from_sdf(
     sdf: Callable[[Any], Any],
     bounds: Sequence[Sequence[float]],

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 
 
 class Sample(NamedTuple):
@@ -31,6 +32,7 @@ Objective = Callable[[Array], Sample | tuple[float, Array]]
 ValueOnly = Callable[[Array], Sample | tuple[float, Array] | float]
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Evaluation:
     """An objective evaluated at one point.
@@ -54,6 +56,7 @@ class Evaluation:
     notes: Mapping[str, Any] = field(default_factory=dict)
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Progress:
     """State of a search after an evaluation, which callbacks receive.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.files import append_atomic, to_plain, write_bytes_atomic
 from diffsim.optim.evaluation import Evaluation
 
@@ -37,6 +38,7 @@ class Log:
             no log at all, or a line in its midst is damaged.
     """
 
+    @checked
     def __init__(self, path: str | Path | None = None, settings: Mapping[str, Any] | None = None):
         self.path = None if path is None else Path(path)
         self.settings: dict[str, Any] = json.loads(json.dumps(to_plain(dict(settings or {}))))

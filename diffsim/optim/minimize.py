@@ -9,6 +9,7 @@ import numpy as np
 from scipy import optimize
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.numbers import to_numpy
 from diffsim.core.values import as_array
 from diffsim.optim.evaluation import (
@@ -28,6 +29,7 @@ Bounds = tuple[Array, Array]
 _SCIPY_ENDED: dict[int, Ended] = {0: "converged", 1: "budget", 2: "failed"}
 
 
+@checked
 def minimize(
     objective: Objective,
     start: Array,

@@ -11,6 +11,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.runs import run_each
 from diffsim.optim.evaluation import (
@@ -29,6 +30,7 @@ from diffsim.optim.options import Options, Wall
 from diffsim.optim.result import Result
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MultiStart:
     """Result of a search from many starts.
@@ -47,6 +49,7 @@ class MultiStart:
         return min(self.descents, key=lambda r: r.value)
 
 
+@checked
 def uniform_points(bounds: Bounds, count: int, seed: int = 0) -> Array:
     """Random points between finite bounds, (count, n); more of them begin with the same ones."""
     lower, upper = (np.array(b, dtype=np.float64) for b in bounds)
@@ -56,6 +59,7 @@ def uniform_points(bounds: Bounds, count: int, seed: int = 0) -> Array:
     return np.clip(lower + share * (upper - lower), lower, upper)
 
 
+@checked
 def screen(
     value: ValueOnly,
     points: Iterable[Array],
@@ -123,6 +127,7 @@ def _try_point(value: ValueOnly, caught: tuple[type[Exception], ...], x: Array) 
         return failed(x, error)
 
 
+@checked
 def multi_start(
     objective: Objective,
     bounds: Bounds,

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from diffsim.core.checked import checked
 from diffsim.core.progress import show_progress
 from diffsim.optim.evaluation import Callback, Progress
 
 
+@checked
 @contextmanager
 def progress_bar(
     label: str, total: int | None, *, unit: float = 1.0, show: bool = True, leave: bool = True

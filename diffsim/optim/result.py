@@ -9,12 +9,14 @@ from typing import Literal
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.record import Solve
 from diffsim.optim.evaluation import Evaluation
 
 Ended = Literal["converged", "budget", "callback", "failed"]
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result:
     """Result of a search.

@@ -28,6 +28,7 @@ from torch import Tensor
 from diffsim import optim
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.expression import parse_expression
 from diffsim.core.schema import FinitePart, read_part
@@ -90,6 +91,7 @@ class Tracking(FinitePart):
     )
 
     @classmethod
+    @checked
     def read(cls, path: str | Path) -> Tracking:
         """Read a task from YAML.
 
@@ -103,6 +105,7 @@ class Tracking(FinitePart):
         """Sample times, (num_samples,) [s]."""
         return self.every * np.arange(round(self.seconds / self.every) + 1.0)
 
+    @checked
     def for_study(self, study: Study) -> TrackingTask:
         """The task with the study's channels and limits of commands.
 
@@ -157,6 +160,7 @@ class TrackingTask:
         """Numbers that are sought."""
         return self.given.knots * len(self.bounds)
 
+    @checked
     def commands(self, knots: Tensor) -> dict[str, Tensor]:
         """Commands by name, (num_samples,) each, from knots within 0 and 1, (num_knots,).
 
@@ -172,14 +176,17 @@ class TrackingTask:
             for (name, b), share in zip(self.bounds.items(), shares, strict=True)
         }
 
+    @checked
     def misses(self, channels: Tensor) -> Tensor:
         """Weighted misses, (..., num_samples, num_channels): their squares add up to a mean."""
         return self.weights * (channels - self.courses)
 
+    @checked
     def score(self, channels: Tensor) -> Tensor:
         """Root mean square of the misses, in units of ``miss``, (...)."""
         return self.misses(channels).square().sum((-2, -1)).sqrt()
 
+    @checked
     def calm(self, knots: Tensor) -> Tensor:
         """Changes from knot to knot, weighted so that the sum of their squares is the price."""
         steps = knots.reshape(len(self.bounds), -1).diff(dim=-1)
@@ -206,6 +213,7 @@ def _lines(num_knots: int, num_samples: int) -> Array:
     return np.stack([np.interp(place, knots, hat) for hat in np.eye(num_knots)], axis=1)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class BestCommand:
     """Commands that a model finds best.
@@ -221,6 +229,7 @@ class BestCommand:
     num_evaluations: int
 
 
+@checked
 def best_command(
     twin: Twin,
     task: TrackingTask,

@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 
 import torch
 
+from diffsim.core.checked import checked
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.sim_to_real.tracking import EVALUATIONS, TrackingTask, best_command
 from diffsim.systems.twin import Twin
@@ -19,6 +20,7 @@ MISS = "miss"  # root mean square, in units of ``miss``
 Found = TypeVar("Found")
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Worth:
     """A task's optimum, a cause mended in part.
@@ -104,6 +106,7 @@ class TaskByShare(Generic[Found]):
         )
 
 
+@checked
 def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> tuple[Worth, ...]:
     """What each cause costs a task, and all causes together where there are several.
 

@@ -73,6 +73,7 @@ class PressureChamber:
         object.__setattr__(self, "lids", _lids(faces))
 
     @classmethod
+    @checked
     def from_cavity(cls, mesh: HexMesh | TetMesh, index: int = 0) -> PressureChamber:
         """The chamber that fills an inner void of a mesh.
 
@@ -80,8 +81,6 @@ class PressureChamber:
             mesh: The body's mesh.
             index: Which void, 0 the largest (see :func:`diffsim.mesh.cavities`).
         """
-        if isinstance(index, bool) or not isinstance(index, int):
-            raise TypeError(f"index must be an int, got {type(index).__name__}")
         found = cavities(mesh)
         if not 0 <= index < len(found):
             raise ValueError(

@@ -9,11 +9,13 @@ from typing import Any
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number, require_threads
+from diffsim.core.checked import checked
 from diffsim.soft import _ops_step
 from diffsim.soft._context import MULTIGRID_METHODS, PRECONDITIONERS
 from diffsim.soft.parameters import Value
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Damping:
     """Rayleigh damping: force -(alpha M + beta K) v.
@@ -28,6 +30,7 @@ class Damping:
     rayleigh_beta: Value = 0.0
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Masses:
     """Masses of nodes besides that of the solid.

@@ -331,6 +331,9 @@ def _require_fields(physics: Physics, sizes: Mapping[str, int]) -> None:
     for name, limits in _LIMITS.items():
         if (value := getattr(physics, name)) is not None:
             _range(f"physics.{name}", value, **limits)
+    two_mu, lame_lambda = small_strain_moduli(physics.material, physics.weights)
+    for modulus, which in ((two_mu, "shear"), (two_mu / 3.0 + lame_lambda, "bulk")):
+        _range("physics.weights", modulus, at_least=0.0, hint=f"else the {which} modulus is < 0")
     of_shape = {
         "x_rest": (sizes["num_nodes"], 3),
         "tables": (sizes["num_tables"],),

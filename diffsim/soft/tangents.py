@@ -33,6 +33,7 @@ Moving = Tensor | Callable[[int, State, State], Tensor] | None
 _ONE_WAY = "tangents are computed without a graph; or call under torch.no_grad()"
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, kw_only=True)
 class Directions:
     """K directions in the inputs of a rollout; None: nothing moves.

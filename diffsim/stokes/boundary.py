@@ -18,6 +18,7 @@ WALL_KINDS = ("no_slip", "no_separation")
 """Of the embedded wall."""
 
 
+@checked
 @dataclass(frozen=True)
 class Wall:
     """A face at rest.

@@ -174,6 +174,7 @@ class StokesFlow(Float64Module):
             solve=self._solve_of(inputs.phi, outputs.stats),
         ).with_imbalance()
 
+    @checked
     def inlet_positions(self, name: str | None = None) -> Tensor:
         """Positions of an inlet's nodes, (num_inlet_nodes, dim) [m], in the order of its values."""
         if name is None:

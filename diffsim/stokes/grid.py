@@ -105,12 +105,14 @@ class Grid:
         """Names of the box's faces: "x-", "x+", "y-", ..."""
         return tuple(axis + side for axis in AXES[: self.dim] for side in "-+")
 
+    @checked
     def face_nodes(self, face: str) -> Tensor:
         """Flat indices of the nodes on a face of the box, int64, ascending."""
         axis, side = self.face_axis(face)
         index = torch.arange(self.num_nodes).reshape(self.node_shape)
         return index.select(axis, 0 if side == 0 else self.shape[axis]).flatten()
 
+    @checked
     def face_axis(self, face: str) -> tuple[int, int]:
         """Axis of a face, and 0 for its low or 1 for its high side."""
         if face not in self.faces:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from diffsim.causes.law_port import PortLaws
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.plugins import SYSTEMS, find_plugins, load_plugin
 from diffsim.core.schema import read_part
 from diffsim.data.study import Study
@@ -94,6 +95,7 @@ def description_of(study: Study) -> Description:
     return made
 
 
+@checked
 def setup_of(study: Study) -> DiagnosisSetup:
     """The setup of a study, as its description makes it.
 
@@ -163,6 +165,7 @@ def _with_own_components(effect: Effect, of_all: Effect) -> Effect:
     return replace(of_all, typical=effect.typical) if is_per_run else effect
 
 
+@checked
 def load_extended(
     path: str | Path, study: Study, *, setup: DiagnosisSetup | None = None
 ) -> ExtendedModel:

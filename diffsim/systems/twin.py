@@ -18,6 +18,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.data.study import Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.identify.extended import ExtendedModel
@@ -28,6 +29,7 @@ from diffsim.systems.registry import description_class, known_systems, setup_of
 PLANNED = "planned"  # name of the run that was never recorded
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class Twin:
     """A model of a file, ready for commands that nobody has recorded.
@@ -45,6 +47,7 @@ class Twin:
     model: ExtendedModel
 
     @classmethod
+    @checked
     def read(
         cls,
         path: str | Path | SavedModel,
@@ -108,6 +111,7 @@ class Twin:
         """Names of the causes that are built in."""
         return tuple(e.name for e in self.model.effects)
 
+    @checked
     def simulate(self, commands: Mapping[str, Tensor], at: Tensor | None = None) -> Tensor:
         """What the channels would show.
 
@@ -128,6 +132,7 @@ class Twin:
             return self.model.predict(run, q)
         return torch.stack([self.model.predict(run, one) for one in q])
 
+    @checked
     def draw(self, count: int, rng: np.random.Generator) -> Tensor:
         """Standardized parameters and sizes that the data allow, (count, num_base)."""
         return self.saved.draw_coordinates(self.model.base, count, rng)
@@ -136,6 +141,7 @@ class Twin:
         """The plain model at its own fit to the same runs."""
         return self._of(without_effects(self.saved), self.study, self.run)
 
+    @checked
     def with_share(self, share: float, causes: Collection[str] = ()) -> Twin:
         """A twin in which causes act with a share of their sizes; 0: mended.
 

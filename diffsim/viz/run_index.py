@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
+import time
 from collections.abc import Sequence
 from datetime import datetime
 from functools import partial
@@ -132,6 +134,24 @@ class _Server(ThreadingHTTPServer):
             print(f"a page could not be shown: {type(error).__name__}: {error}", file=sys.stderr)
 
 
+class _Asked(io.RawIOBase):
+    """What a client sends, until a moment: a letter a second would hold a thread for ever."""
+
+    def __init__(self, connection: Any, until: float):
+        super().__init__()
+        self._connection, self._until = connection, until
+
+    def readable(self) -> bool:
+        """It is."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """As of a file; TimeoutError after the moment."""
+        self._connection.settimeout(max(self._until - time.monotonic(), 1e-3))
+        count: int = self._connection.recv_into(buffer)
+        return count
+
+
 class _Handler(SimpleHTTPRequestHandler):
     """Files below the folder, nothing else: no listing, no link that leads out of it."""
 
@@ -141,6 +161,17 @@ class _Handler(SimpleHTTPRequestHandler):
     def __init__(self, *args: Any, root: Path, viewer: str | None, **kwargs: Any):
         self._root, self._viewer = root, viewer
         super().__init__(*args, directory=str(root), **kwargs)
+
+    def setup(self) -> None:
+        """All of a request comes within the time that an answer may wait."""
+        super().setup()
+        self.rfile = io.BufferedReader(_Asked(self.connection, time.monotonic() + self.timeout))
+
+    def parse_request(self) -> bool:
+        """As above; the answer has its own time."""
+        is_good = super().parse_request()
+        self.connection.settimeout(self.timeout)
+        return is_good
 
     def do_GET(self) -> None:
         """The index, or a file."""

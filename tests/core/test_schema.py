@@ -84,7 +84,8 @@ BAD = {
     "x: " + "9" * 5000: r"line 1: no int",
     '\n"a\\ud800": 1': r"line 2: half of a character",
     "--- 1\n--- 2": r"another document",
-    LAUGHS: r"line 7: more than 1,000,000 values, aliases counted",
+    LAUGHS: r"line 6: more than 200,000 values, aliases counted",
+    "a: " + "x" * 5_000_000: r"f.yaml: must have at most 5,000,000 letters, got 5,000,003",
 }
 
 

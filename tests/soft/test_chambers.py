@@ -470,7 +470,7 @@ def test_bad_cavity_index():
     m, _ = hollow()
     with pytest.raises(ValueError, match="one of the mesh's 1 cavities, got -1"):
         soft.PressureChamber.from_cavity(m, -1)
-    with pytest.raises(TypeError, match="index must be an int, got float"):
+    with pytest.raises(TypeError, match="index must be a whole number, got float"):
         soft.PressureChamber.from_cavity(m, 0.0)
 
 
@@ -479,7 +479,7 @@ def test_bad_pressures():
     body = soft_body(m, chambers=[chamber], fixed=rail_mask(m))
     one = torch.ones(1, dtype=torch.float64)
     for pressure, error, message in (
-        (2.0, TypeError, "pressure must be a torch.Tensor, got float"),
+        (2.0, TypeError, r"pressure must be a torch.Tensor( or a Callable)?, got float"),
         (one.float(), TypeError, "pressure must be torch.float64"),
         (torch.ones(2).double(), ValueError, r"pressure must have shape \(\.\.\., 1\), got \(2,\)"),
         (torch.ones(4, 1).double(), ValueError, r"pressure must broadcast to \(1,\), got \(4, 1\)"),

@@ -168,12 +168,20 @@ def test_fields_of_physics_made_by_hand_are_refused(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["mass", "weighing_mass", "fiber_stiffness", "rayleigh_alpha", "rayleigh_beta"]
+    "name",
+    ["mass", "weighing_mass", "fiber_stiffness", "rayleigh_alpha", "rayleigh_beta", "weights"],
 )
 def test_negative_numbers_in_physics_made_by_hand_are_refused(name):
     physics = dataclasses.replace(MOVED, **{name: -1.0 - getattr(MOVED, name)})
     with pytest.raises(ValueError, match=f"physics.{name} must lie in"):
         MUSCULAR.rest_state(physics=physics)
+
+
+def test_a_negative_bulk_modulus_made_by_hand_is_refused():
+    weights = MOVED.weights.clone()
+    weights[1] = -2.0 * weights[0]
+    with pytest.raises(ValueError, match=r"physics.weights must lie in .* bulk modulus is < 0"):
+        MUSCULAR.rest_state(physics=dataclasses.replace(MOVED, weights=weights))
 
 
 @pytest.mark.parametrize("inputs, error, message", BAD_INPUTS, ids=lambda v: str(v)[:40])

@@ -35,6 +35,10 @@ class Interrupted:
     def __getattr__(self, name):
         return getattr(self.device, name)
 
+    @property
+    def __class__(self):
+        return type(self.device)
+
     def value(self, x):
         self._count()
         return self.device.value(x)

@@ -84,7 +84,7 @@ def recorded() -> Run:
 
 
 def hexarotor() -> Study:
-    channels = tuple(Channel(n, u, SD[u]) for n, u in (CHANNELS | RATES).items())
+    channels = tuple(Channel(n, u, "reading") for n, u in (CHANNELS | RATES).items())
     return Study("hexarotor", "multicopter", channels, (recorded(),), model=MODEL)
 
 

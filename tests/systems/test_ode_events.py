@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.locate import Course
+from diffsim.systems.ode.event_effects import timings
 from diffsim.systems.ode.event_forms import TIMINGS, placed, shape_of
+from diffsim.systems.ode.keys import Events
 
 TRUE = {"onset": 3.02, "width": 1.5, "period": 4.0}
 
@@ -28,6 +31,22 @@ def test_a_form_is_found_where_it_lies(form):
     assert size == pytest.approx(3.0, rel=0.05)
     for name, value in timing.items():
         assert found[name] == pytest.approx(float(value), abs=0.06), name
+
+
+def test_a_clock_that_begins_elsewhere_moves_where_events_are_looked_for_and_nothing_else():
+    def asked(begin):
+        clock = begin + 0.125 * np.arange(101)  # exact: no knot more by rounding
+        run = Run("a", clock, np.zeros((101, 1)), {}, "a")
+        study = Study("s", "ode", (Channel("q", "m", "position"),), (run,))
+        return timings(Events(at=("q",)), study)
+
+    plain, late = asked(0.0), asked(64.0)
+    assert set(plain) == {"event_onset", "event_width", "event_period"}
+    for name, stated in plain.items():
+        moved = stated.value + (64.0 if name == "event_onset" else 0.0)
+        assert late[name].value == pytest.approx(moved), name
+        for what in ("sd", "lower", "step"):
+            assert getattr(late[name], what) == pytest.approx(getattr(stated, what)), (name, what)
 
 
 def test_the_right_form_gains_most():

@@ -2,6 +2,7 @@
 
 import json
 import os
+import select
 import signal
 import socket
 import struct
@@ -147,15 +148,23 @@ def test_two_hundred_clients_at_once_and_half_sent_requests(runs, monkeypatch):
         half = [socket.create_connection(address, timeout=10) for _ in range(100)]
         for client in half:
             client.sendall(b"GET /good/page.html HTTP/1.1\r\nHost: local")
+        slow = socket.create_connection(address, timeout=10)
+        slow.sendall(b"GET / HTTP/1.1")
         whole = [socket.create_connection(address, timeout=10) for _ in range(200)]
         for client in whole:
             client.sendall(b"GET /good/page.html HTTP/1.1\r\nHost: localhost\r\n\r\n")
         for client in whole:
             answer = b"".join(iter(lambda: client.recv(4096), b""))  # noqa: B023
             assert answer.startswith(b"HTTP/1.0 200") and answer.endswith(b"<p>page")
+        given_up = None
+        for _ in range(30):  # a letter now and then is not enough
+            if given_up := select.select([slow], [], [], 0.2)[0]:
+                break
+            slow.sendall(b"x")
+        assert given_up and slow.recv(4096) == b""
         for client in half:
             assert client.recv(4096) == b""  # given up
-        for client in (*half, *whole):
+        for client in (slow, *half, *whole):
             client.close()
 
 

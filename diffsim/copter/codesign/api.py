@@ -25,10 +25,12 @@ from diffsim.copter.codesign.space import DesignSpace
 from diffsim.copter.codesign.task import Point, Task, hover_residual
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 
 _HOVERS = 1e-8
 
 
+@checked
 def codesign(
     design: DesignSpace,
     objective: str | Mapping[str, float] = "payload",

@@ -12,8 +12,10 @@ from diffsim.copter.codesign.wrench import Case, Rotors
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Demands:
     """What is asked of a design besides its metrics.

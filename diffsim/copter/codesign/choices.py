@@ -11,12 +11,14 @@ import numpy as np
 
 from diffsim.copter.codesign.pareto import undominated
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.runs import run_each
 
 C = TypeVar("C")
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Chosen(Generic[C]):
     """Result of a search over choices.
@@ -36,6 +38,7 @@ class Chosen(Generic[C]):
     failed: tuple[tuple[C, str], ...]
 
 
+@checked
 def choose(
     choices: Sequence[C],
     bound: Callable[[C], Sequence[float]],

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 
 FREE = ("shape", "directions", "attitude")
 """What a co-design may change."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Limits:
     """What bounds directions, attitude and distances, besides A s <= b.

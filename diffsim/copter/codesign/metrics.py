@@ -10,6 +10,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.core.optional import optional
 
 # All are minimized; {name: what it is, in relative units}.
@@ -30,6 +31,7 @@ ALTERNATING = ("payload", "current", "max_current", "size", "flight_time", "cost
 _OF_CURRENT = ("current", "max_current")
 
 
+@checked
 @dataclass(frozen=True)
 class CurrentModel:
     """Current of a motor against its thrust, I = scale u^exponent (thesis eq. 3.14).
@@ -55,6 +57,7 @@ class CurrentModel:
         if not (np.isfinite(self.exponent).all() and (self.exponent >= 1.0).all()):
             raise ValueError(f"exponent of currents must be >= 1, got {self.exponent.tolist()}")
 
+    @checked
     def current(self, thrusts: Array) -> Array:
         """Currents at thrusts u, (..., n_rotors) [N] -> [A]."""
         return self.scale * np.maximum(thrusts, 0.0) ** self.exponent

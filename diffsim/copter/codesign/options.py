@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 
 from diffsim.copter.codesign.wrench import Rotors
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
     """From where, how often and by which solver a co-design is searched.
@@ -32,6 +34,7 @@ class SearchOptions:
         require_number("num_spins", self.num_spins, at_least=1)
 
 
+@checked
 @dataclass(frozen=True)
 class AlternatingOptions:
     """Weights and stopping rule of the alternation (thesis Alg. 1).
@@ -57,6 +60,7 @@ class AlternatingOptions:
         require_choice("units", self.units, ("SI", "relative"))
         require_number("max_rounds", self.max_rounds, at_least=1)
 
+    @checked
     def relative(self, rotors: Rotors) -> AlternatingOptions:
         """The same weights in relative units."""
         if self.units == "relative":

@@ -16,10 +16,12 @@ from diffsim.copter.codesign.result import CoDesignResult
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 from diffsim.core.progress import show_progress
 from diffsim.core.runs import run_each
 
 
+@checked
 def pareto_front(
     design: DesignSpace,
     metrics: Sequence[str],

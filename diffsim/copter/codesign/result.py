@@ -10,9 +10,11 @@ from torch import Tensor
 
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class StartRecord:
     """How one start went.
@@ -34,6 +36,7 @@ class StartRecord:
     seconds: float
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class CoDesignResult:
     """An optimized design and the record of its search.

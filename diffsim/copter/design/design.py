@@ -220,6 +220,7 @@ class Design:
         centers = self._tensors.rotor_positions(self._possible_values(s))
         return centers.amax(0) - centers.amin(0)
 
+    @checked
     def closest(self, values: Mapping[str, float]) -> Design:
         """The feasible design closest to the current one in which parameters have these values.
 
@@ -317,6 +318,7 @@ class Design:
         values = to_numpy("s", x).tolist()
         return part_entries(self.parts, dict(zip(self.all_names, values, strict=True)), masses)
 
+    @checked
     def save(self, path: str | Path) -> Path:
         """Write the design with its current values as YAML, atomically."""
         return write_spec(replace(self.spec, values=self.named_values()), path)
@@ -347,6 +349,7 @@ class Design:
         raise AssertionError("unreachable: every part's parameters are listed")
 
 
+@checked
 def build_design(spec: DesignSpec) -> Design:
     """Compose a design and start it at the feasible point closest to what its author gave.
 

@@ -11,6 +11,7 @@ from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 
 
+@checked
 def load_design(name: str | Path) -> Design:
     """Read and compose a design.
 

@@ -12,11 +12,13 @@ from torch import Tensor
 from diffsim.copter.design.placement import PlacedPart
 from diffsim.copter.vehicle.geometry import frame_of
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 
 if TYPE_CHECKING:
     import trimesh
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class PartEntry:
     """A line of the bill of materials.

@@ -25,6 +25,7 @@ from diffsim.copter.design.spec import Connection, DesignSpec, PartSpec
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.copter.vehicle.geometry import rotation_rpy
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.core.inside import inside
 from diffsim.mesh.files import load_surface
@@ -52,6 +53,7 @@ _TAGS = {  # tag -> part name, allowed attributes of the tag, of its instances
 }
 
 
+@checked
 def import_xml(path: str | Path) -> Design:
     """Read a design of the public tool.
 

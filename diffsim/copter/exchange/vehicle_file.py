@@ -26,6 +26,7 @@ from diffsim.copter.vehicle.vehicle_record import (
     assembled,
     own_rotor,
 )
+from diffsim.core.checked import checked
 from diffsim.core.inertia import ENTRIES, inertia_matrix, inertia_mistake
 from diffsim.core.inside import inside
 from diffsim.core.yaml_text import load_yaml, read_text, read_yaml_file
@@ -43,6 +44,7 @@ _WHOLE = {  # MJCF and SDF say where rotors are, URDF is refused with the way
 }
 
 
+@checked
 def load_vehicle(path: str | Path) -> FlyingVehicle:
     """Read a vehicle file.
 

@@ -11,9 +11,11 @@ from typing import Any
 import yaml
 
 from diffsim.copter.fabrication.planner import FabricationPlan
+from diffsim.core.checked import checked
 from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
 
 
+@checked
 def write_plan(plan: FabricationPlan, folder: str | Path) -> Path:
     """Write everything a workshop needs but the page; each file is whole or absent.
 

@@ -8,10 +8,12 @@ import numpy as np
 
 from diffsim.copter.design.design import Design
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 
 _UPRIGHT = 0.01  # a motor that deviates by less has no azimuth to speak of [deg]
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class MotorPlan:
     """One motor.

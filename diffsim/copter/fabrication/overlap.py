@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.mesh.distance import SurfaceDistance
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ _CORNERS = np.array(
 _CORNERS = _CORNERS / _CORNERS.sum(axis=1, keepdims=True)
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Overlap:
     """Two parts that share space.
@@ -47,6 +49,7 @@ class Overlap:
         )
 
 
+@checked
 def overlaps(
     meshes: Mapping[str, trimesh.Trimesh], least: float = LEAST_DEPTH
 ) -> tuple[Overlap, ...]:

@@ -23,6 +23,7 @@ from diffsim.copter.fabrication.printable import print_mesh
 from diffsim.copter.fabrication.rods import RodCut, StockBar, pack, rod_cuts
 from diffsim.copter.vehicle.clearance import disc_clearances
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ class FabricationError(DiffsimError):
     """A plan that contradicts its design or cannot be made; the message says where."""
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class PrintedPart:
     """A mesh to print, or to cut from a sheet.
@@ -57,6 +59,7 @@ class PrintedPart:
     check: PrintCheck
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class FabricationPlan:
     """What a workshop needs.

@@ -9,6 +9,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 if TYPE_CHECKING:
     import trimesh
@@ -17,6 +18,7 @@ _OPPOSITE = 0.5  # cosine: two faces make a wall if their normals oppose within 
 _RAYS = 64  # at a time: more leave the processor's cache
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Printer:
     """What a printer can do.
@@ -37,6 +39,7 @@ class Printer:
         require_number("min_wall", self.min_wall, above=0.0)
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class PrintCheck:
     """The outcome of a check.

@@ -17,6 +17,7 @@ from scipy.spatial import Delaunay
 from diffsim.copter.design.design import Design
 from diffsim.copter.design.placement import PlacedPart
 from diffsim.core.arrays import Array, IntArray, Mask
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def connector_mesh(rod_diameter: float, side: float, length: float) -> trimesh.T
     return perforated_prism(outline, [circle(0.5 * rod_diameter + CLEARANCE)], length)
 
 
+@checked
 def clip_mesh(
     along: float, across: float, middle: float = 8.0, radius: float = 18.0
 ) -> trimesh.Trimesh:

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from diffsim.copter.design.listing import PartEntry
 from diffsim.copter.design.placement import PlacedPart
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 _SAME = 1e-4  # lengths that agree to a tenth of a millimeter are cut alike [m]
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class RodCut:
     """Rods of one length.
@@ -36,6 +38,7 @@ class RodCut:
         return len(self.names)
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class StockBar:
     """How one bar is cut.

@@ -21,6 +21,7 @@ from diffsim.copter.dynamics.lqr import lqr
 from diffsim.copter.dynamics.pid import PidController, PidGains
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 from diffsim.core.rotation import matrix_from_quaternion, quaternion_from_rpy
 
 
@@ -63,6 +64,7 @@ class LqrController:
 
     name = "lqr"
 
+    @checked
     def __init__(
         self,
         vehicle: Multicopter,
@@ -123,6 +125,7 @@ class PidFlightController:
 
     name = "pid"
 
+    @checked
     def __init__(self, vehicle: Multicopter, *, gains: PidGains | None = None):
         flyable_hover(vehicle.detach())
         self._pid = PidController(vehicle.detach(), gains)
@@ -172,6 +175,7 @@ def _about_z(yaw: Tensor) -> Tensor:
 Vector = tuple[float, float, float]
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, kw_only=True)
 class Setpoint:
     """Targets of a controller, NED.

@@ -32,6 +32,7 @@ from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.rotor import RotorModel, motor_lag
 from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 
 CONTROLLERS = ("lqr", "pid")
 Observer = Callable[[FlightSample], None]
@@ -71,6 +72,7 @@ class FlightSimulator:
         TypeError, ValueError: bad arguments.
     """
 
+    @checked
     def __init__(
         self,
         design: Design | FlyingVehicle | Multicopter,
@@ -147,6 +149,7 @@ class FlightSimulator:
         self._move(out.thrusts)
         return sample
 
+    @checked
     def run(
         self,
         pilot: Pilot,

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from diffsim.core.arrays import Array, Mask
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.files import to_plain, write_text_atomic
 
 _UP = np.diag([1.0, -1.0, -1.0])  # north-east-down to north-west-up
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlightSample:
     """One control period, NED; the state is that at its start.
@@ -59,6 +61,7 @@ class FlightSample:
     lag: float = 0.0
 
 
+@checked(kinds_only=True)
 @dataclass(eq=False)
 class FlightLog:
     """Samples of one flight.
@@ -112,6 +115,7 @@ class FlightLog:
             "greatest_lag_s": float(self.series("lag").max()),
         }
 
+    @checked
     def save(self, folder: str | Path, *, name: str = "flight") -> Path:
         """Write ``name.csv`` (``MARKER_x_m``, ... a row each; z up) and ``name.yaml``.
 

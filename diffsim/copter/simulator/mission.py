@@ -106,6 +106,7 @@ def shipped_missions() -> tuple[str, ...]:
     return shipped("simulator/flights")
 
 
+@checked
 def load_mission(name: str | Path) -> Mission:
     """Read a mission.
 
@@ -120,6 +121,7 @@ def load_mission(name: str | Path) -> Mission:
     return mission_from_text(text, source)
 
 
+@checked
 def mission_from_text(text: str, source: str = "mission") -> Mission:
     """Read a mission from YAML text; ``source`` is what error messages call it."""
     # pydantic takes a third of a second: only for those who read a file

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 
 class Pacer:
@@ -22,6 +23,7 @@ class Pacer:
         num_steps: Steps so far.
     """
 
+    @checked
     def __init__(
         self,
         speed: float = 1.0,

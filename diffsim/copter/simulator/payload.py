@@ -49,6 +49,7 @@ def with_payload(vehicle: Multicopter, payload: float, *, drop: float = 0.05) ->
     return vehicle.replace(mass=mass, inertia=inertia, positions=vehicle.positions - shift)
 
 
+@checked
 def payload_limit(
     vehicle: Multicopter, outputs: MotorOutputs, battery: Battery, *, charge: float = 1.0
 ) -> float:

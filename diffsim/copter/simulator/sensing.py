@@ -13,6 +13,7 @@ from diffsim.copter.dynamics.flight_state import FlightState
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 
 # A bias may change by that share of itself from reading to reading: found within seconds. At 1e-3
 # it takes ten of them, during which a hover stands 3 cm off (SensorNoise() at 100 Hz).
@@ -44,6 +45,7 @@ class SensorNoise:
             require_number(name, value, at_least=0.0)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class FlightSensors:
     """Gyro, accelerometer and motion capture (thesis 3.6 flies with one).

@@ -53,6 +53,7 @@ class Transmitter(Protocol):
         """Deflections at a time since the start [s]."""
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class RecordedSticks:
     """Sticks from a file.
@@ -112,6 +113,7 @@ class StickPilot:
         scale: ``StickScale()`` by default.
     """
 
+    @checked
     def __init__(
         self, transmitter: Transmitter, *, mode: str = "position", scale: StickScale | None = None
     ):
@@ -169,6 +171,7 @@ def example_sticks() -> Path:
     return Path(str(resources.files("diffsim.copter.simulator.flights") / "square_sticks.csv"))
 
 
+@checked
 def load_sticks(path: str | Path) -> RecordedSticks:
     """Read recorded sticks.
 

@@ -58,6 +58,7 @@ class Battery:
         scalar("nominal_voltage", self.nominal_voltage, above=0.0, hint="unit is V")
 
     @classmethod
+    @checked
     def lipo(cls, *, cells: int, capacity_mah: float, resistance: float = 0.012) -> Battery:
         """A lithium-polymer pack of cells in series, 3.7 V nominal each.
 
@@ -133,6 +134,7 @@ class Battery:
         slowness = 1.0 / self.current_for_power(charge, power)
         return self.capacity * (1.0 - reserve) / (3.0 * num_points) * (weights * slowness).sum()
 
+    @checked
     def sag(
         self, rotors: Sequence[RotorModel], *, exponent: float | None = None, idle: float = 0.0
     ) -> BatterySag:

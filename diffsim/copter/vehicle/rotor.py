@@ -184,6 +184,7 @@ def rotor_model(name: str) -> RotorModel:
     return RotorModel(**dict(said.model))
 
 
+@checked
 def motor_lag(rotors: Sequence[RotorModel]) -> MotorLag:
     """The lag of a vehicle's motors as an effect of flight, one model per rotor."""
     unknown = [r.name for r in rotors if r.time_constant is None]

@@ -13,6 +13,7 @@ from diffsim.copter.vehicle.battery import LIPO_NOMINAL, Battery
 from diffsim.copter.vehicle.multicopter import Multicopter
 from diffsim.copter.vehicle.rotor import RotorModel
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.inertia import size_mistake
 
 AIR_DENSITY = 1.225  # [kg/m^3], standard atmosphere at sea level
@@ -27,6 +28,7 @@ FRD = np.diag([1.0, -1.0, -1.0])  # from forward, left, up: MJCF's, URDF's and S
 _RADIUS_PER_DISTANCE = 0.45
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class FlyingVehicle:
     """A multicopter with all that a flight in closed loop needs.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
-from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, require_room
+from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, require_room, text_of
 
 _MOST_ROWS = 1_048_576  # of a sheet, by Excel
 _HEADER_ROWS = 60  # in which the names of a sheet's columns must be
@@ -122,7 +122,7 @@ def _is_number(cell: Any) -> bool:
 
 def _column(cells: list[Any]) -> NDArray[Any]:
     if any(isinstance(cell, str) and not _MISSING.fullmatch(cell) for cell in cells):
-        return np.array(["" if cell is None else str(cell) for cell in cells])
+        return text_of(["" if cell is None else str(cell) for cell in cells])
     return np.array([_seconds_or_number(cell) for cell in cells], dtype=np.float64)
 
 

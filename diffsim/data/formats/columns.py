@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core.checked import checked
+
 #: Columns by name, all of one length: float64, integers or text.
 Columns = dict[str, NDArray[Any]]
 
 MAX_COLUMNS = 10_000  # of a table
 MOST_UNPACKED = 1_000_000_000  # bytes of the numbers of a file, however small it is
 _MOST_TIMES = 50  # the bytes of a larger file: what is recorded is not compressed as far
+LETTER = 4  # bytes, in NumPy's text
 _BLOCK = 10_000  # messages that become numbers at once
 MOST_ENTRIES = 64  # of a list in a message: clouds and pictures are no columns
 
@@ -67,6 +70,31 @@ def require_text(names: Iterable[str], *values: NDArray[Any]) -> list[str]:
     return names
 
 
+def text_of(cells: Sequence[str]) -> NDArray[Any]:
+    """Text of a column; refused where one long cell would make an array of gigabytes.
+
+    Args:
+        cells: In an array each takes the room of the longest.
+    """
+    require_text_room(max(map(len, cells), default=0), len(cells))
+    return np.array(cells) if len(cells) else np.empty(0, "U1")
+
+
+def require_text_room(longest: int, count: int) -> None:
+    """Refuse an array of text of more than ``MOST_UNPACKED`` bytes.
+
+    Args:
+        longest: Letters of its longest cell.
+        count: Of cells.
+    """
+    if (needed := LETTER * longest * count) > MOST_UNPACKED:
+        raise ValueError(
+            f"a text of {longest:,} letters in a column of {count:,} rows: {needed:,} bytes, at "
+            f"most {MOST_UNPACKED:,} are read"
+        )
+
+
+@checked
 def flat(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
     """Columns of an array with a row per sample.
 
@@ -150,7 +178,9 @@ def _join(parts: Sequence[tuple[int, NDArray[Any] | None]]) -> NDArray[Any]:
     is_text = any(part is not None and part.dtype.kind == "U" for _, part in parts)
     if not is_text:
         return np.concatenate([np.full(n, np.nan) if p is None else p for n, p in parts])
-    return np.concatenate([np.full(n, "") if p is None else _as_text(p) for n, p in parts])
+    texts = [np.full(n, "") if p is None else _as_text(p) for n, p in parts]
+    require_text_room(max(part.dtype.itemsize for part in texts) // LETTER, sum(map(len, texts)))
+    return np.concatenate(texts)
 
 
 def _as_text(values: NDArray[Any]) -> NDArray[Any]:
@@ -186,7 +216,7 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 def _column(cells: list[Any]) -> NDArray[Any]:
     if any(isinstance(cell, str) for cell in cells):
-        return np.array(["" if cell is None else str(cell) for cell in cells])
+        return text_of(["" if cell is None else str(cell) for cell in cells])
     if None not in cells and all(isinstance(cell, (int, np.integer)) for cell in cells):
         return np.array(cells)
     return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)

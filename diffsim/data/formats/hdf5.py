@@ -18,6 +18,8 @@ from diffsim.data.formats.columns import (
     flat,
     require_few,
     require_room,
+    require_text_room,
+    text_of,
 )
 
 _CLOCK = re.compile(r"(t|time|timestamps?|stamps?|seconds|elapsed)([_\W].*)?", re.I)
@@ -205,9 +207,11 @@ def _columns(name: str, data: Any, upright: bool) -> Iterator[tuple[str, NDArray
         fields = {f"{name}.{f}": values[f] for f in values.dtype.names}
     elif values.dtype == object:
         text = [v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in values]
-        fields = {name: np.array(text)}
+        fields = {name: text_of(text)}
     else:
-        fields = {name: values.astype(str) if values.dtype.kind == "S" else values}
+        is_bytes = values.dtype.kind == "S"
+        require_text_room(values.dtype.itemsize if is_bytes else 0, values.size)
+        fields = {name: values.astype(str) if is_bytes else values}
     for field, array in fields.items():
         for column, entries in flat(field, array):
             yield f"{column} [{unit}]" if unit else column, entries

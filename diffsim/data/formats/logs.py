@@ -18,7 +18,13 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from diffsim.core.optional import optional
-from diffsim.data.formats.columns import Columns, fields_left_out, of_messages
+from diffsim.data.formats.columns import (
+    Columns,
+    fields_left_out,
+    most_unpacked,
+    of_messages,
+    require_room,
+)
 
 TIME = "time_s"
 _ULOG_HEADER = 16  # bytes before the first record
@@ -26,6 +32,8 @@ _ULOG_KINDS = b"BFIMPQARDLCSO"  # the format's letters of records
 _ULOG_FIRST = b"FB"  # of definitions: they come before the first sample
 _ULOG_LEVELS = b"01234567"  # of a logged text
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
+_MCAP_CHUNK = 6  # the format's number of such records
+_MCAP_PIECE = 1 << 20  # bytes that are unpacked at once, to count them
 _MCAP_FOOTER = 8 + 8 + 4 + 8  # bytes at the end: two offsets, a checksum, the magic
 
 
@@ -89,7 +97,7 @@ def _walk_records(path: Path) -> tuple[int, int, int]:
 def mcap_parts(path: Path) -> list[str]:
     """Topics of an MCAP file that hold messages."""
     with path.open("rb") as file:
-        summary = _summary(file)
+        summary = _summary(path, file)
         counts = summary.statistics.channel_message_counts
         return sorted({c.topic for c in summary.channels.values() if counts.get(c.id)})
 
@@ -98,7 +106,7 @@ def read_mcap(path: Path, part: str) -> Columns:
     """Columns of a topic: JSON messages, and ROS 2 ones where ``mcap-ros2-support`` is there."""
     times: list[float] = []
     with path.open("rb") as file:
-        summary = _summary(file)
+        summary = _summary(path, file)
         start = summary.statistics.message_start_time
         counts: dict[int, int] = {}
         # without chunks the reader that seeks would check nothing
@@ -122,7 +130,7 @@ def read_mcap(path: Path, part: str) -> Columns:
     return {TIME: np.array(times), **columns}
 
 
-def _summary(file: BinaryIO) -> Any:
+def _summary(path: Path, file: BinaryIO) -> Any:
     """The summary of an MCAP file, held against its checksum: clocks begin by what it says."""
     file.seek(-min(_MCAP_FOOTER, file.seek(0, io.SEEK_END)), io.SEEK_END)
     footer = file.read()
@@ -137,12 +145,64 @@ def _summary(file: BinaryIO) -> Any:
     summary = _mcap().make_reader(file).get_summary()
     if summary is None or summary.statistics is None:
         raise ValueError("no summary section; `mcap recover` writes one")
+    named = tuple(index.chunk_start_offset for index in summary.chunk_indexes)
+    _require_small_chunks(path, (now := path.stat()).st_size, now.st_mtime_ns, named)
     return summary
+
+
+@lru_cache(maxsize=1)  # a recording has many topics
+def _require_small_chunks(path: Path, size: int, changed_ns: int, named: tuple[int, ...]) -> None:
+    """Refuse chunks that unpack to more than is read, before one is unpacked.
+
+    Args:
+        path: The file.
+        size, changed_ns: Its bytes, and when it was changed.
+        named: Where its index says that chunks begin.
+    """
+    with path.open("rb") as file:
+        places = {*named, *_mcap_chunks(file)}
+        require_room(path, sum(_bytes_in_chunk(file, at, most_unpacked(path)) for at in places))
+
+
+def _mcap_chunks(file: BinaryIO) -> Iterator[int]:
+    """Where the records of chunks begin."""
+    at = len(_MCAP_MAGIC)
+    while len(head := _read_at(file, at, 9)) == 9:
+        if head[0] == _MCAP_CHUNK:
+            yield at
+        at += 9 + int.from_bytes(head[1:], "little")
+
+
+def _bytes_in_chunk(file: BinaryIO, at: int, most: int) -> int:
+    """What a chunk unpacks to, at least; its own statement may be wrong, zstd's is held to."""
+    head = _read_at(file, at, 9 + 28 + 4)
+    stated, length = int.from_bytes(head[25:33], "little"), int.from_bytes(head[37:41], "little")
+    name = file.read(min(length, _MCAP_FOOTER))
+    data = file.read(min(int.from_bytes(file.read(8), "little"), most))
+    if name == b"zstd":
+        size = int(optional("zstandard", purpose="an MCAP file").frame_content_size(data))
+        return stated if size < 0 else size
+    if name == b"lz4":
+        unpacked = optional("lz4.frame", purpose="an MCAP file").LZ4FrameDecompressor()
+        size = len(unpacked.decompress(data, _MCAP_PIECE))
+        while not (unpacked.eof or unpacked.needs_input or size > most):
+            size += len(unpacked.decompress(b"", _MCAP_PIECE))
+        return size
+    return len(data)
+
+
+def _read_at(file: BinaryIO, at: int, size: int) -> bytes:
+    if at >= 1 << 63:
+        return b""
+    file.seek(at)
+    return file.read(size)
 
 
 def mcap_left_out(path: Path, part: str) -> list[str]:
     """Fields of a topic's first message that are no columns, such as a picture."""
     with path.open("rb") as file:
+        _summary(path, file)
+        file.seek(0)
         for message in _mcap().make_reader(file).iter_messages(topics=[part]):
             return list(fields_left_out(_decode_message(*message)))
     return []

@@ -11,7 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
-from diffsim.data.formats.columns import MOST_ENTRIES, Columns, flat, require_few, require_room
+from diffsim.data.formats.columns import (
+    LETTER,
+    MOST_ENTRIES,
+    Columns,
+    flat,
+    require_few,
+    require_room,
+    require_text_room,
+    text_of,
+)
 from diffsim.data.formats.lerobot import COUNTERS, STAMPS, Info, info_of
 
 _ROW_NUMBERS = re.compile(r"__index_level_\d+__")  # pandas' name of an index without one
@@ -20,8 +29,7 @@ _ROW_NUMBERS = re.compile(r"__index_level_\d+__")  # pandas' name of an index wi
 def parts(path: Path) -> list[str]:
     """One table."""
     with _pyarrow().ParquetFile(path) as file:
-        require_few(width := len(file.schema_arrow.names))
-        require_room(path, 8 * width * file.metadata.num_rows)
+        require_few(len(file.schema_arrow.names))
     return [""]
 
 
@@ -30,12 +38,29 @@ def read(path: Path, part: str) -> Columns:
 
     A list of numbers is a column for each entry, which LeRobot's datasets name.
     """
-    table, info = _pyarrow().read_table(path, page_checksum_verification=True), info_of(path)
+    types, info = _types(), info_of(path)
+    kinds = {field.name: field.type for field in _pyarrow().read_schema(path)}
+    names = [name for name, kind in kinds.items() if not _why_not(name, kind)]
+    texts = [n for n in names if types.is_string(kinds[n]) or types.is_large_string(kinds[n])]
+    # a text that stands in each of a million rows is kept once
+    options = {"page_checksum_verification": True, "read_dictionary": texts}
+    with _pyarrow().ParquetFile(path, **options) as file:
+        require_room(path, _bytes_of(file.metadata, set(names)))
+        table = file.read(names)
     out: Columns = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
-        if not _why_not(name, column.type):
-            out |= dict(_columns(name, column, info))
+        out |= dict(_columns(name, column, info))
     return out if info is None else _with_clock(out, info)
+
+
+def _bytes_of(about: Any, names: set[str]) -> int:
+    """What columns unpack to: the file counts the entries of lists, and bytes of each word once."""
+    parts = [about.schema.column(k).path.split(".") for k in range(about.num_columns)]
+    above = [{".".join(path[: n + 1]) for n in range(len(path))} for path in parts]
+    wanted = [k for k, paths in enumerate(above) if paths & names]
+    groups = [about.row_group(k) for k in range(about.num_row_groups)]
+    found = [group.column(k) for group in groups for k in wanted]
+    return sum(max(8 * part.num_values, part.total_uncompressed_size) for part in found)
 
 
 def _with_clock(columns: Columns, info: Info) -> Columns:
@@ -59,7 +84,7 @@ def left_out(path: Path, part: str) -> list[str]:
 
 def _why_not(name: str, kind: Any) -> str:
     """Why a column is not read; empty: it is."""
-    types = optional("pyarrow", purpose="a Parquet file").types
+    types = _types()
     if _ROW_NUMBERS.fullmatch(name) and types.is_integer(kind):
         return "numbers of rows, which pandas adds"
     if _is_list(types, kind):
@@ -77,28 +102,45 @@ def _is_list(types: Any, kind: Any) -> bool:
 
 
 def _columns(name: str, column: Any, info: Info | None) -> Iterator[tuple[str, NDArray[Any]]]:
-    values = column.to_numpy()
-    if _is_list(optional("pyarrow", purpose="a Parquet file").types, column.type):
-        yield from _entries(name, values, info)
-    elif np.issubdtype(values.dtype, np.datetime64):
+    types = _types()
+    if types.is_dictionary(column.type):
+        inner = column.type.value_type
+        is_text = types.is_string(inner) or types.is_large_string(inner)
+        column = column if is_text and column.null_count < len(column) else column.cast(inner)
+    if types.is_dictionary(column.type):
+        yield name, _texts(column)
+    elif _is_list(types, column.type):
+        yield from _entries(name, column, info)
+    elif types.is_decimal(column.type):
+        yield name, column.cast("float64").to_numpy()
+    elif np.issubdtype((values := column.to_numpy()).dtype, np.datetime64):
         yield name, values.astype("datetime64[ns]").astype(np.int64) * 1e-9
-    elif values.dtype == object and any(isinstance(v, str) for v in values):
-        yield name, np.array(["" if v is None else str(v) for v in values])
     elif values.dtype == object:
         yield name, np.array([np.nan if v is None else float(v) for v in values])
     else:
         yield name, values
 
 
-def _entries(
-    name: str, rows: NDArray[Any], info: Info | None
-) -> Iterator[tuple[str, NDArray[Any]]]:
+def _texts(column: Any) -> NDArray[Any]:
+    """Text of the words of a dictionary; a missing one is empty."""
+    column = column.unify_dictionaries()
+    words = text_of([word or "" for word in column.chunk(0).dictionary.to_pylist()] + [""])
+    require_text_room(words.dtype.itemsize // LETTER, len(column))
+    missing = len(words) - 1
+    rows = [chunk.indices.cast("int64").fill_null(missing).to_numpy() for chunk in column.chunks]
+    return words[np.concatenate(rows)]
+
+
+def _entries(name: str, column: Any, info: Info | None) -> Iterator[tuple[str, NDArray[Any]]]:
     """Columns of lists of one length; a missing list is a gap."""
-    lengths = {len(row) for row in rows if row is not None}
-    if len(lengths) != 1 or (width := lengths.pop()) > MOST_ENTRIES:
+    compute = optional("pyarrow.compute", purpose="a Parquet file")
+    lengths = compute.list_value_length(column).drop_null().unique().to_pylist()
+    if len(lengths) != 1 or not 0 < (width := lengths[0]) <= MOST_ENTRIES:
         return  # of no length that a table has; an empty one has no entries
-    gap = np.full(width, np.nan)
-    whole = np.array([gap if row is None else row for row in rows])
+    whole = compute.list_flatten(column).to_numpy().reshape(-1, width)
+    if column.null_count:
+        entries, whole = whole, np.full((len(column), width), np.nan)
+        whole[column.is_valid().to_numpy()] = entries
     names = info.names.get(name, ()) if info is not None else ()
     if len(names) == width:
         for k, entry in enumerate(names):
@@ -112,6 +154,10 @@ def write(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     pyarrow = optional("pyarrow", purpose=f"writing {path.suffix}")
     table = pyarrow.table({name: pyarrow.array(values) for name, values in columns.items()})
     _pyarrow().write_table(table, path)
+
+
+def _types() -> Any:
+    return optional("pyarrow", purpose="a Parquet file").types
 
 
 def _pyarrow() -> Any:

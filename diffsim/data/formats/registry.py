@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.checked import checked
 from diffsim.core.files import replacing
 from diffsim.data.formats import arrays, hdf5, json_records, logs, mat, parquet
 from diffsim.data.formats.columns import Columns, require_few, require_text
@@ -60,6 +61,7 @@ SUFFIXES = tuple(_READERS)
 """Endings of the files that are read by their format's own library."""
 
 
+@checked
 def split_part(path: str | Path) -> tuple[Path, str]:
     """File and part of ``FILE#PART``.
 
@@ -73,11 +75,13 @@ def split_part(path: str | Path) -> tuple[Path, str]:
     return (Path(path), "") if not part and "#" not in str(path) else (Path(head), part)
 
 
+@checked
 def is_container(path: str | Path) -> bool:
     """Whether a file, or a part of one, is of a format with its own library."""
     return split_part(path)[0].suffix.lower() in _READERS
 
 
+@checked
 def parts_of(path: Path) -> list[str]:
     """Tables that a file holds, such as topics, at least one; [""] where it is one table.
 
@@ -106,6 +110,7 @@ def _state(path: Path) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns
 
 
+@checked
 def read_columns(path: str | Path) -> Columns:
     """Columns of a table.
 
@@ -137,6 +142,7 @@ def read_columns(path: str | Path) -> Columns:
     return columns
 
 
+@checked
 def left_out_of(path: str | Path) -> list[str]:
     """What a file holds, or once held, and its table does not have, a sentence each.
 
@@ -165,6 +171,7 @@ def _part_of(path: str | Path) -> tuple[Path, str]:
     return file, part
 
 
+@checked
 def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> Path:
     """Write a table, in place of an older one only when it is whole.
 
@@ -192,6 +199,7 @@ def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> Path
     return file
 
 
+@checked
 def renamed(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> dict[str, str]:
     """Columns whose name a format spells in its own way.
 

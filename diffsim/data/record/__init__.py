@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from diffsim.core.checked import checked
 from diffsim.core.memo import Memo
 from diffsim.core.progress import say_stage
 from diffsim.data.record.clocks import find_drift, find_gaps, find_stamps, find_unstamped
@@ -89,6 +90,7 @@ _EXPLAINS = {
 _KNOWN: Memo[tuple[Finding, ...]] = Memo(1)  # a command asks for the same study again
 
 
+@checked
 def record_findings(study: Study) -> tuple[Finding, ...]:
     """All faults of a record, those that stop first.
 

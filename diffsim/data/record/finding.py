@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from diffsim.core.checked import checked
 from diffsim.data.record.signals import Record
 
 MOST_SHOWN = 3  # rows that a sentence names
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Finding:
     """One fault of a record.
@@ -32,6 +34,7 @@ class Finding:
         return f"{self.says}: {self.remedy}" if self.remedy else self.says
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class RecordRule:
     """One way in which a record can be wrong.

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.figures import figure
 from diffsim.core.progress import say_stage
 from diffsim.data.shared_rows import SHARED_BITS, STRETCH, SharedStretch, bits_of, shared_stretches
@@ -183,6 +184,7 @@ REPEATS, REPEATED = "repeats:", "swap"
 LEAST_FREEDOM = 3  # samples beyond the numbers of a model, for a law to be one
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class GateResult:
     """One check before any physics is blamed.

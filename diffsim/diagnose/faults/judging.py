@@ -9,6 +9,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.threads import one_thread
 from diffsim.data.fault_keys import FaultKeys
 from diffsim.data.study import Channel, Study
@@ -45,6 +46,7 @@ REFINED_NATS = 8.0  # below the best set: sets that are linearized again at thei
 Progress = Callable[[int, int], None]
 
 
+@checked
 @one_thread
 def judge_faults(
     study: Study,

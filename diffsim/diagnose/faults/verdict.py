@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number
 from diffsim.diagnose.faults.candidates import Candidate
@@ -35,6 +36,7 @@ MOST_SETS = 8  # explanations of a group that its verdict holds
 ENDS = (0.05, 0.95)  # shares below the two ends of an interval
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class SetRow:
     """One explanation of a group.
@@ -52,6 +54,7 @@ class SetRow:
     is_unlisted: bool
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Size:
     """Size of one cause in a group.
@@ -69,6 +72,7 @@ class Size:
     words: str
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class FaultVerdict:
     """What is said of one group.
@@ -147,6 +151,7 @@ class FaultVerdict:
         return None if self.known is None else set(self.causes) == set(self.known)
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Spread:
     """How far sound groups or runs differ.
@@ -162,6 +167,7 @@ class Spread:
     interval: Interval
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class FaultReport:
     """Verdicts on groups, and the scatter that they were judged against.

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import special
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.figures import figure
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
@@ -36,6 +37,7 @@ NEAR_ZERO = 0.01  # noise variances per sample: a change of the error that is no
 RAN_AWAY = 10.0  # times the plain model's error: a fit without these samples says nothing of them
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Gain:
     """Share of the excess error removed: 1 - (e_ext^2 - n^2) / (e_null^2 - n^2).
@@ -132,6 +134,7 @@ def percent(share: float) -> str:
     return f"{share:.0%}" if abs(share) >= 0.095 or share == 0.0 else f"{share:.1%}"
 
 
+@checked
 def gain(runs: Sequence[Run], null: Frozen, extended: Frozen, *, seed: int) -> Gain:
     """Compare two fits on runs that neither has seen.
 

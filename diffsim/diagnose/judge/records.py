@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
+from diffsim.core.checked import checked
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_scale
 from diffsim.diagnose.judge.gain import Gain
@@ -30,6 +31,7 @@ SKILL = 0.99  # of the model's error: what leaves less without any skill is bett
 UNTOLD_SHARE = 0.99  # of the prior sd: a parameter that is where its prior is
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Interval:
     """A value with its 90 % interval.
@@ -45,6 +47,7 @@ class Interval:
     high: float
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class CauseRow:
     """What is known of one candidate cause.
@@ -130,6 +133,7 @@ class CauseRow:
         )
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class BaseRow:
     """A base parameter: what the data sheet says and what the recordings say.
@@ -176,6 +180,7 @@ class BaseRow:
         return replace(self, unit=unit, **{name: times * getattr(self, name) for name in names})
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class ErrorRow:
     """Error on a run that was not fitted, root mean square over channels of one kind.
@@ -261,6 +266,7 @@ def _with_band(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
     return [row for row in errors if row.use == "test" and row.band is not None]
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class OutsideRow:
     """A quantity of a test run beside the range that was fitted.

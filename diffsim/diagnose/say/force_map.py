@@ -17,10 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.identify import Problem
 from diffsim.identify.unknown import UnknownForce
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class ForceMap:
     """Scores of a generic force by command, place and time.
@@ -47,6 +49,7 @@ class ForceMap:
         )
 
 
+@checked
 def force_map(problem: Problem, force: UnknownForce, slopes: Array, residual: Array) -> ForceMap:
     """Scores of a force at the plain model.
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.figures import figure
 from diffsim.data.study import Run
@@ -25,6 +26,7 @@ TELLING = 2.0 * ALONE_NATS  # expected chi2 from which on a set would be named a
 NARROWER = 0.95  # of an interval's width: what narrows less is not worth a run
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class NextRun:
     """Advice which run to record next.
@@ -114,6 +116,7 @@ def _mean_width(shares: Mapping[str, float]) -> float:
     return float(np.exp(np.mean(np.log(list(shares.values())))))
 
 
+@checked
 def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
     """Projected distance of rivals on every run of a bank.
 

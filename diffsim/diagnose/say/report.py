@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.data.study import Study
 from diffsim.diagnose.checks.noise import ArWhitener
@@ -169,6 +170,7 @@ class Report(Answer):
             plain[name] = fit_to_dict(getattr(self, name))
         return to_plain(plain)
 
+    @checked
     def save(self, folder: str | Path) -> Path:
         """Write report.json and extended_model.yaml.
 

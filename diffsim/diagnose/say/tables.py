@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.figures import figure
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.averaging import MODEL_FORM
@@ -43,6 +44,7 @@ def first_look(screened: Screen, effects: Sequence[Effect], chi2: float) -> str:
     return f"A first look by slopes, no answer yet: {found}."
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class EffectRow:
     """One candidate cause in the table.
@@ -82,11 +84,13 @@ class EffectRow:
     aliases: tuple[str, ...]
     note: str = ""
 
+    @checked
     def label(self, component: str) -> str:
         """Name of a component: the effect's own where it has only one."""
         return self.effect if len(self.size) == 1 else f"{self.effect}.{component}"
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class HypothesisRow:
     """A set of effects, with or without a generic unknown cause.

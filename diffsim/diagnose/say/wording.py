@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from diffsim.core.checked import checked
 from diffsim.core.figures import figure, limits
 from diffsim.core.units import after_number
 from diffsim.diagnose.checks.gates import (
@@ -119,6 +120,7 @@ class Answer:
         before = self.before_test
         return self.verdict == "unknown" and before is not None and before.verdict != "unknown"
 
+    @checked
     def causes_with(self, *statuses: str, origin: str | None = None) -> list[CauseRow]:
         """Causes with one of these statuses, unknown ones left out."""
         return [

@@ -16,6 +16,7 @@ from functools import partial
 
 from diffsim.core import plugins
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.plugins import find_plugins, load_plugin
 from diffsim.stokes.devices.amplifier import amplifier
 from diffsim.stokes.devices.averager import averager
@@ -40,6 +41,7 @@ DEVICES: dict[str, Callable[..., Device]] = {
 """Name to maker."""
 
 
+@checked
 def make(name: str, resolution: float = 1.0, **options: object) -> Device:
     """A device by name: one of ``DEVICES``, or of another package's.
 

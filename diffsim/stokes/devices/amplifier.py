@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.stokes.boundary import Inlet, Open
 from diffsim.stokes.devices.device import Device, Parameter, State, between, points2d, scaled
 from diffsim.stokes.devices.losses import mean_velocity, squared_difference
@@ -18,6 +19,7 @@ _WIDTH, _LOW = 64.0 / 48.0, 0.125  # of the box [m]; lower edge of the inlet [m]
 _GAIN = 3.0
 
 
+@checked
 def amplifier(resolution: float = 1.0, *, objective: str = "pointwise") -> Device:
     """The amplifier: 64 x 48 cells, five parameters, walls without separation.
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.stokes.boundary import Inlet, Open, Wall
 from diffsim.stokes.devices.device import (
     Device,
@@ -25,6 +26,7 @@ from diffsim.stokes.shapes import BezierCurve2d, Extrude, Shape
 _LOW, _HIGH = 0.1, 0.4  # lower passage [m]; the upper one is its mirror image
 
 
+@checked
 def averager(resolution: float = 1.0, *, objective: str = "pointwise") -> Device:
     """The flow averager: 64 x 64 x 4 cells, eight parameters, walls without separation.
 

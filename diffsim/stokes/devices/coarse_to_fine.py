@@ -10,6 +10,7 @@ from pathlib import Path
 
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain
 from diffsim.core.runs import run_each
@@ -21,6 +22,7 @@ from diffsim.stokes.devices.sampling import DesignSamples, draw, values
 from diffsim.stokes.devices.search import DesignDescent, descend
 
 
+@checked
 def coarse_to_fine(
     device: Device,
     coarse: Device,

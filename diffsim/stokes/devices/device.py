@@ -27,6 +27,7 @@ of 1e-9. Of eight random designs losses were within 5e-6 and gradients within 2e
 the grid's own error is 1e-2."""
 
 
+@checked
 @dataclass(frozen=True)
 class Parameter:
     """A number to design, uniform within its bounds where designs are sampled.
@@ -46,6 +47,7 @@ class Parameter:
             raise ValueError(f"{self.name}: lower {self.lower} must be below upper {self.upper}")
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class State:
     """One geometry of a device; most have one, a switch has one per position.
@@ -121,6 +123,7 @@ class Device:
         """Upper bounds, (num_parameters,)."""
         return torch.tensor([p.upper for p in self.parameters], dtype=torch.float64)
 
+    @checked
     def sample(self, generator: torch.Generator) -> Tensor:
         """A random design, uniform within the bounds, (num_parameters,)."""
         share = torch.rand(len(self.parameters), generator=generator, dtype=torch.float64)

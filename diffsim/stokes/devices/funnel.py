@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 from diffsim.stokes.devices.corner import CASES, OUTLETS, conditions, inputs, walls
 from diffsim.stokes.devices.device import SOLVER, Device, Parameter, State, scaled
 from diffsim.stokes.devices.losses import angle_difference
@@ -19,6 +20,7 @@ from diffsim.stokes.shapes import Custom, Shape
 _HEIGHT = 16.0 / 64.0  # of the box [m]
 
 
+@checked
 def funnel(resolution: float = 1.0, *, bump: float = 0.06) -> Device:
     """The funnel: 64 x 64 x 16 cells, ten parameters, walls without separation.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.stokes.devices.corner import CASES, OUTLETS, conditions, inputs, walls
 from diffsim.stokes.devices.device import Device, Parameter, State, scaled
 from diffsim.stokes.devices.losses import squared_difference
@@ -14,6 +15,7 @@ from diffsim.stokes.grid import Grid
 from diffsim.stokes.shapes import Shape
 
 
+@checked
 def gate(resolution: float = 1.0) -> Device:
     """The superposition gate: 64 x 64 x 4 cells, five parameters, walls without separation.
 

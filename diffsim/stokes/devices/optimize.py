@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.core.files import to_plain
 from diffsim.optim import Log
 from diffsim.stokes.devices.device import Device
@@ -16,6 +17,7 @@ from diffsim.stokes.devices.sampling import draw
 from diffsim.stokes.devices.search import descend
 
 
+@checked
 def optimize(
     device: Device,
     num_samples: int | None = None,

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.stokes.devices.sampling import DesignSamples
 from diffsim.stokes.devices.search import DesignDescent
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class CoarseStage:
     """What the coarse grid contributed, and how its losses compare; none is normalized.
@@ -32,6 +34,7 @@ class CoarseStage:
     checked_fine: Tensor
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Optimum:
     """The result of ``optimize`` or ``coarse_to_fine``.

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.stokes.boundary import Inlet, Open, Wall
 from diffsim.stokes.devices.column import NUM_AROUND, column
 from diffsim.stokes.devices.device import (
@@ -34,6 +35,7 @@ _RIGHT = [(1.0, 0.65), (0.9, 0.6), (0.9, 0.4), (1.0, 0.35)]
 _OUTLET = 0.25  # width of each [m]
 
 
+@checked
 def switch(resolution: float = 1.0, *, profile: str = "paths") -> Device:
     """The fluidic switch: 64 x 64 x 32 cells, 24 control points and two angles, no-slip walls.
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.stokes.boundary import WALL_KINDS, Inlet, Open
 from diffsim.stokes.devices.column import NUM_AROUND, column
 from diffsim.stokes.devices.device import SOLVER, Device, Parameter, State, scaled
@@ -20,6 +21,7 @@ _RINGS = 4
 _SPEED = 2.0  # at the rim of the outlet [m/s]
 
 
+@checked
 def twister(resolution: float = 1.0, *, wall: str = "no_separation") -> Device:
     """The fluidic twister: 64 x 64 x 32 cells, 32 control points of a spline tunnel.
 

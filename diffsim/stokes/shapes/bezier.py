@@ -101,6 +101,7 @@ class BezierCurve2d(Shape):
         curve, t = self._chain().split(tau)
         return self._on_curve(curve, t)
 
+    @checked
     def polyline(self, chords: int = _DRAWN) -> Tensor:
         """Points along the curve for pictures, (num_curves x chords + 1, 2)."""
         num = len(self._index) * chords

@@ -118,6 +118,7 @@ class NurbsSurface(Shape):
         a = (bv[:, None] @ rows)[:, 0]
         return a if num == 3 else a[:, :3] / a[:, 3:]
 
+    @checked
     def mesh(self, num: tuple[int, int] = (64, 64)) -> tuple[Tensor, Tensor]:
         """Quadrilaterals for pictures: points (P, 3) and faces (F, 4) along S_u x S_v."""
         sizes = [n if b.periodic else n + 1 for n, b in zip(num, self.bases, strict=True)]

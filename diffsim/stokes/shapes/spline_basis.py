@@ -90,6 +90,7 @@ class SplineBasis:
         out = torch.zeros_like(local[..., :1]).repeat(1, 1, self.num)
         return out.scatter_add(2, self.active[span].expand_as(local), local)
 
+    @checked
     def samples(self, per_span: int, reach: float) -> Tensor:
         """Parameters evenly spread over each span, and ``reach`` beyond both ends."""
         t = torch.arange(per_span, dtype=torch.float64) / per_span

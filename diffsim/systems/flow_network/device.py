@@ -11,6 +11,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 from diffsim.stokes.shapes import Box, SmoothUnion
 
 DRIVES = ("flow", "pressure")
@@ -18,6 +19,7 @@ MIN_GAP_CELLS = 3.0
 """Fewer cells of solid between two branches, and fits near one wall would reach across it."""
 
 
+@checked
 @dataclass(frozen=True)
 class Opening:
     """A straight channel along x: an inlet on the left or an outlet branch on the right.

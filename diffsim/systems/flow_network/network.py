@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number
+from diffsim.core.checked import checked
 
 MIN_CELLS_ACROSS = 2.0
 """Fewer cells across a channel, and the flow in it means nothing."""
@@ -23,6 +24,7 @@ class Segment(NamedTuple):
     width: float
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class NetworkDevice:
     """Channels in a box: one inlet from its left face, outlets on its right one.

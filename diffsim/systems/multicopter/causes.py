@@ -18,6 +18,7 @@ from diffsim.causes.readings import Instrument, instrument_of, usual_sample
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.copter import GRAVITY
+from diffsim.core.checked import checked
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply, Effect
 from diffsim.systems.multicopter import effects
@@ -74,6 +75,7 @@ FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
 )
 
 
+@checked
 def copter_plant(
     num_rotors: int,
     mass: float,

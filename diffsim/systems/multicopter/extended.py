@@ -19,6 +19,7 @@ from torch import Tensor
 
 from diffsim.copter import Feedback, Fleet, Flight, FlightEffects, FlightState, Multicopter, fly
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag, RotorDrag
+from diffsim.core.checked import checked
 from diffsim.identify.model_file import FARTHEST, SavedModel, read_extended
 from diffsim.identify.ranges import range_of_number
 from diffsim.systems.multicopter.frames import FRAMES, RecordingFrames
@@ -222,6 +223,7 @@ class CopterSizes:
         return self.frames.in_body(torch.stack(parts, 1))
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class ExtendedCopter:
     """A diagnosed copter for whatever flies vehicles: its ``fly`` stands in for the plain one.
@@ -237,6 +239,7 @@ class ExtendedCopter:
     at: Tensor
 
     @classmethod
+    @checked
     def read(cls, path: str | Path, described: Multicopter) -> ExtendedCopter:
         """Read an ``extended_model.yaml``.
 
@@ -251,6 +254,7 @@ class ExtendedCopter:
         sizes = CopterSizes.read(path, described.num_rotors)
         return cls(sizes, described, sizes.values[None])
 
+    @checked
     def drawn(self, count: int, rng: np.random.Generator) -> ExtendedCopter:
         """As many members, each as the posterior allows."""
         return replace(self, at=self.sizes.draw(count, rng))
@@ -269,6 +273,7 @@ class ExtendedCopter:
             )
         return self.fly
 
+    @checked
     def fly(
         self,
         vehicle: Multicopter,

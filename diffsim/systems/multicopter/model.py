@@ -12,6 +12,7 @@ from scipy import sparse
 from torch import Tensor
 
 from diffsim.causes.scales import SCALES, Scales
+from diffsim.core.checked import checked
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.layer import may_be_differentiated
 from diffsim.identify import Parameter
@@ -42,6 +43,7 @@ class CopterModel(SimModel):
         base: Base parameters with their priors.
     """
 
+    @checked
     def __init__(self, flights: Build, base: Sequence[Parameter]):
         super().__init__(flights, base, "multicopter")
         self.flights: Any = flights

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from diffsim.causes.interpolation import straight
 from diffsim.copter.vehicle.multicopter import GRAVITY
+from diffsim.core.checked import checked
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
@@ -42,6 +43,7 @@ def _push_vehicle(
     return pushed.with_command((), lambda u, grid: u + more.mT)
 
 
+@checked
 def unknown_wrench(num_knots: int, until_s: float) -> Effect:
     """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s]."""
     axes = ("north", "east", "down", "roll", "pitch", "yaw")

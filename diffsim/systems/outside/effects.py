@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffsim.causes.plant import Place
 from diffsim.causes.row import spell_plainly
+from diffsim.core.checked import checked
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.unknown import UnknownForce, smooth_covariance
@@ -19,6 +20,7 @@ from diffsim.systems.outside.model import OutsideScene
 MAX_KNOTS = 24
 
 
+@checked
 def unknown_forces(places: Mapping[str, Place], runs: Sequence[Run]) -> tuple[UnknownForce, ...]:
     """A smooth force without a form at each place; over the longest run.
 

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.data.study import Run
 
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Environment:
     """How a simulator with ``reset`` and ``step`` is read; see ``SteppedSimulator``.

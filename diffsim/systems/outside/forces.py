@@ -15,6 +15,7 @@ import numpy as np
 from diffsim.causes.ports import OF_FORCES
 from diffsim.causes.scene import LawFormula
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 
 SHARP = 0.01  # of the usual speed: below it Coulomb friction is viscous
 
@@ -76,6 +77,7 @@ class PlaceForces:
         key: What the forces depend on.
     """
 
+    @checked
     def __init__(
         self, places: Sequence[str], terms: Sequence[Term], knots: Sequence[ForceKnots] = ()
     ):

@@ -12,11 +12,13 @@ from diffsim.causes.readings import Instrument, usual_sample
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
 from diffsim.causes.signals import Between
+from diffsim.core.checked import checked
 from diffsim.data.study import Study
 
 _PER_DISTANCE = {"N": "m", "N m": "rad"}
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Place:
     """A place where a simulator can add a force, along one direction or about one axis.
@@ -44,6 +46,7 @@ class Place:
         return plant.Place(usual, known, self.unit, _PER_DISTANCE[self.unit])
 
 
+@checked
 def command_groups(
     study: Study,
     by_name: Mapping[str, Sequence[str]] | None,
@@ -80,6 +83,7 @@ def command_groups(
     )
 
 
+@checked
 def instruments(
     study: Study,
     by_name: Mapping[str, Sequence[str]] | None,

@@ -17,6 +17,7 @@ from diffsim.causes.ports import SignalChange
 from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import Grid, SignalMap
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.runs import run_each
 from diffsim.core.workers import Processes
 from diffsim.data.study import Run
@@ -223,6 +224,7 @@ class OutsideModel(SimModel):
         workers: Processes that simulate side by side; each makes a simulator of its own.
     """
 
+    @checked
     def __init__(
         self,
         source: Source,

@@ -17,6 +17,7 @@ from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.causes.scene import PLAY_START
 from diffsim.causes.signals import Between
+from diffsim.core.checked import checked
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
@@ -35,6 +36,7 @@ OUTSIDE = "outside"  # the kind of system, and its table
 InRun = Callable[[Mapping[str, Tensor], Run], Mapping[str, Tensor]]
 
 
+@checked
 def outside_setup(
     study: Study,
     simulator: Any,

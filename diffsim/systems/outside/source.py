@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.checked import checked
 from diffsim.core.inside import inside
 from diffsim.data.study import Run
 from diffsim.systems.outside.environment import Environment, SteppedSimulator
@@ -53,6 +54,7 @@ PredictMany = Callable[[Sequence[Call], int], list[Any]]
 """Several calls at once, on so many threads of its own: channels or the error of each."""
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True)
 class Source:
     """A simulator by its place: "my_sim.py:Simulator", "package.module:name" or "gym:Pendulum-v1".

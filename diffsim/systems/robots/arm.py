@@ -5,9 +5,11 @@ from __future__ import annotations
 import torch
 
 from diffsim import mesh, soft
+from diffsim.core.checked import checked
 from diffsim.systems.robots.robot import SoftRobot, element_centers, fibers
 
 
+@checked
 def tendon_arm(
     *,
     length: float = 0.4,

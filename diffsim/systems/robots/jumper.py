@@ -15,6 +15,7 @@ from torch import Tensor
 from diffsim import mesh, soft
 from diffsim.contact import floor
 from diffsim.core.check import require_number
+from diffsim.core.checked import checked
 from diffsim.mesh.box import KUHN
 from diffsim.mesh.voxels import hex_from_mask
 from diffsim.systems.robots.robot import SoftRobot, spread_nodes
@@ -25,6 +26,7 @@ FIBER_STIFFNESS = 10.0
 _Cells = tuple[int, int, int]
 
 
+@checked
 def soft_jumper(
     *,
     cell: float = 0.3,

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from diffsim import mesh, soft
+from diffsim.core.checked import checked
 from diffsim.mesh.voxels import hex_from_mask
 from diffsim.systems.robots.robot import (
     SoftRobot,
@@ -38,6 +39,7 @@ DRAG, THRUST = (0.0, 0.05, 1.85, 2.05), (-0.8, -2.0 / 3.0, 0.1, 2.5)
 DENSITY = 1000.0  # of body and water [kg/m^3]: weight and buoyancy cancel
 
 
+@checked
 def starfish(
     *,
     cell: float = 0.08,
@@ -134,6 +136,7 @@ def _bend_arms(points: Tensor, counts: tuple[int, int, int], droop: float) -> tu
     return out, slope
 
 
+@checked
 def shark(
     *,
     length: float = 4.0,

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from diffsim import mesh, soft
 from diffsim.contact import floor
+from diffsim.core.checked import checked
 from diffsim.mesh.voxels import hex_from_mask
 from diffsim.systems.robots.robot import SoftRobot, element_centers, fibers, spread_nodes
 
@@ -23,6 +24,7 @@ DENSITY = 1000.0  # [kg/m^3]
 _SIDES = ("left", "right")
 
 
+@checked
 def quadruped(
     *,
     cell: float = 0.01,
@@ -85,6 +87,7 @@ def quadruped(
     )
 
 
+@checked
 def cow(
     *,
     cell: float = 0.01,
@@ -129,6 +132,7 @@ def cow(
     )
 
 
+@checked
 def torus(
     *,
     radius: float = 0.08,

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffsim.causes.interpolation import straight
 from diffsim.causes.signals import Grid
+from diffsim.core.checked import checked
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.systems.soft_body.kept import OfTime, ratio
@@ -94,6 +95,7 @@ class _ManyKnots(Force):
         return (self._knots(moment) @ self._shapes).transpose(-1, -2)
 
 
+@checked
 def unknown_force(num_knots: int, until_s: float, axes: str = "xyz") -> Effect:
     """The effect with ``num_knots`` >= 2 knots from 0 to ``until_s`` [s], along ``axes``."""
     idx, spacing = tuple("xyz".index(axis) for axis in axes), until_s / (num_knots - 1)

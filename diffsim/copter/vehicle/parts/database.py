@@ -18,6 +18,7 @@ from diffsim.copter.vehicle.parts.imported import imported_mesh, imported_motor,
 from diffsim.copter.vehicle.parts.part import Part, PartMaker
 from diffsim.copter.vehicle.parts.structure import box_part, circular_plate, plate, rod
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 
 if TYPE_CHECKING:
     from diffsim.core.schema_numbers import Kilograms, Meters
@@ -63,6 +64,7 @@ PART_KINDS: dict[str, PartMaker] = {
 }
 
 
+@checked
 def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
     """A part from the database.
 

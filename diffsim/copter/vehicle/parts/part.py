@@ -13,12 +13,14 @@ from diffsim.copter.vehicle.geometry import LinearMesh, LinearPoints
 from diffsim.copter.vehicle.parts.rotors import RotorData
 from diffsim.copter.vehicle.patches import Patch
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked
 from diffsim.core.errors import MeshError
 from diffsim.mesh.closed_surface import closed_surface
 
 Source = Literal["bought", "cut", "printed"]
 
 
+@checked
 @dataclass(frozen=True)
 class Parameter:
     """A shape parameter.
@@ -37,6 +39,7 @@ class Parameter:
     meaning: str = ""
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class RotorMount:
     """What makes a part a motor; the thrust acts at the part's origin.
@@ -52,6 +55,7 @@ class RotorMount:
     spin: int
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class Part:
     """One part; its frame is turned and moved by the design, never scaled.
@@ -108,6 +112,7 @@ class Part:
             b.append(self.rows[1])
         return np.concatenate(a), np.concatenate(b)
 
+    @checked
     def with_bounds(self, bounds: Mapping[str, tuple[float, float]]) -> Part:
         """The part with narrower bounds of some parameters [m].
 
@@ -137,6 +142,7 @@ class Part:
                     f"{p.name} must lie in its bounds [{p.lower:g}, {p.upper:g}], got {p.value:g}"
                 )
 
+    @checked
     def require_closed(self, name: str) -> None:
         """Refuse geometry without an inside.
 

@@ -57,6 +57,7 @@ _PROPELLERS = {  # mass [kg], price [EUR]
 ROTOR_NAMES = tuple(_PROPELLERS)
 
 
+@checked
 @cache
 def rotor_data(name: str) -> RotorData:
     """The propeller and motor of this name.
