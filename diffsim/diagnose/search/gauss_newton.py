@@ -2,7 +2,7 @@
 
 Steps are Gauss-Newton within a trust region, in scaled coordinates (``Problem.scaled``). Each costs
 one simulation of every run: the slopes are kept by Broyden updates (Broyden 1965, "A class of
-methods for solving nonlinear simultaneous equations"; of many coordinates row by row, where each
+methods for solving nonlinear simultaneous equations"; of many coordinates run by run, where each
 acts: Schubert 1970, "Modification of a quasi-Newton method for nonlinear equations with a sparse
 Jacobian") and simulated again only where the linear prediction was too far off.
 """
@@ -40,6 +40,7 @@ MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
 LEAST_RECORDS = 60.0  # simulations of all runs, by their weight, that any fit may take
 LEAST_SLOPES = 2.0  # times all slopes, that a fit of a set may take where they are simulations
 OVERSPENT = "its share of the budget was spent"
+TINY = np.finfo(float).tiny
 MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
 
@@ -143,10 +144,12 @@ class _Iterate:
             along = step / float(step @ step)
             columns = here.columns + np.outer(off, along)
             jacobian = self.jacobian + np.outer(white_off, along)
-        else:  # what does not act in a row goes on not acting there
-            acts = here.columns != 0.0
-            per_row = off / np.maximum(acts @ step**2, np.finfo(float).tiny)
-            columns = here.columns + np.where(acts, np.outer(per_row, step), 0.0)
+        else:  # what does not act in a run goes on not acting there
+            columns, first = here.columns.copy(), 0
+            for run in self.problem.runs:
+                rows = slice(first, first := first + run.measured.size)
+                along = np.where(columns[rows].any(0), step, 0.0)
+                columns[rows] += np.outer(off[rows], along / max(float(along @ along), TINY))
             jacobian = self.problem.whiten_all(columns)
         at = Linearization(x, record, here.idx, columns, error)
         return replace(self, at=at, residual=residual, jacobian=jacobian)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from diffsim.identify.effect import TAIL, coordinate_of, precision_at, scaled_at
+from diffsim.identify.whitening import MIN_SPARSE
 
 Array = NDArray[np.float64]
 MAX_REWEIGHTS = 60
@@ -63,7 +64,8 @@ def optimum(
         beyond = base & ((v < low) | (v > high))
         if not beyond.any():
             return v
-        kept = kept | beyond
+        # of few coordinates all, which takes one more round at most
+        kept = kept | beyond if len(b) >= MIN_SPARSE else np.ones(len(b), dtype=bool)
 
 
 def kept_definite(gram: Array) -> Array:
