@@ -64,10 +64,12 @@ def choose_columns(
         units[header] = said.unit
         columns.append(Column(name, said.unit and to_si(said.unit).unit, header))
 
-    def in_si_units(run: Run) -> dict[str, Array]:
-        return {c.name: in_si(run.columns[c.header], _AS_IS, units[c.header]) for c in columns}
-
-    return tuple(replace(run, columns=in_si_units(run)) for run in runs), tuple(columns)
+    given = [
+        {c.name: in_si(run.columns[c.header], _AS_IS, units[c.header]) for c in columns}
+        for run in runs
+    ]
+    pairs = zip(runs, given, strict=True)
+    return tuple(replace(run, columns=in_si_units) for run, in_si_units in pairs), tuple(columns)
 
 
 def outputs_of(study: Study) -> frozenset[str]:

@@ -15,6 +15,7 @@ from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
 from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.preconditions import UNCONTRADICTED
 from diffsim.diagnose.judge.records import CERTAIN, DATA_SHEET, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
@@ -66,7 +67,10 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     levels = {entry.target for entry in acting if entry.kind in OF_NUMBERS}
     far = [row.words for row in report.base if row.name in levels and abs(row.pull) > row.limit]
     more += [f"The level of {words} cannot be told from that of its law." for words in far]
-    return replace(report, described=answer, verdict=DESCRIBED, sentences=(first, said, *more))
+    # a law is claimed where something that was not fitted could contradict it
+    is_alone = all(UNCONTRADICTED in row.doubts for row in rows)
+    verdict = "ambiguous" if is_alone else DESCRIBED
+    return replace(report, described=answer, verdict=verdict, sentences=(first, said, *more))
 
 
 def in_words(report: Report, found: FoundLaws) -> Report:

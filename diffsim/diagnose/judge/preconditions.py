@@ -44,6 +44,7 @@ SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 MUCH_UNSEEN = 3.0  # that unseen runs show
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
+UNCONTRADICTED = "no other recording could contradict it"
 FIRST_ANSWER = "this is a first answer"
 
 
@@ -174,7 +175,7 @@ def _much_is_left(g: Grounds) -> str:
 def _is_a_single_recording(g: Grounds, i: int) -> str:
     case = g.search.null.case
     num = len(case.study.runs) + case.num_tests
-    return "no other recording could contradict it" if num < 2 else ""
+    return UNCONTRADICTED if num < 2 else ""
 
 
 def _sets_do_without(g: Grounds, i: int) -> str:

@@ -42,6 +42,15 @@ def cogs():
 
 
 @pytest.mark.cpu(10)  # a whole diagnosis, then another one with the laws that it found
+def test_one_recording_alone_claims_no_law():
+    """The same cogging: nothing that was not fitted could contradict its law."""
+    report = found(turntable_study(cogging, uses=USES[:1], noise=NOISE, count=200))
+    assert report.verdict == "ambiguous" and len(report.described.laws) == 1
+    row = next(c for c in report.causes if c.name == report.described.laws[0].name)
+    assert row.status == "likely" and "no other recording could contradict it" in row.doubts
+
+
+@pytest.mark.cpu(10)  # a whole diagnosis, then another one with the laws that it found
 def test_a_hidden_cogging_is_described(cogs):
     assert cogs.verdict == "described"
     (law,) = cogs.described.laws
