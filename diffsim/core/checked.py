@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial, wraps
+from numbers import Real
 from types import UnionType
 from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, overload
 
@@ -40,7 +41,7 @@ _ROWS: dict[Any, list[tuple[str, _Check | None]]] = {}
 """Checks by function: a graph must not find them in what a wrapper encloses."""
 _NUMBERS = {"Number", "Value", "Vector"}
 _PLAIN: dict[str, tuple[tuple[type, ...], str]] = {
-    "float": ((float, int, np.number), "a number"),
+    "float": ((float, int, np.number, Real), "a number"),
     "int": ((int, np.integer), "a whole number"),
     "str": ((str,), "text"),
     "bool": ((bool, int, np.bool_), "True or False"),

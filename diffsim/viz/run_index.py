@@ -134,7 +134,7 @@ class _Server(ThreadingHTTPServer):
             print(f"a page could not be shown: {type(error).__name__}: {error}", file=sys.stderr)
 
 
-class _Asked(io.RawIOBase):
+class _RequestStream(io.RawIOBase):
     """What a client sends, until a moment: a letter a second would hold a thread for ever."""
 
     def __init__(self, connection: Any, until: float):
@@ -165,7 +165,9 @@ class _Handler(SimpleHTTPRequestHandler):
     def setup(self) -> None:
         """All of a request comes within the time that an answer may wait."""
         super().setup()
-        self.rfile = io.BufferedReader(_Asked(self.connection, time.monotonic() + self.timeout))
+        self.rfile = io.BufferedReader(
+            _RequestStream(self.connection, time.monotonic() + self.timeout)
+        )
 
     def parse_request(self) -> bool:
         """As above; the answer has its own time."""

@@ -9,7 +9,7 @@ What the extended model holds is stated as it holds it: the value of its own fit
 unseen runs, inside of an interval over all sets. So what is named is what is saved and judged.
 Where one other of its causes may be zero, the interval holds that of the set without that one, too,
 whatever its evidence: sizes that only stand beside what may be absent are not known that well.
-Where a fit ended before its optimum, its intervals are wider by what is left of the way.
+Where a budget ended a fit before its optimum, its intervals are wider by what is left of the way.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ class ModelAverage:
         return mean, np.maximum(sd, [self.spread.get(n, 0.0) for n in names])
 
     def _computed_posterior(self, h: Hypothesis) -> tuple[Array, Array]:
-        """Mean and sd of all scaled coordinates of a set's problem; of a fit that did not converge
+        """Mean and sd of all scaled coordinates of a set's problem; of a fit that its budget cut
         with how far its slopes still lead."""
         posterior = self.search.posteriors.get(h) or self.search.linear[h]
         fit = posterior.fit
@@ -233,7 +233,7 @@ class ModelAverage:
             shift = numerical_shift(fit, self.changes)
             sd = np.hypot(np.sqrt(np.diag(fit.covariance)), shift)
         u, spread = problem.scaled(x), sd * problem.stretch(x)
-        if fit is not None and not fit.converged:
+        if fit is not None and fit.ended == "budget":
             spread = np.hypot(spread, problem.scaled(posterior.x) - u)
         return u, spread
 

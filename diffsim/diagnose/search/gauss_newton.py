@@ -104,7 +104,7 @@ class _Iterate:
         """
         longest = float((np.abs(step) / self.problem.step_factors).max())
         shorter = replace(self, radius=0.25 * longest)
-        after, enough = self._moved(step), self.cost - 2.0 * KEPT_PROMISE * self.promised(step)
+        after, enough = self._advance(step), self.cost - 2.0 * KEPT_PROMISE * self.promised(step)
         if after is None:
             return shorter, 0.0
         model = self.problem.model
@@ -112,7 +112,7 @@ class _Iterate:
         is_lost = after.at.slope_error - self.at.slope_error > LOST_RTOL
         if is_dear and after.cost > enough and not is_lost:
             way = _step(replace(after, radius=longest), *self.problem.bounds)
-            back = after._moved(way) if way.any() else None
+            back = after._advance(way) if way.any() else None
             if back is not None and back.cost < after.cost:
                 after = back
         if not after.cost < self.cost:
@@ -125,7 +125,7 @@ class _Iterate:
             return replace(after, radius=2.0 * longest), limit
         return after, limit
 
-    def _moved(self, step: Array) -> _Iterate | None:
+    def _advance(self, step: Array) -> _Iterate | None:
         """A step further, with Broyden's update of the slopes; None: too far to be simulated."""
         here, x = self.at, self.problem.standardized(self.scaled + step)
         try:
