@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
+from diffsim.diagnose.search import gauss_newton
 from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence
-from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import linearization_at
@@ -64,14 +64,28 @@ def test_what_is_made_by_parts_is_what_is_made_at_once():
     np.testing.assert_allclose(posterior_covariance(slopes), inverse, atol=1e-13)
 
 
-def test_steps_keep_starts_out_of_other_runs_and_end_at_the_minimum():
+def test_an_update_explains_its_step_and_keeps_starts_out_of_other_runs():
+    problem = begun(bend=0.3)
+    begin = np.zeros(len(problem.names))
+    before = gauss_newton._first(problem, linearization_at(problem, begin))
+    step = np.random.default_rng(0).normal(0.0, 0.3, len(begin))
+    after = before._advance(step)
+    off = after.at.record - before.at.record - before.at.columns @ step
+    assert np.abs(off).max() > 0.1  # the record bends
+    change = after.at.columns @ step
+    np.testing.assert_allclose(change, after.at.record - before.at.record, atol=1e-12)
+    np.testing.assert_allclose(after.jacobian, problem.whiten_all(after.at.columns))
+    edges = np.cumsum([0, *(r.measured.size for r in problem.runs)])
+    for run, first, last in zip(problem.runs, edges[:-1], edges[1:], strict=True):
+        own = f"@{run.name}"
+        others = [i for i, n in enumerate(problem.names) if "@" in n and not n.endswith(own)]
+        assert not after.at.columns[first:last, others].any()
+
+
+def test_steps_end_at_the_minimum():
     problem = begun(bend=0.3)
     x = np.zeros(len(problem.names))
-    found, at = gauss_newton(problem, linearization_at(problem, x))
-    names, edges = problem.names, np.cumsum([0, *(r.measured.size for r in problem.runs)])
-    for run, first, last in zip(problem.runs, edges, edges[1:], strict=False):
-        others = [i for i, n in enumerate(names) if "@" in n and not n.endswith(f"@{run.name}")]
-        assert not at.columns[first:last, others].any()
+    found, _ = gauss_newton.gauss_newton(problem, linearization_at(problem, x))
     best = optimize.least_squares(
         lambda v: np.concatenate([problem.residual(v), v]),
         x,
