@@ -495,3 +495,8 @@ def _split_effects(
 def has_tangents(model: SimModel) -> bool:
     """Whether a model differentiates its predictions itself (a method ``tangents`` of its own)."""
     return getattr(type(model), "tangents", None) is not getattr(SimModel, "tangents", None)
+
+
+def slopes_are_simulated(model: SimModel) -> bool:
+    """Whether each slope takes simulations of its own: neither a batch nor tangents give all."""
+    return not (model.batched or has_tangents(model))

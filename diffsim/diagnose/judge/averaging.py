@@ -81,10 +81,6 @@ class ModelAverage:
         """Probability that an effect, by index, acts."""
         return float(sum(w for h, w in self.weights.items() if i in h.effects))
 
-    def unknown_probability(self, u: int) -> float:
-        """Probability that an unknown cause, by index, acts."""
-        return float(sum(w for h, w in self.weights.items() if h.unknown == u))
-
     def added(self, members: frozenset[int], i: int) -> float:
         """Nats that an effect adds to a set, by linear evidence at it; below zero: it costs.
 

@@ -404,7 +404,7 @@ def _unknown_rows(known: CauseEvidence) -> list[CauseRow]:
     decision, rows = known.judgment.decision, []
     shown = {h.unknown for h in (decision.unknown, decision.beside, *decision.rivals) if h}
     for u, cause in enumerate(search.unknowns):
-        p = about.unknown_probability(u)
+        p = float(sum(w for h, w in about.weights.items() if h.unknown == u))
         if u in shown or (p >= PROBABLE and u not in known.judgment.refuted):
             is_verdict = decision.unknown is not None and decision.unknown.unknown == u
             is_sure = is_verdict and p >= SURE and not known.doubts_of_fit

@@ -26,7 +26,7 @@ from diffsim.identify import Fit, Problem
 from diffsim.identify.bandwidth import num_cosines_of
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import Linearization, linearization_at
-from diffsim.identify.model import has_tangents
+from diffsim.identify.model import slopes_are_simulated
 from diffsim.identify.unknown import Unknown
 
 
@@ -220,8 +220,7 @@ def _simulated_beside(search: Search, key: Hypothesis, place: Center, best: Memb
         place: Where it has linear evidence.
         best: Members of the best set.
     """
-    model = search.wide.model
-    if model.batched or has_tangents(model) or key.effects >= best:
+    if not slopes_are_simulated(search.wide.model) or key.effects >= best:
         return search
     assert key.unknown is not None
     made, cause = search.simulations, search.unknowns[key.unknown]

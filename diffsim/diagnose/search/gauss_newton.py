@@ -23,7 +23,7 @@ from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.fitting import summary
 from diffsim.identify.linearization import Linearization, linearization_at
-from diffsim.identify.model import has_tangents
+from diffsim.identify.model import slopes_are_simulated
 from diffsim.identify.whitening import MIN_SPARSE, gram_of
 
 Array = NDArray[np.float64]
@@ -107,8 +107,7 @@ class _Iterate:
         after, enough = self._advance(step), self.cost - 2.0 * KEPT_PROMISE * self.promised(step)
         if after is None:
             return shorter, 0.0
-        model = self.problem.model
-        is_dear = not (model.batched or has_tangents(model))
+        is_dear = slopes_are_simulated(self.problem.model)
         is_lost = after.at.slope_error - self.at.slope_error > LOST_RTOL
         if is_dear and after.cost > enough and not is_lost:
             way = _step(replace(after, radius=longest), *self.problem.bounds)
@@ -202,8 +201,7 @@ def iterated(
     ended: Ended = "budget"
     evaluations, message = 0, f"no end after {MAX_STEPS} steps"
     # steps by the slopes that are there are cheap where slopes are not: as many as new ones cost
-    is_dear = not (model.batched or has_tangents(model))
-    last = until + (problem.cost_of_slopes() if is_dear else 0.0)
+    last = until + (problem.cost_of_slopes() if slopes_are_simulated(model) else 0.0)
     for _ in range(MAX_STEPS):
         is_spent = model.simulations.steps > until
         if model.simulations.steps > last:

@@ -44,7 +44,7 @@ from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulatio
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.linearization import Linearization, linearization_at
-from diffsim.identify.model import has_tangents
+from diffsim.identify.model import slopes_are_simulated
 
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
@@ -193,7 +193,7 @@ def refit(
     turn = FROM_PRIOR / LEAST_REFITS * search.settings.refit_steps
     most = max(turn, LEAST_RECORDS * search.wide.cost())
     narrow = search.simulations.narrow(members)
-    if not (narrow.model.batched or has_tangents(narrow.model)):  # each slope is simulations
+    if slopes_are_simulated(narrow.model):
         most = max(most, LEAST_SLOPES * narrow.cost_of_slopes())
     most = min(search.null.case.settings.plain_steps, most)
     for center in starts if begin is None else starts[:1]:
@@ -226,8 +226,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     at, most = made.fitted[members], search.settings.refit_steps
     is_exact = fit.ended != "budget"
     is_exact &= has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
-    model = search.wide.model
-    by_differences = not (model.batched or has_tangents(model))
+    by_differences = slopes_are_simulated(search.wide.model)
     for _ in range(MAX_MENDED):
         if not is_exact:
             fit, end = made.fitted_from(members, at, np.inf, most=most)
