@@ -18,12 +18,13 @@ from diffsim.data.columns_beside import outputs_of
 from diffsim.data.header_units import header_units
 from diffsim.data.record.clocks import TIMELESS
 from diffsim.data.run_files import BLOCK_OF
-from diffsim.data.shown import resolution_words, shown, shown_change
+from diffsim.data.shown import resolution_words, shown, shown_change, shown_step
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
 from diffsim.data.study_file import read_whole
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
+from diffsim.diagnose.checks.noise import UNREPEATABLE, repeat_deviations
 from diffsim.diagnose.checks.whole_record import model_problems
 from diffsim.diagnose.faults.given import take_apart
 from diffsim.systems.ode.repeat import write_out
@@ -288,6 +289,7 @@ def _summary(study: Study) -> Iterator[str]:
     repeats = {g: n for g, n in Counter(r.group for r in study.runs).items() if n > 1}
     if repeats:
         yield f"repeats: {list_first([f'{n} runs of {g}' for g, n in repeats.items()])}"
+        yield from _scatter_rows(study)
     outputs = outputs_of(study)
     if beside := [c for c in study.columns if c.name not in outputs]:
         shown = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in beside]
@@ -327,6 +329,22 @@ def _describe_uses(study: Study) -> Iterator[str]:
         if test
         else "test: none; nothing will show what the causes found are worth on unseen runs"
     )
+
+
+def _scatter_rows(study: Study) -> Iterator[str]:
+    """Channels whose repeats differ, as they were recorded, by more than the stated noise."""
+    runs = study.fit_runs
+    deviations = repeat_deviations(runs, {run.name: run.measured for run in runs})
+    if not deviations:
+        return
+    scatter = np.sqrt(np.nanmean(np.concatenate(deviations) ** 2, axis=0))
+    for channel, size in zip(study.channels, scatter.tolist(), strict=True):
+        if channel.sd is not None and size > UNREPEATABLE * channel.sd:
+            yield (
+                f"repeats of {channel.name} differ by {shown_step(channel, size)} as they were "
+                f"recorded, {size / channel.sd:.2g} times its sd: causes are only judged if the "
+                "model tells them apart, by its starts for one, or if sd holds the difference"
+            )
 
 
 def _channel_row(study: Study, at: int, channel: Channel) -> list[str]:

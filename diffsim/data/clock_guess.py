@@ -9,7 +9,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.units import to_si
-from diffsim.data.names import COUNTER, TIME, TRIAL, may_be_time, unit_of_clock
+from diffsim.data.names import COUNTER, PERIOD, RATE, TIME, TRIAL, may_be_time, unit_of_clock
 from diffsim.data.study_check import LATE
 from diffsim.data.table import Table
 from diffsim.data.table_guess import Column
@@ -35,7 +35,8 @@ def guess_clock(
     Returns:
         Keys of ``time``, the column, and what the user must say.
     """
-    columns = [c for c in columns if c.name]
+    stated = _stated_step(columns, tables[0])
+    columns = [c for c in columns if c.name and (stated is None or c is not stated[0])]
     named = [c for c in columns if TIME.match(c.base) and may_be_time(c)]
     for column in (*named, *(c for c in columns if c not in named)):
         if not tables[0].is_number[column.name]:
@@ -53,11 +54,40 @@ def guess_clock(
     for column in columns:
         is_named = is_counter(column, tables[0], np.arange(len(tables[0])))
         if (is_named and _counts(column, tables)) or _numbers_rows(column, tables):
-            said.append(f"clock: column {column.name} counts, by 0.01 s until you say otherwise")
-            todo = [f"time.step: seconds for each count of {column.name}"]
-            return {"column": column.name, "step": 0.01}, column, todo
-    said.append("clock: no column looks like one; rows are 0.01 s apart until you say otherwise")
-    return {"step": 0.01}, None, ["time.step: seconds between two rows"]
+            what, between = f"column {column.name} counts", f"for each count of {column.name}"
+            time, todo = _step_of_rows(what, between, stated, said)
+            return {"column": column.name, **time}, column, todo
+    time, todo = _step_of_rows("no column looks like one", "between two rows", stated, said)
+    return time, None, todo
+
+
+def _stated_step(columns: Sequence[Column], table: Table) -> tuple[Column, float] | None:
+    """The column that states how far rows are apart, a rate or a step that stays, and how far [s];
+    None: none does."""
+    for column in columns:
+        is_rate = bool(RATE.search(column.name) or RATE.search(column.base))
+        if not is_rate and not (PERIOD.search(column.name) or PERIOD.search(column.base)):
+            continue
+        if not table.is_number[column.name]:
+            continue
+        values = table.numbers(column.name)
+        unit = to_si(column.unit or ("Hz" if is_rate else "s"))
+        if (values == values[0]).all() and values[0] > 0.0 and unit.unit in ("s", "1/s", "Hz"):
+            size = unit.factor * float(values[0])
+            return column, size if unit.unit == "s" else 1.0 / size
+    return None
+
+
+def _step_of_rows(
+    what: str, between: str, stated: tuple[Column, float] | None, said: list[str]
+) -> tuple[dict[str, float], list[str]]:
+    """The step of a clock that is none, and what the user must say."""
+    if stated is not None:
+        column, step = stated
+        said.append(f"clock: {what}; rows are {step:.6g} s apart by {column.name}")
+        return {"step": float(f"{step:.12g}")}, []
+    said.append(f"clock: {what}; rows are 0.01 s apart until you say otherwise")
+    return {"step": 0.01}, [f"time.step: seconds {between}"]
 
 
 def seconds_of(table: Table, time: Mapping[str, Any]) -> Array:

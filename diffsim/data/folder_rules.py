@@ -205,7 +205,9 @@ def runs(guess: Guess) -> Iterable[str]:
             guess.runs.append(GuessedRun(full, tuple(references), tuple(tables), own, value))
     if not guess.split:
         count = len(guess.runs)
-        what = "files" if len(guess.kinds) == 1 else "sets of files"
+        of_parts = any("#" in file for run in guess.runs for file in run.files)
+        what = "tables" if of_parts else "files"
+        what = what if len(guess.kinds) == 1 else f"sets of {what}"
         yield f"runs: one for each of {count} {what}" if count > 1 else "runs: one"
 
 

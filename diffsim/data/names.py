@@ -16,6 +16,17 @@ from diffsim.data.table_guess import Column, column_of
 TIME = re.compile(
     r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I
 )
+#: What a file states of its clock beside the samples: rows a second, or seconds between two rows.
+RATE = re.compile(
+    r"(^|[._ ])(fs|fps|hz|(sample|sampling|recording|control|action|loop|frame)s?[_ ]?"
+    r"(rate|freq|frequency|hz|fps)|abtastrate)([._ ]hz)?$",
+    re.I,
+)
+PERIOD = re.compile(
+    r"(^|[._ ])(dt|delta[_ ]?t|ts|(sample|sampling|time|control|frame)[_ ]?"
+    r"(step|time|period|interval)|abtastzeit)$",
+    re.I,
+)
 #: What people call a clock by its unit alone.
 _UNITS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sekunden"), "s"),

@@ -71,11 +71,22 @@ def test_a_study_is_shown_with_what_its_uses_imply(folder, capsys):
     assert "select: c; these choose between causes" in out
     assert "test: d; touched once" in out
     assert "One row of the record is 10 ms" in out
-    assert "repeats: 2 runs of slow" in out
+    assert "repeats: 2 runs of slow" in out and "repeats of position differ" not in out
     assert "not used: columns: counter (4 files)" in out
     assert "not used: run d: 10 of 40 samples, by its window" in out
     assert "model: 1 base parameters (gain; play_start, 4 more, one per run: only" in out
     assert "ready for a diagnosis" in out
+
+
+def test_repeats_that_differ_as_recorded_are_told_before_a_search(folder, capsys):
+    head, *rows = (folder / "b.csv").read_text().splitlines()
+    values = [row.split(",") for row in rows]
+    moved = [",".join([t, repr(float(x) + 1.0), *rest]) for t, x, *rest in values]
+    (folder / "b.csv").write_text("\n".join([head, *moved]) + "\n")
+    code, out, _ = check(folder, capsys)
+    assert code == 0, out
+    # two runs that are 1 mm apart: an sd of 1 / sqrt(2) of a single one, and the noise's 0.1 mm
+    assert "repeats of position differ by 0.7" in out and " mm as they were recorded, 7" in out
 
 
 def test_what_was_recorded_beside_is_said(folder, capsys):

@@ -463,6 +463,82 @@ def test_json_logs_of_records_with_facts_beside_them(tmp_path):
     np.testing.assert_array_equal(read_columns(tmp_path / "log.jsonl")["timestamp"], TIME)
 
 
+def _runs_by_column(lengths):
+    """A file as scripts write it: one object for each run, with a list for each column."""
+    runs = []
+    for number, length in enumerate(lengths):
+        time_s = 0.02 * np.arange(length)
+        goal = np.sin((2.0 + number) * time_s)
+        moved = np.roll(goal, 2) + 1e-3 * np.cos(7.0 * time_s)
+        runs.append(
+            {
+                "kind": "chirp",
+                "targets": ["kp", "tau"],
+                "actions": goal.tolist(),
+                "sensor": {"angle": moved.tolist(), "pose": np.stack([goal, moved], 1).tolist()},
+            }
+        )
+    return {"config": {"action_hz": 50, "limits": [-0.6, 0.6]}, "data": runs}
+
+
+@pytest.mark.parametrize("lengths", [(150, 30, 30), (150,), (150, 150)])
+def test_json_with_a_list_for_each_column_is_a_table_for_each_run(tmp_path, lengths):
+    log = _runs_by_column(lengths)
+    (tmp_path / "log.json").write_text(json.dumps(log))
+    parts = [f"data.{k}" for k in range(len(lengths))]
+    assert parts_of(tmp_path / "log.json") == parts
+    for part, run in zip(parts, log["data"], strict=True):
+        columns = read_columns(tmp_path / f"log.json#{part}")
+        np.testing.assert_array_equal(columns["actions"], run["actions"])
+        np.testing.assert_array_equal(columns["sensor.pose[1]"], run["sensor"]["angle"])
+        assert set(columns["config.action_hz"]) == {50}
+        assert set(columns["kind"]) == {"chirp"}
+    (said,) = left_out_of(tmp_path / f"log.json#{parts[0]}")
+    assert "list targets: another number of rows" in said
+
+
+def test_json_of_one_run_by_column_and_records_with_vectors(tmp_path):
+    run = {"fs": 100.0, "t": TIME.tolist() * 2, "x": [None, *range(21)], "said": ["a"] * 22}
+    (tmp_path / "run.json").write_text(json.dumps(run))
+    columns = read_columns(tmp_path / "run.json")
+    assert list(columns) == ["t", "x", "said", "fs"]
+    assert np.isnan(columns["x"][0]) and columns["x"][-1] == 20
+    run["x"][3] = [1.0, 2.0]  # rows of several lengths
+    (tmp_path / "run.json").write_text(json.dumps(run))
+    assert list(read_columns(tmp_path / "run.json")) == ["t", "said", "fs"]
+    assert left_out_of(tmp_path / "run.json") == ["run.json: list x: rows of several lengths"]
+    # records with vectors of 24 joints, and lists of a robot's numbers, are none of these
+    records = [{"q": [float(k)] * 24, "dq": [0.0] * 24} for k in range(30)]
+    facts = {"home": [0.1] * 7, "limits": [1.0] * 7}
+    (tmp_path / "arm.json").write_text(json.dumps({"robot": facts, "steps": records}))
+    assert parts_of(tmp_path / "arm.json") == ["steps"]
+    assert len(read_columns(tmp_path / "arm.json")) == 48
+
+
+@pytest.mark.parametrize(
+    ("config", "step"),
+    [
+        ({"action_hz": 50}, 0.02),
+        ({"sample_rate": 250.0}, 0.004),
+        ({"dt": 0.02}, 0.02),
+        ({"sampling_time_ms": 5}, 0.005),
+        ({"gain": 50}, None),
+    ],
+)
+def test_a_rate_that_the_file_states_is_the_clock(tmp_path, capsys, config, step):
+    log = _runs_by_column((150, 90, 60)) | {"config": config}
+    (tmp_path / "log.json").write_text(json.dumps(log))
+    assert main(["diagnose", "init", str(tmp_path)]) == 0
+    said = capsys.readouterr()
+    assert ("time.step" in (tmp_path / "study.yaml").read_text().partition("todo:")[2]) == (
+        step is None
+    ), said
+    study = load_study(tmp_path / "study.yaml")
+    assert len(study.runs) == 3
+    assert "actions" in study.runs[0].command
+    np.testing.assert_allclose(np.diff(study.runs[0].time_s), step or 0.01, rtol=1e-9)
+
+
 def test_a_folder_of_json_logs_gives_a_first_study(tmp_path, capsys):
     rng = np.random.default_rng(0)
     time_s = 0.01 * np.arange(200)

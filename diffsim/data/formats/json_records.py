@@ -1,44 +1,93 @@
-"""JSON of loggers: a list of records, or an object with such lists and facts beside them."""
+"""JSON of loggers: lists of records, or of each column's values, and facts beside them."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from diffsim.data.formats.columns import Columns, fields_left_out, of_messages
+from diffsim.data.formats.columns import (
+    MOST_ENTRIES,
+    Columns,
+    arrays_of_a_table,
+    fields_left_out,
+    flat,
+    of_messages,
+    require_few,
+    text_of,
+)
+
+_FEWEST_ROWS = 20  # of lists by column: shorter ones have a number for each joint or rotor
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """A table of a file.
+
+    Attributes:
+        content: Its records, or its values by column.
+        facts: Numbers and texts that stand beside it, by name.
+    """
+
+    content: Sequence[Mapping[str, Any]] | Mapping[str, Any]
+    facts: Mapping[str, Any]
+
+    def columns(self) -> Columns:
+        """Its columns, and one constant column for every fact of another name."""
+        if isinstance(self.content, Mapping):
+            arrays, _ = _arrays_of(self.content)
+            found = dict(pair for name, array in arrays.items() for pair in flat(name, array))
+        else:
+            found = of_messages(self.content)
+        count = len(next(iter(found.values()), ()))
+        for name, value in self.facts.items():
+            found.setdefault(name, np.full(count, value))
+        return {name: v.astype(np.int64) if v.dtype == bool else v for name, v in found.items()}
+
+    def left_out(self) -> list[str]:
+        """What is no column, a sentence each."""
+        if isinstance(self.content, Mapping):
+            return _arrays_of(self.content)[1]
+        return list(fields_left_out(self.content[0]))
 
 
 def parts(path: Path) -> list[str]:
-    """Lists of records by key, ``episode.steps`` where deeper; "" where the file is one."""
-    return [name for name, _ in _tables(_content(path), "")]
+    """Tables by the keys that lead to them, ``episode.steps`` where deeper; "" where the file is
+    one. Those of a list of runs have their place in it, ``data.0``, ``data.1``."""
+    found = list(_tables_of(path))
+    require_few(len(found), "tables")
+    return found
 
 
 def read(path: Path, part: str) -> Columns:
-    """Columns of a list of records, and one constant column for every fact that stands beside it.
+    """Columns of a table, and one constant column for every fact that stands beside it.
 
-    A fact is a number or text of an object that holds the list; a column of its name goes first.
+    A fact is a number or text of an object that holds the table, or of an object in such a one,
+    ``config.rate``; a column of its name goes first.
     """
-    content = _content(path)
-    records = dict(_tables(content, ""))[part]
-    columns = of_messages(records)
-    facts: dict[str, Any] = {}
-    holder: Any = content
-    for key in part.split(".") if part else []:
-        facts |= {k: v for k, v in holder.items() if isinstance(v, (bool, int, float, str))}
-        holder = holder[key]
-    for name, value in facts.items():
-        columns.setdefault(name, np.full(len(records), value))
-    return {name: v.astype(np.int64) if v.dtype == bool else v for name, v in columns.items()}
+    return _tables_of(path)[part].columns()
 
 
 def left_out(path: Path, part: str) -> list[str]:
-    """Fields of the first record that are no columns."""
-    records = dict(_tables(_content(path), "")).get(part, [])
-    return list(fields_left_out(records[0])) if records else []
+    """Fields of the first record, or lists, that are no columns."""
+    table = _tables_of(path).get(part)
+    return [] if table is None else table.left_out()
+
+
+def _tables_of(path: Path) -> dict[str, _Table]:
+    state = path.stat()
+    return _read_tables(path, state.st_size, state.st_mtime_ns)
+
+
+@lru_cache(maxsize=1)  # its tables are asked for one by one, and reading takes them all
+def _read_tables(path: Path, size: int, changed_ns: int) -> dict[str, _Table]:
+    return dict(_tables(_content(path), "", {}))
 
 
 def _content(path: Path) -> Any:
@@ -49,11 +98,92 @@ def _content(path: Path) -> Any:
     return json.loads(text)
 
 
-def _tables(value: Any, name: str) -> Iterator[tuple[str, list[Mapping[str, Any]]]]:
-    """Lists of records inside a value, each with the keys that lead to it."""
+def _tables(value: Any, name: str, facts: Mapping[str, Any]) -> Iterator[tuple[str, _Table]]:
+    """Tables inside a value, each with the keys that lead to it."""
     if isinstance(value, list):
-        if value and all(isinstance(record, Mapping) for record in value):
-            yield name, value
+        if not value or not all(isinstance(entry, Mapping) for entry in value):
+            return
+        if not _are_runs(value):
+            yield name, _Table(value, facts)
+            return
+        for k, run in enumerate(value):
+            yield _below(name, str(k)), _Table(run, {**facts, **_facts_of(run)})
     elif isinstance(value, Mapping):
+        facts = {**facts, **_facts_of(value)}
+        if _is_table(value):
+            yield name, _Table(value, facts)
+            return
         for key, inner in value.items():
-            yield from _tables(inner, f"{name}.{key}" if name else str(key))
+            yield from _tables(inner, _below(name, str(key)), facts)
+
+
+def _below(name: str, key: str) -> str:
+    return f"{name}.{key}" if name else key
+
+
+def _facts_of(holder: Mapping[str, Any], name: str = "") -> dict[str, Any]:
+    """Numbers and texts of an object, and of the objects in it without tables of their own."""
+    facts: dict[str, Any] = {}
+    for key, value in holder.items():
+        field = _below(name, str(key))
+        if isinstance(value, Mapping) and not _holds_table(value):
+            facts |= _facts_of(value, field)
+        elif isinstance(value, (bool, int, float, str)):
+            facts[field] = value
+    return facts
+
+
+def _holds_table(value: Any) -> bool:
+    if isinstance(value, list):
+        return bool(value) and isinstance(value[0], Mapping)
+    return isinstance(value, Mapping) and (
+        _is_table(value) or any(_holds_table(inner) for inner in value.values())
+    )
+
+
+def _is_table(value: Mapping[str, Any]) -> bool:
+    """Whether an object holds a list of values for each of several columns."""
+    lengths = list(map(len, _lists_of(value).values()))
+    return max(map(lengths.count, lengths), default=0) > 1 and max(lengths) >= _FEWEST_ROWS
+
+
+def _are_runs(entries: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether objects are runs with lists of values rather than records with vectors, which are
+    short and of the same length in each."""
+    if not any(_is_table(entry) for entry in entries):
+        return False
+    lengths = [{name: len(column) for name, column in _lists_of(e).items()} for e in entries]
+    return max(lengths[0].values(), default=0) > MOST_ENTRIES or lengths.count(lengths[0]) < len(
+        lengths
+    )
+
+
+def _lists_of(value: Mapping[str, Any], name: str = "") -> dict[str, list[Any]]:
+    """Lists of an object, and of the objects in it, that are none of objects."""
+    found: dict[str, list[Any]] = {}
+    for key, inner in value.items():
+        field = _below(name, str(key))
+        if isinstance(inner, Mapping):
+            found |= _lists_of(inner, field)
+        elif isinstance(inner, list) and inner and not isinstance(inner[0], Mapping):
+            found[field] = inner
+    return found
+
+
+def _arrays_of(value: Mapping[str, Any]) -> tuple[dict[str, NDArray[Any]], list[str]]:
+    """Lists that are columns of one table, as arrays, and a sentence for each of the others."""
+    arrays = {name: _array_of(column) for name, column in _lists_of(value).items()}
+    shapes = {name: array.shape for name, array in arrays.items() if array is not None}
+    used, out = arrays_of_a_table(shapes, "list")
+    out += [f"list {name}: rows of several lengths" for name, a in arrays.items() if a is None]
+    return {name: array for name in used if (array := arrays[name]) is not None}, out
+
+
+def _array_of(entries: Sequence[Any]) -> NDArray[Any] | None:
+    """A list as an array, of text where one entry is; None: its rows are of several lengths."""
+    if any(isinstance(entry, str) for entry in entries):
+        return text_of(["" if entry is None else str(entry) for entry in entries])
+    try:
+        return np.array(entries, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None

@@ -309,7 +309,10 @@ def _first(answer: Answer) -> str:
         return f"{text}; {_sizes(mimics)} would mimic part of it." if mimics else f"{text}."
     if answer.verdict == "unrepeatable":
         scatter = _scatter(answer.floor, answer.gates)
-        return f"Repeats scatter {scatter}: the misfit is not a function of the command."
+        return (
+            f"Repeats scatter {scatter}: the misfit is not a function of the command. Causes that "
+            "are larger are judged where `sd` states that scatter."
+        )
     failed = [g for g in answer.gates if not g.passed and g.name in NUMERICS_GATES]
     return (
         "The numerical settings move the record by "
