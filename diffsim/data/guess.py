@@ -11,6 +11,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.figures import list_first
+from diffsim.data.clock_guess import seconds_of
 from diffsim.data.folder_tables import FoundTable
 from diffsim.data.joined_files import Kind
 from diffsim.data.table import Table
@@ -119,7 +120,17 @@ class Guess:
 
     def pieces(self, of: GuessedColumn) -> list[Array]:
         """The same of each run as the study will have it: one long run is cut."""
-        whole = self.samples(of)
+        return self._cut(self.samples(of))
+
+    def seconds(self, of: GuessedColumn) -> list[Array]:
+        """Clock of a column's pieces, (num_samples,) each [s]."""
+        time = self.time[min(of.place, len(self.time) - 1)]
+        whole = [seconds_of(run.tables[of.place], time) for run in self.runs]
+        if not of.place:
+            whole = [seconds[run.rows] for seconds, run in zip(whole, self.runs, strict=True)]
+        return self._cut(whole)
+
+    def _cut(self, whole: list[Array]) -> list[Array]:
         if len(whole) != 1 or self.split:
             return whole
         edges = np.linspace(0, len(whole[0]), PIECES + 1).round().astype(int)

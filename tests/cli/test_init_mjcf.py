@@ -255,3 +255,34 @@ def test_runs_that_begin_at_rest_have_no_rate_there(tmp_path):
     init(folder)
     start = yaml.safe_load((folder / "study.yaml").read_text())["model"]["start"]
     assert list(start) == ["joint.shoulder.start", "joint.elbow.start"]
+
+
+def test_friction_is_a_candidate_where_the_file_states_a_rate_and_no_clock(tmp_path):
+    """Without a usual speed a place has no friction and no drag."""
+    folder = arm_folder(tmp_path)
+    init(folder)
+    with_clock = yaml.safe_load((folder / "study.yaml").read_text())["model"]
+    for name in ("slow", "fast"):
+        table = np.loadtxt(folder / f"{name}.csv", delimiter=",", skiprows=1)
+        table[:, 0] = 50.0
+        header = HEADER.replace("time_s", "sample_rate")
+        np.savetxt(folder / f"{name}.csv", table, delimiter=",", header=header, comments="")
+    (folder / "study.yaml").unlink()
+    init(folder)
+    stated = yaml.safe_load((folder / "study.yaml").read_text())
+    assert stated["time"] == {"step": 0.02}
+    assert stated["model"]["hooks"] == with_clock["hooks"]
+    assert stated["model"]["start"] == with_clock["start"]
+    assert all(place["speed"] > 0.0 for place in with_clock["hooks"]["force"].values())
+
+
+def test_dry_friction_that_the_file_states_is_a_number_of_the_model(tmp_path):
+    folder = arm_folder(tmp_path)
+    text = (folder / "arm.xml").read_text()
+    (folder / "arm.xml").write_text(
+        text.replace('damping="0.6"', 'damping="0.6" frictionloss="0.2"')
+    )
+    init(folder)
+    numbers = yaml.safe_load((folder / "study.yaml").read_text())["model"]["parameters"]
+    assert numbers["joint.shoulder.frictionloss"] == {"value": 0.2, "percent": 50}
+    assert "joint.elbow.frictionloss" not in numbers

@@ -45,7 +45,7 @@ def is_prior_too_dear(
         with_scans: Whether they with all scans would take what is for both and fits from there.
     """
     wide, spent = simulations.wide, simulations.scan_steps
-    count, share = len(wide.names), FROM_PRIOR if with_scans else 1.0
+    count, share = wide.num_columns(), FROM_PRIOR if with_scans else 1.0
     left = min(settings.scan_steps - spent, share * settings.refit_steps)
     if with_scans:
         tried = groups(wide.effects, NONE, settings.max_effects)

@@ -115,7 +115,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     made.keys = {key: value for key, value in made.keys.items() if value}
     made.todo.append(
         f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass), "
-        f"{DAMPING_PERCENT} % (damping), {GAIN_PERCENT} % (gain): state what you know of them"
+        f"{DAMPING_PERCENT} % (damping, friction), {GAIN_PERCENT} % (gain): state what you know of them"
     )
     return made
 
@@ -255,7 +255,7 @@ def _joint_of(plain: Any, actuator: int) -> str:
 
 
 def _parameters(simulator: Any) -> dict[str, Any]:
-    """Masses of what moves, damping that is stated, gains of servos."""
+    """Masses of what moves, damping and dry friction that are stated, gains of servos."""
     plain = simulator.plain
     out: dict[str, Any] = {}
     for i in range(1, plain.nbody):
@@ -264,9 +264,11 @@ def _parameters(simulator: Any) -> dict[str, Any]:
             out[f"body.{body.name}.mass"] = _quantity(float(plain.body_mass[i]), MASS_PERCENT)
     for i in range(plain.njnt):
         name = plain.joint(i).name
-        first = float(plain.dof_damping[int(plain.jnt_dofadr[i])])
-        if name and first > 0.0:
-            out[f"joint.{name}.damping"] = _quantity(first, DAMPING_PERCENT)
+        first = int(plain.jnt_dofadr[i])
+        stated = {"damping": plain.dof_damping, "frictionloss": plain.dof_frictionloss}
+        for number, values in stated.items():
+            if name and values[first] > 0.0:
+                out[f"joint.{name}.{number}"] = _quantity(float(values[first]), DAMPING_PERCENT)
     for i in range(plain.nu):
         gain, bias = plain.actuator_gainprm[i], plain.actuator_biasprm[i]
         name = plain.actuator(i).name
@@ -283,9 +285,9 @@ def _quantity(value: float, percent: int) -> dict[str, float]:
 
 def _positions(
     channels: Mapping[str, str], guess: Guess
-) -> Iterator[tuple[str, list[Array], float]]:
-    """Joints whose position is recorded, its course in each run and the noise, in SI units; of a
-    free joint its entries, as starts have them."""
+) -> Iterator[tuple[str, list[Array], list[Array], float]]:
+    """Joints whose position is recorded, its course and clock in each run and the noise, in SI
+    units; of a free joint its entries, as starts have them."""
     for column in guess.those("channel"):
         found = JOINT.fullmatch(channels.get(column.name, ""))
         if found and found[2] != "velocity":
@@ -294,6 +296,7 @@ def _positions(
             yield (
                 found[1] + entry,
                 [times * c for c in guess.pieces(column)],
+                guess.seconds(column),
                 times * (column.sd or 0.0),
             )
 
@@ -302,13 +305,13 @@ def _starts(channels: Mapping[str, str], guess: Guess) -> dict[str, Any]:
     """Where joints begin, by the first samples of their channels, a value of each run; and how
     fast, where a run begins in motion."""
     out: dict[str, Any] = {}
-    for joint, courses, noise in _positions(channels, guess):
+    for joint, courses, clocks, noise in _positions(channels, guess):
         first = np.array([course[np.isfinite(course)][0] for course in courses])
         sd = max(3.0 * noise, 2.0 * float(np.abs(first - first.mean()).max()), SMALLEST_SD)
         name, bracket, entry = joint.partition("[")
         path = f"joint.{name}.start{bracket}{entry}"
         out[path] = {"value": float(f"{first.mean():.4g}"), "sd": float(f"{sd:.2g}"), "per": "run"}
-        if not bracket and (rate := _first_rate(courses, noise, guess)) > 0.0:
+        if not bracket and (rate := _first_rate(courses, clocks, noise)) > 0.0:
             out[f"joint.{name}.start_rate"] = {
                 "value": 0.0,
                 "sd": float(f"{2.0 * rate:.2g}"),
@@ -317,16 +320,11 @@ def _starts(channels: Mapping[str, str], guess: Guess) -> dict[str, Any]:
     return out
 
 
-def _first_rate(courses: Sequence[Array], noise: float, guess: Guess) -> float:
-    """Largest speed with which a run begins; 0 where it is no more than noise, or without a
-    clock."""
-    clocks = guess.those("clock")
-    if not clocks:
-        return 0.0
-    seconds = to_si(guess.time[0].get("unit", "s")).factor
+def _first_rate(courses: Sequence[Array], clocks: Sequence[Array], noise: float) -> float:
+    """Largest speed with which a run begins; 0 where it is no more than noise."""
     fastest = 0.0
-    for course, clock in zip(courses, guess.pieces(clocks[0]), strict=True):
-        time, seen = seconds * (clock[:BEGIN] - clock[0]), course[:BEGIN]
+    for course, clock in zip(courses, clocks, strict=True):
+        time, seen = clock[:BEGIN] - clock[0], course[:BEGIN]
         powers = np.vander(time, 3, increasing=True)  # it may speed up from rest
         is_told = len(time) == BEGIN and np.isfinite(powers).all() and np.isfinite(seen).all()
         if is_told and np.linalg.matrix_rank(powers) == powers.shape[1]:
@@ -343,7 +341,7 @@ def _places(
     """Joints whose position is recorded, as places of forces, with usual sizes."""
     out: dict[str, Any] = {}
     plain, m = simulator.plain, simulator.mujoco
-    for name, courses, _ in _positions(channels, guess):
+    for name, courses, clocks, _ in _positions(channels, guess):
         if "[" in name:  # a free body has no axis
             continue
         joint = simulator.numbers.find("joint", name, "")
@@ -357,7 +355,7 @@ def _places(
         sizes = {
             "typical": SHARE_OF_DRIVE * max(pushes),
             "distance": reach,
-            "speed": max(_usual_speed(c, k, guess) for k, c in enumerate(courses)),
+            "speed": max(map(_usual_speed, courses, clocks)),
         }
         out[name] = {"unit": "N" if is_slide else "N m"} | {
             key: float(f"{value:.2g}") for key, value in sizes.items() if value > 0.0
@@ -365,12 +363,9 @@ def _places(
     return out
 
 
-def _usual_speed(course: Array, k: int, guess: Guess) -> float:
-    """Speed that nine of ten samples of a run stay below; 0 without a clock."""
-    clocks = guess.those("clock")
-    if not clocks:
-        return 0.0
-    steps = to_si(guess.time[0].get("unit", "s")).factor * np.diff(guess.pieces(clocks[0])[k])
+def _usual_speed(course: Array, clock: Array) -> float:
+    """Speed that nine of ten samples of a run stay below."""
+    steps = np.diff(clock)
     rates = np.diff(course)[steps > 0.0] / steps[steps > 0.0]
     return float(np.nanquantile(np.abs(rates), 0.9)) if rates.size else 0.0
 
