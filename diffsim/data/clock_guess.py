@@ -9,7 +9,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.units import to_si
-from diffsim.data.names import COUNTER, PERIOD, RATE, TIME, TRIAL, may_be_time, unit_of_clock
+from diffsim.data.names import CLOCK, COUNTER, PERIOD, RATE, TIME, TRIAL, may_be_time, unit_of_clock
 from diffsim.data.study_check import LATE
 from diffsim.data.table import Table
 from diffsim.data.table_guess import Column
@@ -19,6 +19,7 @@ _NUMBERED = 20  # rows from which on whole steps of one are no command
 _JUMP = 10.0  # times the usual step of a counter: another recording
 _SINCE_1970 = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # counts in a second
 _YEARS = (1e9, 4e9)  # s: 2001 to 2096
+_LONGEST_STATED = 1.0  # s, likewise, of a step without a clock
 _LONGEST = 100.0  # s between samples of a recording
 
 
@@ -43,7 +44,9 @@ def guess_clock(
             if column in named or _tells_time(column, tables[0]):
                 said.append(f"clock: column {column.name}, as times of day or dates")
                 return {"column": column.name, "unit": "clock"}, column, []
-        elif column in named or (unit_of_clock(column.base) and _grows(column, tables)):
+        elif column in named or (
+            (unit_of_clock(column.base) or CLOCK.search(column.base)) and _grows(column, tables)
+        ):
             return _numeric_time(column, tables, said)
     for column in columns:
         if tables[0].is_number[column.name] and not COUNTER.match(column.base):
@@ -74,7 +77,9 @@ def _stated_step(columns: Sequence[Column], table: Table) -> tuple[Column, float
         unit = to_si(column.unit or ("Hz" if is_rate else "s"))
         if (values == values[0]).all() and values[0] > 0.0 and unit.unit in ("s", "1/s", "Hz"):
             size = unit.factor * float(values[0])
-            return column, size if unit.unit == "s" else 1.0 / size
+            step = size if unit.unit == "s" else 1.0 / size
+            if step < _LONGEST_STATED:  # the throttle of an airplane is called dt, too
+                return column, step
     return None
 
 

@@ -35,7 +35,12 @@ _UNITS = {
     **dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), "min"),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "stunden"), "h"),
 }
-COUNTER = re.compile(r"^(frame|sample|index|idx|i|n|row|count|counter|seq|nr|no)$", re.I)
+CLOCK = re.compile(r"time$", re.I)  # a clock if it only grows, as systime; settling_time does not
+COUNTER = re.compile(
+    r"^((frame|sample|index|idx|row|count|counter|seq)(_?(id|nr|no|num|number|index|count))?|"
+    r"i|n|nr|no)$",
+    re.I,
+)
 TRIAL = re.compile(
     r"^(run|trial|test|sweep|pass|series|cycle|rep|repeat|repetition|experiment|exp|throw|toss|"
     r"shot|episode|lauf|versuch|messung)(_?(no|nr|id|number|index|\d))?$",

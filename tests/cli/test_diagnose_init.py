@@ -329,6 +329,26 @@ def test_a_counter_of_any_name_is_the_clock(tmp_path):
     np.testing.assert_allclose(run.time_s[[0, -1]], [10.0, 10.19])
 
 
+def test_a_systime_is_a_clock_before_frame_numbers_and_a_throttle_dt_no_step(tmp_path):
+    """As a motion capture room logs an airplane: dt is the throttle, of which all stay full."""
+    frame, seconds = (
+        [str(442_245 + i) for i in range(60)],
+        [f"{2.9 + 0.01 * i:.3f}" for i in range(60)],
+    )
+    full = ["1"] * 60
+    write(tmp_path / "a.csv", "FrameNumber,Systime,dt,px", [frame, seconds, full, noisy(1)])
+    assert init(tmp_path) == 0
+    assert "time: {column: Systime, unit: s}" in (tmp_path / "study.yaml").read_text()
+    (tmp_path / "study.yaml").unlink()
+    write(tmp_path / "a.csv", "FrameNumber,dt,px", [frame, full, noisy(1)])
+    assert init(tmp_path) == 0  # of the throttle no second a row
+    assert "{column: FrameNumber, step: 0.01}" in (tmp_path / "study.yaml").read_text()
+    (tmp_path / "study.yaml").unlink()
+    write(tmp_path / "a.csv", "FrameNumber,dt,px", [frame, ["0.005"] * 60, noisy(1)])
+    assert init(tmp_path) == 0
+    assert "{column: FrameNumber, step: 0.005}" in (tmp_path / "study.yaml").read_text()
+
+
 def test_a_channel_with_marks_of_missing_values_is_a_channel(tmp_path):
     seen = ["---" if i % 9 == 4 else f"{0.1 * i:.3f}" for i in range(60)]
     write(tmp_path / "a.csv", "t_ms,tip_mm,mid_mm", [map(str, range(60)), seen, noisy(1)])

@@ -115,7 +115,8 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     made.keys = {key: value for key, value in made.keys.items() if value}
     made.todo.append(
         f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass), "
-        f"{DAMPING_PERCENT} % (damping, friction), {GAIN_PERCENT} % (gain): state what you know of them"
+        f"{DAMPING_PERCENT} % (damping, friction), {GAIN_PERCENT} % (gain): state what you know of "
+        "them"
     )
     return made
 
