@@ -214,5 +214,7 @@ def test_a_study_made_by_hand_is_refused_by_the_name_of_what_is_wrong(changes, s
 
 def test_equal_stamps_are_of_no_study():
     run = replace(make_study().runs[1], time_s=np.maximum(TIMES, 0.1))
-    with pytest.raises(ValueError, match="time_s of run 'b' must be finite and increase, got 0.1"):
+    with pytest.raises(
+        ValueError, match=r"time_s of run 'b' must be finite and increase, got 0\.1"
+    ):
         replace(make_study(), runs=(run,))
