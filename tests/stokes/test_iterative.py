@@ -203,7 +203,7 @@ def test_cells_that_a_wall_enters_through_a_corner_cost_no_iterations(incompress
 @pytest.mark.property
 @pytest.mark.parametrize(("incompressible", "most"), [(False, 41), (True, 51)])
 def test_pressures_of_whole_cells_are_weighed_by_all_their_corners(incompressible, most):
-    """39 and 48 were measured; with terms of other corners or axes in diag(L) 44 and 57 at least."""
+    """39 and 48 were measured, 44 and 57 with terms of other corners or axes in diag(L)."""
     grid = stokes.Grid((12, 12, 12), size=1.0)
     flow = stokes.StokesFlow(
         grid,
