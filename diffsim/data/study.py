@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import has_shape, require_entries
@@ -175,7 +176,9 @@ def _require_samples(name: str, values: Any, *shape: int | str) -> None:
         TypeError: not an array of real numbers.
         ValueError: another shape.
     """
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
+    is_array = isinstance(values, np.ndarray) and values.dtype.kind in "fiu"
+    is_followed = isinstance(values, Tensor) and values.is_floating_point()  # of a planned command
+    if not (is_array or is_followed):
         got = getattr(values, "dtype", type(values).__name__)
         raise TypeError(f"{name} must be an array of real numbers, got {got}")
     if not has_shape(values.shape, shape):
