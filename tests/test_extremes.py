@@ -12,6 +12,8 @@ from torch import Tensor
 
 from diffsim import contact, linalg, mesh, soft, stokes
 from diffsim.core.errors import DiffsimError
+from diffsim.mesh import sdf
+from diffsim.stokes import shapes
 
 pytestmark = [pytest.mark.property, pytest.mark.filterwarnings("ignore")]
 BOUNDED = settings(
@@ -142,3 +144,98 @@ def test_a_level_set_of_any_size_is_the_same_wall(exponent):
         return flow((0.31 - away) * scale, inlet=inflow).velocity
 
     right_or_refused(lambda: velocity(float(f"1e{exponent}")), velocity(1.0), 1e-8)
+
+
+def row(*numbers: float) -> Tensor:
+    return torch.tensor(numbers, dtype=torch.float64)
+
+
+POINTS = torch.stack(
+    [row(2.0, 0.3, 0.1), row(0.0, 3.0, 1.0), row(0.2, 0.1, 0.3), row(0.01, 0.02, -0.03)]
+)
+CURB = torch.sin(torch.arange(20.0, dtype=torch.float64)).reshape(4, 5)
+
+
+def of_mesh(s: float) -> contact.MeshShape:
+    box = mesh.hex_box((2, 2, 1), (1.0, 0.5, 0.7))
+    return contact.MeshShape(mesh.HexMesh(s * box.x_rest, box.hexes))
+
+
+SOLIDS = {
+    "ball": contact.Sphere,
+    "hollow": lambda s: contact.Sphere(s, inside_out=True),
+    "capsule": lambda s: contact.Capsule((0.0, 0.0, 0.0), (0.0, 0.0, s), 0.5 * s),
+    "box": lambda s: contact.Box((s, 2.0 * s, 0.5 * s)),
+    "trough": lambda s: contact.Trough(s, 2.0),
+    "half_space": lambda s: contact.Plane((1.0, 2.0, 3.0), 0.3 * s),
+    "terrain": lambda s: contact.HeightField(0.1 * s * CURB, 0.5 * s, (-s, -s, 0.0)),
+    "mesh": of_mesh,
+    "stokes_ball": shapes.Sphere,
+    "stokes_box": lambda s: shapes.Box((s, 2.0 * s, 0.5 * s)),
+    "stokes_seam": lambda s: shapes.SmoothUnion(
+        shapes.Sphere(s), shapes.Box((s, 2.0 * s, 3.0 * s)), radius=0.3 * s
+    ),
+    "sdf_ball": sdf.sphere,
+    "sdf_box": lambda s: sdf.box((s, 2.0 * s, 0.5 * s)),
+    "sdf_cylinder": lambda s: sdf.cylinder(s, 2.0 * s),
+    "sdf_capsule": lambda s: sdf.capsule((0.0, 0.0, 0.0), (0.0, 0.0, s), 0.5 * s),
+    "sdf_torus": lambda s: sdf.torus(s, 0.3 * s),
+    "sdf_ellipsoid": lambda s: sdf.ellipsoid((s, 2.0 * s, 0.7 * s)),
+    "sdf_shell": lambda s: sdf.shell(sdf.sphere(s), 0.1 * s),
+    "sdf_seam": lambda s: sdf.smooth_union(sdf.sphere(s), sdf.box((s, 2.0 * s, 3.0 * s)), 0.3 * s),
+}
+"""Solids by name, with all of their lengths times s."""
+TURNED = {
+    "half_space": lambda s: contact.Plane((s, 2.0 * s, 3.0 * s), 0.3),
+    "trough_axis": lambda s: contact.Trough(1.0, 2.0, axis=(0.0, s, 0.0)),
+    "trough_start": lambda s: contact.Trough(1.0, 2.0, start=(0.0, 0.0, -s)),
+    "stokes_plane": lambda s: shapes.Plane((s, 2.0 * s, 3.0 * s), 0.3),
+    "stokes_turned": lambda s: shapes.Rotate(
+        shapes.Box((1.0, 2.0, 3.0)), 0.3, axis=(s, 2.0 * s, 3.0 * s)
+    ),
+    "sdf_plane": lambda s: sdf.plane((s, 2.0 * s, 3.0 * s), 0.3),
+    "sdf_turned": lambda s: sdf.rotate(sdf.box((1.0, 2.0, 3.0)), (s, 2.0 * s, 3.0 * s), 0.3),
+}
+"""Solids by name, with a direction of length s."""
+SCALES = (
+    -320,
+    -300,
+    -200,
+    -160,
+    -155,
+    -150,
+    -140,
+    -131,
+    -129,
+    -60,
+    60,
+    69,
+    100,
+    149,
+    155,
+    160,
+    300,
+)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_a_solid_of_any_size_is_the_same_solid(name):
+    """At 1e-160 m a ball was around all points: its distances were of one sign."""
+    make = SOLIDS[name]
+    expected = make(1.0)(POINTS)
+    sizes = [float(f"1e{k}") for k in SCALES]
+    told = [
+        right_or_refused(lambda s=s: make(s)(s * POINTS) / s, expected, 1e-6)
+        for s in (sizes if name != "half_space" else sizes[1:])  # of 1e-320 a third is rounded
+    ]
+    assert told[sizes.index(1e60) - len(sizes)], "what is a number must be computed"
+
+
+@pytest.mark.parametrize("name", TURNED)
+def test_a_direction_of_any_length_is_the_same_direction(name):
+    make = TURNED[name]
+    expected = make(1.0)(POINTS)
+    told = [
+        right_or_refused(lambda k=k: make(float(f"1e{k}"))(POINTS), expected, 1e-9) for k in SCALES
+    ]
+    assert any(told)

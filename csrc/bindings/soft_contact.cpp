@@ -3,6 +3,7 @@
 
 #include "bindings/bindings.h"
 #include "bindings/soft_arrays.h"
+#include "kernels/soft/contact/contact_cone.h"
 #include "kernels/soft/contact/contact_step.h"
 
 namespace diffsim {
@@ -45,6 +46,25 @@ struct ContactArrays {
 }  // namespace
 
 void bind_soft_contact(nb::module_& m) {
+  // Of a step's inside, so that its closed forms can be asked; W symmetric.
+  m.def(
+      "contact_cones",
+      [](std::int64_t size, Address W, Address free, Address normal, Address offset,
+         Address friction, Address force) {
+        nb::gil_scoped_release release;
+        ConeProblem problem(size);
+        problem.W = Eigen::Map<const Eigen::MatrixXd>(in(W), 3 * size, 3 * size);
+        problem.free = Eigen::Map<const Eigen::VectorXd>(in(free), 3 * size);
+        problem.normal = Eigen::Map<const Eigen::Matrix3Xd>(in(normal), 3, size);
+        problem.offset = Eigen::Map<const Eigen::VectorXd>(in(offset), size);
+        problem.friction = Eigen::Map<const Eigen::VectorXd>(in(friction), size);
+        Eigen::VectorXd found = Eigen::VectorXd::Zero(3 * size);
+        const bool settled = solve_cones(problem, found);
+        Eigen::Map<Eigen::VectorXd>(out(force), 3 * size) = found;
+        return settled;
+      },
+      nb::kw_only(), nb::arg("size"), nb::arg("W"), nb::arg("free"), nb::arg("normal"),
+      nb::arg("offset"), nb::arg("friction"), nb::arg("force"));
   nb::class_<ContactArrays>(m, "ContactArrays", nb::dynamic_attr())  // holds the tensors
       .def(nb::init<>())
       .def_rw("num_contacts", &ContactArrays::num_contacts)

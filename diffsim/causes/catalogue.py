@@ -22,6 +22,7 @@ from pydantic import ValidationError
 
 from diffsim.causes.row import Row
 from diffsim.core.check import did_you_mean
+from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
 from diffsim.core.plugins import SYSTEMS, find_plugins
 from diffsim.core.schema import problem_lines
@@ -51,6 +52,7 @@ def _path_of(domain: str) -> Path:
 
 
 @cache
+@checked(kinds_only=True)
 def rows(domain: str) -> Mapping[str, Row]:
     """Causes of a domain by name, in the order in which they act; without those of other tables.
 

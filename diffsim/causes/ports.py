@@ -16,6 +16,7 @@ from torch import Tensor
 from diffsim.causes.row import ANY, Row
 from diffsim.causes.scene import ForceLaw, Scene
 from diffsim.causes.signals import JOINT, MAPS, Between, Grid, SizedMap
+from diffsim.core.checked import checked
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Apply
@@ -261,6 +262,7 @@ def _change_in_session(
     return scene
 
 
+@checked(kinds_only=True)
 def on_place(row: Row, place: str) -> Apply:
     """How a force acts at a place.
 

@@ -57,6 +57,7 @@ class Scales:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
+    @checked(kinds_only=True)
     def of_runs(cls, study: Study) -> Scales:
         """Magnitudes of a study's recordings alone, without a model.
 
@@ -79,6 +80,7 @@ class Scales:
         )
 
     @classmethod
+    @checked(kinds_only=True)
     def of(cls, study: Study, plain: Mapping[str, Mapping[str, float]] | None = None) -> Scales:
         """The record that a study's ``frame`` has, else that of its runs to fit.
 
@@ -90,6 +92,7 @@ class Scales:
         return replace(cls.of_runs(study), plain=dict(plain or {})) if kept is None else kept
 
     @classmethod
+    @checked(kinds_only=True)
     def kept_in(cls, study: Study) -> Scales | None:
         """The record that a study's ``frame`` has; None: it has none, as of no saved model.
 
@@ -106,6 +109,7 @@ class Scales:
         return None
 
     @classmethod
+    @checked(kinds_only=True)
     def read(cls, saved: Mapping[str, Any]) -> Scales:
         """The inverse of ``saved``.
 
@@ -128,6 +132,7 @@ class Scales:
             "facts": dict(self.facts),
         }
 
+    @checked(kinds_only=True)
     def require_plain(self, what: str, names: Sequence[str]) -> None:
         """Require the magnitudes of everything that opens causes among those of a saved model.
 
@@ -145,6 +150,7 @@ class Scales:
                 "out, or fit the model again"
             )
 
+    @checked(kinds_only=True)
     def of_commands(self, names: Sequence[str]) -> dict[str, float]:
         """Magnitudes of commands that go the same way, as tables of causes call them.
 
@@ -163,6 +169,7 @@ class Scales:
             "rate": max([_NO_RANGE, *(c.rate for c in own)]),
         }
 
+    @checked(kinds_only=True)
     def is_one_sided(self, names: Sequence[str]) -> bool:
         """Whether commands are never below zero.
 
@@ -171,6 +178,7 @@ class Scales:
         """
         return all(self.commands[name].low >= 0.0 for name in names if name in self.commands)
 
+    @checked(kinds_only=True)
     def of_channels(self, names: Sequence[str]) -> dict[str, float]:
         """Magnitudes of channels of one instrument, as tables of causes call them.
 

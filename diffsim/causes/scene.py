@@ -29,6 +29,7 @@ from diffsim.causes.signals import (
     smoothly_delayed,
 )
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.core.numbers import values_of
 from diffsim.core.torch_names import on_constants
 from diffsim.data.study import Run
@@ -268,6 +269,7 @@ class Scene:
         """Where in a play the run starts, -1 to 1; None: not known, so in the middle."""
         return self.numbers.get(PLAY_START)
 
+    @checked(kinds_only=True)
     def number(self, name: str) -> Tensor:
         """A number as it is in this run, () or (K,).
 
@@ -284,6 +286,7 @@ class Scene:
         """A copy with some entries replaced."""
         return replace(self, **changes)
 
+    @checked(kinds_only=True)
     def with_command(self, names: tuple[str, ...], change: SignalMap) -> Self:
         """A copy in which some commands are f(commands (..., width, num_times), grid).
 
@@ -293,6 +296,7 @@ class Scene:
         """
         return replace(self, commands=self.commands.changed(names, change))
 
+    @checked(kinds_only=True)
     def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Self:
         """A copy in which some channels are f(channels (..., width, num_times), grid).
 
@@ -302,6 +306,7 @@ class Scene:
         """
         return replace(self, instruments=self.instruments.with_reading(channels, change))
 
+    @checked(kinds_only=True)
     def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Self:
         """A copy in which some channels show what was ``delay`` ago.
 
@@ -311,6 +316,7 @@ class Scene:
         """
         return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
+    @checked(kinds_only=True)
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> Self:
         """A copy in which a number is f(number).
 
@@ -323,6 +329,7 @@ class Scene:
         """
         return replace(self, numbers={**self.numbers, name: change(self.number(name))})
 
+    @checked(kinds_only=True)
     def with_force(self, place: str, law: ForceLaw) -> Self:
         """A copy with one more force.
 

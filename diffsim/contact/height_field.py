@@ -90,11 +90,11 @@ class HeightField(Shape):
         cost = self._cost(padded, trial, p[:, None])
         best, pick = cost.min(1)
         xy = trial[torch.arange(len(p)), pick]
-        rows = torch.arange(len(p))  # not yet converged
+        rows, cell = torch.arange(len(p)), float(self.spacing.max())  # rows not yet converged
         for _ in range(_MAX_ITERS):
             residual, grad, hess = self._surface(padded, xy[rows], p[rows])
             move = -(_safe_inverse(grad, hess) @ residual[..., None])[..., 0]
-            moving = move.abs().amax(1) > 1e-10 * (1.0 + xy[rows].abs().amax(1))
+            moving = move.abs().amax(1) > 1e-10 * (cell + xy[rows].abs().amax(1))
             rows, move = rows[moving], move[moving]
             if not len(rows):
                 break

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.contact.handles import new_handle
-from diffsim.core.check import require, require_range
+from diffsim.core.check import LEAST, require, require_range
 from diffsim.core.checked import checked
 from diffsim.core.layer import may_be_differentiated, outside_of_graphs
 from diffsim.core.numbers import anywhere, values_of
@@ -102,7 +102,7 @@ class Plane(Shape):
     def __init__(self, normal: Vector, offset: Number = 0.0, *, inside_out: bool = False):
         super().__init__(inside_out)
         n = vector("normal", normal)
-        if anywhere(~(n.norm() > 0)):
+        if anywhere(~(n.norm() > LEAST)):
             raise ValueError("normal must not be zero; (0, 0, 1) is a floor")
         self.normal, self.offset = n / n.norm(), scalar("offset", offset)
 
@@ -196,7 +196,7 @@ class Trough(Shape):
         self.radius = scalar("radius", radius, above=0.0)
         self.angle = scalar("angle", angle, above=0.0, below=2.0 * torch.pi, hint="unit is rad")
         a, s = vector("axis", axis), vector("start", start)
-        if anywhere(~((a.norm() > 0) & (s.norm() > 0))):
+        if anywhere(~((a.norm() > LEAST) & (s.norm() > LEAST))):
             raise ValueError("axis and start must not be zero")
         self.axis, self.start = a / a.norm(), s / s.norm()
         cosine = values_of(dot(self.axis, self.start))

@@ -70,7 +70,7 @@ def require_shape(
         ValueError: wrong shape.
     """
     require_tensor(name, value, dtype)
-    if not _fits(value.shape, shape):
+    if not has_shape(value.shape, shape):
         expected = ", ".join(str(s) for s in shape)
         raise ValueError(f"{name} must have shape ({expected}), got {tuple(value.shape)}")
 
@@ -149,7 +149,7 @@ def require_constants(hint: str, **given: Any) -> None:
         require_constants(hint, **{f"{name}.{field}": part for field, part in parts.items()})
 
 
-def _fits(got: Sequence[int], want: Sequence[int | str]) -> bool:
+def has_shape(got: Sequence[int], want: Sequence[int | str]) -> bool:
     """Whether a shape is as wanted; see ``require``."""
     if want and want[0] == "...":
         want = want[1:]
@@ -172,6 +172,8 @@ def all_finite(value: Tensor) -> bool:
 
 LARGEST = 1e150
 """Squares of larger numbers are none."""
+LEAST = 1e-130
+"""What must be positive is at least this: squares of its parts by rounding are numbers yet."""
 
 
 def require_number(
@@ -197,6 +199,8 @@ def require_number(
         value = float(value)
     except OverflowError:  # a whole number of more than 308 digits
         value = math.inf
+    if above == 0.0 < value < LEAST:
+        above, at_least = -math.inf, LEAST
     if not (math.isfinite(value) and above < value < below and at_least <= value <= at_most):
         interval = _interval(above, below, at_least, at_most)
         raise ValueError(f"{name} must lie in {interval}, got {value:g}{_hint(hint)}")
@@ -225,6 +229,8 @@ def require_range(
     if not v.numel():
         return value
     low, high = (float(extreme) for extreme in torch.aminmax(v))  # NaN where an entry is
+    if above == 0.0 < low < LEAST:
+        above, at_least = -math.inf, LEAST
     if above < low and high < below and at_least <= low and high <= at_most:
         return value
     bad = ~((v > above) & (v < below) & (v >= at_least) & (v <= at_most))

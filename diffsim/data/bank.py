@@ -101,7 +101,8 @@ def _thin_run(run: Run) -> Run:
         for recorded in (run.command, run.columns)
     )
     blank = np.zeros((n, run.measured.shape[1]))
-    return replace(run, time_s=time_s, measured=blank, command=command, columns=columns, use=NEXT)
+    made = {"time_s": time_s, "measured": blank, "command": command, "columns": columns}
+    return replace(run, **made, raw={}, use=NEXT)
 
 
 def _find_rest(values: Array) -> float:

@@ -322,10 +322,12 @@ def without_gaps(run: Run) -> Run:
         return out
 
     return replace(
-        run.mapped(without),
+        run,
         time_s=time_s,
+        measured=without(run.measured),
         command={name: on_line(values) for name, values in run.command.items()},
         columns={name: on_line(values) for name, values in run.columns.items()},
+        raw={name: (header, without(values)) for name, (header, values) in run.raw.items()},
     )
 
 

@@ -82,10 +82,7 @@ def _of_record(study: Study) -> Iterator[Problem]:
 
 
 def _check_plan(study: Study) -> Iterator[Problem]:
-    """Commands, held-out runs and names."""
-    names = Counter(run.name for run in study.runs)
-    for name in (n for n, count in names.items() if count > 1):
-        yield Problem("error", f"run {name}", "the name is used twice; names must be unique")
+    """Commands, held-out runs and facts."""
     fit_groups = {run.group for run in study.fit_runs}
     if not study.fit_runs:
         yield Problem("error", "study", NO_FIT_RUN)
@@ -157,12 +154,9 @@ def _find_unfilled(where: str, stated: Any) -> Iterator[Problem]:
 def _check_channels(study: Study) -> Iterator[Problem]:
     if not study.channels:
         yield Problem("error", "study", "no channels; name at least one measured column")
-    names = Counter([c.name for c in study.channels])
     repeated_groups = [g for g, n in Counter(r.group for r in study.fit_runs).items() if n > 1]
     for channel in study.channels:
         where = f"channel {channel.name}"
-        if names[channel.name] > 1:
-            yield Problem("error", where, "the name is used twice; names must be unique")
         if (said := _said_unit(channel)) is not None:
             yield Problem(
                 "error",
@@ -188,7 +182,7 @@ def _steps(study: Study, channel: Channel) -> Iterator[Problem]:
     if channel.sd is None:
         return
     at = study.channels.index(channel)
-    columns = [r.measured[:, at] for r in study.runs if r.measured.shape[1] > at]
+    columns = [r.measured[:, at] for r in study.runs]
     step = step_of(np.concatenate(columns)) if columns else None
     if step is not None and step / np.sqrt(12.0) > channel.sd:
         yield Problem(
@@ -230,10 +224,9 @@ def _scatter_by_run(study: Study, channel: Channel, order: int) -> dict[str, flo
     """Scatter of a channel behind differences of an order, by name of runs that are long enough."""
     at, found = study.channels.index(channel), dict[str, float]()
     for run in study.runs:
-        if run.measured.shape[1] > at:
-            steps = np.diff(run.measured[:, at], n=order)
-            if np.isfinite(steps).sum() >= MIN_SAMPLES:
-                found[run.name] = float(scatter(steps, order))
+        steps = np.diff(run.measured[:, at], n=order)
+        if np.isfinite(steps).sum() >= MIN_SAMPLES:
+            found[run.name] = float(scatter(steps, order))
     return found
 
 
@@ -257,14 +250,6 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
     where, n = f"run {run.name}", len(run.time_s)
     if run.use not in USES:
         yield Problem("error", where, f"use must be one of {USES}, got {run.use!r}")
-    if run.measured.shape != (n, len(study.channels)):
-        yield Problem(
-            "error",
-            where,
-            f"measured must have shape (num_samples, num_channels) = "
-            f"({n}, {len(study.channels)}), got {run.measured.shape}",
-        )
-        return
     if n < MIN_SAMPLES:
         yield Problem(
             "warning" if n else "error",
@@ -293,11 +278,7 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
         if missing < 1.0 and n >= MIN_SAMPLES and np.nanmin(values) == np.nanmax(values):
             yield Problem("warning", where, f"{channel.name} never changes; is the sensor stuck?")
     for name, values in run.command.items():
-        if values.shape != (n,):
-            yield Problem(
-                "error", where, f"command {name} must have shape ({n},), got {values.shape}"
-            )
-        elif (np.abs(values) > LARGEST).any():
+        if (np.abs(values) > LARGEST).any():
             yield Problem("error", where, TOO_LARGE.format(f"command {name}"))
         elif not np.isfinite(values).all():
             unknown = int((~np.isfinite(values)).sum())
@@ -306,9 +287,6 @@ def _check_run(run: Run, study: Study) -> Iterator[Problem]:
 
 
 def _check_clock(run: Run, where: str) -> Iterator[Problem]:
-    if not np.isfinite(run.time_s).all():
-        yield Problem("error", where, "time_s has missing values; every sample needs a time")
-        return
     if run.time_s[0] > LATE:
         yield Problem(
             "warning",
@@ -317,12 +295,6 @@ def _check_clock(run: Run, where: str) -> Iterator[Problem]:
             "every run start at 0 s",
         )
     step = np.diff(run.time_s)
-    if (step <= 0.0).any():
-        at = int(np.argmax(step <= 0.0)) + 1
-        yield Problem(
-            "error", where, f"time_s does not increase at sample {at} ({run.time_s[at]:g} s)"
-        )
-        return
     long = step > GAP * np.median(step)
     if long.any():
         at = int(np.argmax(long))

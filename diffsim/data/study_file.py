@@ -44,7 +44,7 @@ from diffsim.core.units import to_si
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.formats import split_part
 from diffsim.data.run_files import RunReader
-from diffsim.data.study import Channel, Command, Study
+from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
 
 STUDY_FILE = "study.yaml"
@@ -106,6 +106,15 @@ def load_study(
         raise ValueError(f"{path}: its files need more memory than there is") from error
     if reader.problems:
         raise Mistakes(_prefix_path(path, reader.problems), MAX_LINES)
+    try:
+        return _study(path, stated, root, reader, runs)
+    except ValueError as error:  # names that stand twice
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _study(
+    path: Path, stated: StudyFile, root: Path, reader: RunReader, runs: tuple[Run, ...]
+) -> Study:
     return Study(
         name=stated.name,
         system=str((stated.model or {}).get("system") or stated.system),

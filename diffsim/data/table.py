@@ -210,6 +210,17 @@ def time_column(path: Path, header: list[str]) -> int:
     return header.index("time_s")
 
 
+def number_of(text: str) -> float:
+    """What a cell says; Python alone takes 1_000 for a thousand.
+
+    Raises:
+        ValueError: no number.
+    """
+    if "_" in text:
+        raise ValueError(f"{text!r} is not a number")
+    return float(text)
+
+
 def parse_number(
     path: Path, line: int, column: str, cell: str, *, missing: str = "nothing was measured"
 ) -> float:
@@ -218,7 +229,7 @@ def parse_number(
     if text == "" or text.lower() in MISSING:
         return math.nan
     try:
-        value = float(text)
+        value = number_of(text)
     except ValueError:
         comma = "; use a decimal point" if re.fullmatch(r"-?\d+,\d+", text) else ""
         raise ValueError(
@@ -342,7 +353,7 @@ class Table:
         if name not in self._numbers:
             cells = self.texts(name)
             try:
-                values = np.array([float(c) if c else math.nan for c in cells])
+                values = np.array([number_of(c) if c else math.nan for c in cells])
             except ValueError:
                 values = np.array([math.inf])
             if np.isinf(values).any():  # the slow way finds the row
@@ -425,7 +436,7 @@ class Table:
 def as_label(cell: str) -> float | int | str:
     """A cell as the number that it holds, a whole one where it is whole, or as text."""
     try:
-        value = float(cell)
+        value = number_of(cell)
     except ValueError:
         return cell
     return int(value) if math.isfinite(value) and value == int(value) else value
@@ -531,7 +542,7 @@ def _spread_arrays(path: Path, columns: Columns) -> Columns:
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        number_of(text)
     except ValueError:
         return False
     return True
@@ -540,7 +551,7 @@ def _is_number(text: str) -> bool:
 def _all_numbers(cells: Sequence[str]) -> bool:
     filled = [c for c in cells if c and c.lower() not in MISSING]
     try:
-        return bool(filled) and all(math.isfinite(float(c)) for c in filled)
+        return bool(filled) and all(math.isfinite(number_of(c)) for c in filled)
     except ValueError:
         return False
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
+from diffsim.core.checked import checked
 from diffsim.envs.sensing import ObservationNoise
 from diffsim.envs.starts import with_options
 from diffsim.envs.task import Entry, Task, TaskState, detached
@@ -52,6 +53,7 @@ class TaskEnv(gymnasium.Env):
         self._has_ended = False
         self.window = PictureWindow(task.name, frame_rate(task)) if render_mode == "human" else None
 
+    @checked(kinds_only=True)
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:

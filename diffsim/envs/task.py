@@ -55,6 +55,7 @@ class Randomization:
 
     factors: Mapping[str, tuple[float, float]]
 
+    @checked(kinds_only=True)
     def draw(self, batch: int, rng: np.random.Generator) -> TaskState:
         """Factors (batch,) by ``random.NAME``."""
         return {
@@ -108,6 +109,7 @@ class Task(ABC):
     file_options: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
+    @checked(kinds_only=True)
     def of_options(
         cls, options: Mapping[str, Any], folder: Path | None = None, source: str | None = None
     ) -> Task:
@@ -138,11 +140,13 @@ class Task(ABC):
             raise ValueError(f"{where}{error}") from error
 
     @classmethod
+    @checked(kinds_only=True)
     def merged(cls, stated: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
         """Options of a file with those of a call, which go first."""
         return {**stated, **options}
 
     @classmethod
+    @checked(kinds_only=True)
     def find_file(cls, option: str, stated: Any, folder: Path, source: str) -> Any:
         """A file that an option of a task file names, in the file's folder."""
         if not isinstance(stated, str):
@@ -194,6 +198,7 @@ class Task(ABC):
     def reward_terms(self, before: TaskState, action: Tensor, after: TaskState) -> TaskState:
         """Weighted terms (batch,) by name; the reward is their sum. Differentiable."""
 
+    @checked(kinds_only=True)
     def failed(self, state: TaskState) -> Tensor:
         """(batch,) bool: episodes that end for a reason of physics, not of time."""
         return torch.zeros(state["step"].shape[0], dtype=torch.bool)
@@ -214,6 +219,7 @@ class Task(ABC):
         """Width of an observation."""
         return len(self.observations)
 
+    @checked(kinds_only=True)
     def start(self, batch: int, rng: np.random.Generator) -> TaskState:
         """States at the start of ``batch`` episodes, drawn from ``rng``."""
         state = self.rest(batch, rng)

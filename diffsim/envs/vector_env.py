@@ -14,6 +14,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array, Mask
 from diffsim.core.check import require_choice, require_count
+from diffsim.core.checked import checked
 from diffsim.envs.env import RENDER_MODES, action_rows, frame_rate, spaces_of
 from diffsim.envs.sensing import ObservationNoise
 from diffsim.envs.starts import RESET_MASK, Generators, checked_mask, with_options
@@ -78,6 +79,7 @@ class TaskVectorEnv(VectorEnv):
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._seen = np.zeros((self.num_envs, task.num_observations), dtype=np.float32)
 
+    @checked(kinds_only=True)
     def reset(
         self,
         *,

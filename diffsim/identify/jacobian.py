@@ -71,6 +71,7 @@ class Jacobian:
         require_choice("method", self.method, METHODS)
         require_number("step", self.step, above=0.0)
 
+    @checked(kinds_only=True)
     def columns(
         self,
         many: PredictMany,

@@ -15,6 +15,7 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
+from diffsim.core.checked import checked
 from diffsim.identify.effect import Effect
 from diffsim.identify.numerics import NumericalEffect, Numerics
 
@@ -66,11 +67,13 @@ class Parameter:
         if self.log and self.value <= 0.0:
             raise ValueError(f"parameter {self.name} is logarithmic; its value must be above 0")
 
+    @checked(kinds_only=True)
     def value_at(self, q: Tensor) -> Tensor:
         """Value [unit] at the standardized coordinate q."""
         raw = self.value * torch.exp(self.sd * q) if self.log else self.value + self.sd * q
         return raw.clamp(self.lower, self.upper)
 
+    @checked(kinds_only=True)
     def coordinate_of(self, value: float) -> float:
         """Standardized coordinate of a value [unit]."""
         if self.log:
@@ -267,12 +270,14 @@ class SimModel:
         self.values = BaseValues(self.base)
         self.simulations = Tally()
 
+    @checked(kinds_only=True)
     def with_base(self, base: Sequence[Parameter]) -> SimModel:
         """The same simulator with further base parameters after its own."""
         made = copy(self)
         made.base, made.values = tuple(base), BaseValues(base)
         return made
 
+    @checked(kinds_only=True)
     def with_shapes_of(self, effects: Sequence[Effect]) -> SimModel:
         """The same simulator, in which further numbers of effects are base parameters."""
         shapes = {name: shape for effect in effects for name, shape in effect.shapes.items()}
@@ -284,6 +289,7 @@ class SimModel:
         ]
         return self.with_base((*self.base, *more))
 
+    @checked(kinds_only=True)
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction: what budgets count, the same on every machine.
 
@@ -295,15 +301,18 @@ class SimModel:
         finer = n.time_step * n.mesh**self.mesh_power
         return self.run_cost + len(run.time_s) * self.step_cost / finer
 
+    @checked(kinds_only=True)
     def note_simulations(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
         """Count predictions of a run; of a batch all but the first are cheaper."""
         more = (TOGETHER if self.batched else 1.0) * (number - 1)
         self.simulations.add(number, round(self.cost(run, numerics) * (1.0 + more)))
 
+    @checked(kinds_only=True)
     def note_derivatives(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
         """Count the model's own derivatives of a prediction along some coordinates."""
         self.simulations.add(0, round(self.cost(run, numerics) * (1.0 + TOGETHER * number)))
 
+    @checked(kinds_only=True)
     def predict(
         self,
         run: Run,
@@ -329,6 +338,7 @@ class SimModel:
                 out = out + size[..., None] * (refined - plain)
         return out
 
+    @checked(kinds_only=True)
     def predict_many(
         self,
         run: Run,
@@ -359,6 +369,7 @@ class SimModel:
                 out = out.index_add(0, rows, size[rows, :, None] * change)
         return out
 
+    @checked(kinds_only=True)
     def left_of_readings(
         self, scene: Callable[[], Scene], change: sparse.csr_array
     ) -> sparse.csr_array:
@@ -370,6 +381,7 @@ class SimModel:
         """
         return change
 
+    @checked(kinds_only=True)
     def scene(
         self,
         run: Run,
@@ -385,6 +397,7 @@ class SimModel:
             scene = effect.act(scene, size, run, values)
         return scene
 
+    @checked(kinds_only=True)
     def simulate_many(
         self,
         run: Run,
@@ -400,10 +413,12 @@ class SimModel:
         scenes = [self.scene(run, q[k], own, numerics) for k, own in enumerate(acting)]
         return torch.stack(self.simulate_scenes(scenes))
 
+    @checked(kinds_only=True)
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes of one run; models that have a faster way override this."""
         return [scene.simulate() for scene in scenes]
 
+    @checked(kinds_only=True)
     def tangents(
         self,
         run: Run,
@@ -425,6 +440,7 @@ class SimModel:
         """
         return None
 
+    @checked(kinds_only=True)
     def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
         """The body or vehicle as channels show it, where they tell its pose.
 
@@ -437,6 +453,7 @@ class SimModel:
         """
         return None
 
+    @checked(kinds_only=True)
     def shape_at(
         self,
         run: Run,
@@ -450,6 +467,7 @@ class SimModel:
         """
         return None
 
+    @checked(kinds_only=True)
     def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with whatever it prepares once prepared again at these base coordinates.
 
@@ -463,6 +481,7 @@ class SimModel:
         """
         return self
 
+    @checked(kinds_only=True)
     def shortened(self, runs: Sequence[Run]) -> SimModel | None:
         """The model with shorter windows of its own, where it cuts runs and starts anew in each.
 
@@ -474,6 +493,7 @@ class SimModel:
         """
         return None
 
+    @checked(kinds_only=True)
     def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
         """Length of the windows [s] by run, where the model's own windows had to be short."""
         return {}

@@ -27,6 +27,7 @@ class Numerics:
     mesh: float = 1.0
     tolerance: float = 1.0
 
+    @checked(kinds_only=True)
     def refined(self, finer: Numerics) -> Numerics:
         """Product of both sets of factors."""
         return Numerics(

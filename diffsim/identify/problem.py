@@ -21,6 +21,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import LARGEST
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo, memo_field
 from diffsim.core.numbers import anywhere
@@ -78,6 +79,7 @@ class Coordinates:
         """Names of the coordinates; components of vector effects as "wind.x"."""
         return (*(p.name for p in self.model.base), *effect_coordinates(self.effects))
 
+    @checked(kinds_only=True)
     def columns_of(self, effect: Effect) -> list[int]:
         """Indices of the coordinates of an effect."""
         return [self.num_base + i for i, (e, _) in enumerate(self.owners) if e is effect]
@@ -92,16 +94,19 @@ class Coordinates:
             np.concatenate([base.high, np.full(len(owners), np.inf)]),
         )
 
+    @checked(kinds_only=True)
     def scaled(self, x: Array) -> Array:
         """Scaled coordinates: sizes in units of ``PRIOR_WIDTH`` typical ones, (n,)."""
         n = self.num_base
         return np.concatenate([x[:n], scaled_at(x[n:])])
 
+    @checked(kinds_only=True)
     def standardized(self, scaled: Array) -> Array:
         """Standardized coordinates of scaled ones, the inverse of ``scaled``, (n,)."""
         n = self.num_base
         return np.concatenate([scaled[:n], coordinate_of(scaled[n:])])
 
+    @checked(kinds_only=True)
     def stretch(self, x: Array) -> Array:
         """Derivative of the scaled coordinates by the standardized ones, (n,)."""
         n = self.num_base
@@ -112,10 +117,12 @@ class Coordinates:
         """Size of each component at the scaled coordinate one, (num_components,) [unit]."""
         return np.array([PRIOR_WIDTH * e.typical for e, _ in self.owners])
 
+    @checked(kinds_only=True)
     def sizes_at(self, x: Tensor) -> dict[Effect, Tensor]:
         """Sizes [unit] of the effects at standardized coordinates."""
         return self.sizes_of(scaled_at(x[..., self.num_base :]))
 
+    @checked(kinds_only=True)
     def sizes_of(self, scaled: Tensor) -> dict[Effect, Tensor]:
         """Sizes [unit] of the effects from their own scaled coordinates."""
         sizes, k = {}, 0
@@ -173,6 +180,7 @@ class Problem(Coordinates, WhitenedRuns):
         if bad:
             raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
 
+    @checked(kinds_only=True)
     def predict(self, run: Run, x: Tensor) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
         sizes = self.sizes_at(x)
@@ -180,6 +188,7 @@ class Problem(Coordinates, WhitenedRuns):
         out = self.model.predict(run, self._simulated_at(x), sizes, self.numerics)
         return self._add_correction(run, self._of_shape(run, out, run.measured.shape))
 
+    @checked(kinds_only=True)
     def shape_at(self, run: Run, x: Tensor) -> MovingShape | None:
         """What moves in the run as it is simulated; None where models show nothing."""
         q, sizes = self._simulated_at(x), self.sizes_at(x)
@@ -193,6 +202,7 @@ class Problem(Coordinates, WhitenedRuns):
     def _add_correction(self, run: Run, out: Tensor) -> Tensor:
         return out if self.correction is None else out + self.correction.of(run)
 
+    @checked(kinds_only=True)
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points."""
         x = torch.stack(list(points))
@@ -222,6 +232,7 @@ class Problem(Coordinates, WhitenedRuns):
             )
         return out
 
+    @checked(kinds_only=True)
     def record(self, x: Array) -> Array:
         """Predicted samples of all runs at x, (N,) [unit of the channel].
 
@@ -236,6 +247,7 @@ class Problem(Coordinates, WhitenedRuns):
 
         return np.concatenate(self._compute_each(one))
 
+    @checked(kinds_only=True)
     def residual(self, x: Array) -> Array:
         """(num_valid,) whitened residual of all runs."""
         return self.residual_of(self.record(x))
@@ -254,6 +266,7 @@ class Problem(Coordinates, WhitenedRuns):
         felt = sum(costs[run.name] * sum(touches(n, run) for n in moving) for run in self.runs)
         return felt / sum(costs.values())
 
+    @checked(kinds_only=True)
     def cost_of_many(self, number: float) -> float:
         """Weighted steps of simulations at a number of points and of one more, of all runs."""
         return self.cost() * (1.0 + number * (TOGETHER if self.model.batched else 1.0))
@@ -262,6 +275,7 @@ class Problem(Coordinates, WhitenedRuns):
         """Weighted steps of central differences along all coordinates that move a run."""
         return self.cost() * (1.0 + 2.0 * self.num_columns())
 
+    @checked(kinds_only=True)
     def records(self, points: Array) -> Array:
         """Predicted samples of all runs at K points, (K, N) [unit of the channel].
 
@@ -276,6 +290,7 @@ class Problem(Coordinates, WhitenedRuns):
 
         return np.concatenate(self._compute_each(one), axis=1)
 
+    @checked(kinds_only=True)
     def linearize(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
@@ -294,6 +309,7 @@ class Problem(Coordinates, WhitenedRuns):
         slopes *= stretch if only is None else stretch[list(dict.fromkeys(only))]
         return residual, slopes
 
+    @checked(kinds_only=True)
     def linearize_scaled(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
@@ -301,6 +317,7 @@ class Problem(Coordinates, WhitenedRuns):
         record, columns = self.linearize_record(x, screen=screen, only=only)
         return self.residual_of(record), self.whiten_all(columns)
 
+    @checked(kinds_only=True)
     def linearize_record(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
@@ -400,6 +417,7 @@ class Problem(Coordinates, WhitenedRuns):
         points = tuple(self._point(at + offset * unit) for offset in stencil.offsets)
         return DifferenceLine(stencil, points, self._effect_of_each[i])
 
+    @checked(kinds_only=True)
     def gradient(self, x: Array) -> tuple[float, Array]:
         """½ |r|² and its gradient by reverse mode: one backward pass per run."""
 
@@ -410,6 +428,7 @@ class Problem(Coordinates, WhitenedRuns):
 
         return self._pull_back(x, one)
 
+    @checked(kinds_only=True)
     def pullback(self, x: Array, cotangent: Array) -> Array:
         """A'c by reverse mode, A = d(W S)/dx, (n,): one backward pass per run.
 

@@ -60,6 +60,7 @@ class WhiteNoise:
         self.sd = np.array([c.sd for c in channels], dtype=np.float64)
         self._made: Memo[sparse.csr_array] = Memo()
 
+    @checked(kinds_only=True)
     def matrix(self, run: Run) -> sparse.csr_array:
         """Rows of the measured samples of ``diag(1 / sd)``; made once per run."""
         return self._made(run, lambda: self._matrix(run))
@@ -81,11 +82,13 @@ class WhitenedRuns:
         """Measured samples of each run, all channels together."""
         return [int(np.isfinite(run.measured).sum()) for run in self.runs]
 
+    @checked(kinds_only=True)
     def by_run(self, rows: Array) -> list[Array]:
         """Whitened rows of all runs, (num_valid, ...), by run."""
         counts = self.num_valid
         return np.split(rows, np.cumsum(counts)[:-1])
 
+    @checked(kinds_only=True)
     def on_grid(self, run: Run, rows: Array) -> Array:
         """(num_samples, num_channels) of whitened rows of a run, (num_valid,): each stands at its
         newest sample, the largest column that it uses; 0 where nothing was measured."""
@@ -94,6 +97,7 @@ class WhitenedRuns:
         grid[np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])] = rows
         return grid.reshape(run.measured.shape)
 
+    @checked(kinds_only=True)
     def whiten(self, run: Run, record: Array) -> Array:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
         matrix = self.whitener.matrix(run)
@@ -103,12 +107,14 @@ class WhitenedRuns:
         out[:, used] = matrix @ record[:, used]
         return out
 
+    @checked(kinds_only=True)
     def whiten_all(self, rows: Array) -> Array:
         """Rows of the samples of all runs, (N, ...), whitened: (num_valid, ...)."""
         parts = np.split(rows, np.cumsum([run.measured.size for run in self.runs])[:-1])
         pairs = zip(self.runs, parts, strict=True)
         return np.concatenate([self.whiten(run, part) for run, part in pairs])
 
+    @checked(kinds_only=True)
     def residual_of(self, record: Array) -> Array:
         """Measured less predicted samples of all runs, whitened; 0 where nothing was measured.
 

@@ -73,6 +73,7 @@ class CmaLearner:
         vector_to_parameters(mean, [p for p in out.parameters() if p.requires_grad])
         return out
 
+    @checked(kinds_only=True)
     def update(self, progress: float) -> Update:
         """One generation; a batch that breaks down counts as worse than all before."""
         o = self.options
@@ -120,6 +121,7 @@ class CmaLearner:
         """See ``Learner``. The search is what it has been told: it is told again on resuming."""
         return {"values": [list(v) for v in self.values], "rng": rng_state(self.rng)}
 
+    @checked(kinds_only=True)
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """See ``Learner``."""
         self.values = [list(v) for v in state["values"]]

@@ -112,6 +112,7 @@ class GradientLearner:
         """See ``Learner``."""
         return self.net
 
+    @checked(kinds_only=True)
     def update(self, progress: float) -> Update:
         """One batch of episodes, one step of Adam; a batch without finite gradient is skipped."""
         o = self.options
@@ -164,6 +165,7 @@ class GradientLearner:
             "bad": [self.guard.total, self.guard.in_a_row],
         }
 
+    @checked(kinds_only=True)
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """See ``Learner``."""
         self.net.load_state_dict(state["net"])

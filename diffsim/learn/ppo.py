@@ -122,6 +122,7 @@ class PpoLearner:
         """See ``Learner``."""
         return as_controller(self.task, self._policy_layers(), self.venv)
 
+    @checked(kinds_only=True)
     def update(self, progress: float) -> Update:
         """One rollout and its epochs; the learning rate is annealed over the whole budget."""
         o = self.options
@@ -141,6 +142,7 @@ class PpoLearner:
             "num_timesteps": self.model.num_timesteps,
         }
 
+    @checked(kinds_only=True)
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """See ``Learner``."""
         self.model.policy.load_state_dict(state["policy"])

@@ -119,6 +119,7 @@ class SacLearner:
         """See ``Learner``."""
         return as_controller(self.task, self._policy_layers(), self.venv)
 
+    @checked(kinds_only=True)
     def update(self, progress: float) -> Update:
         """Some steps of all members, then some of Adam."""
         return learn(self.model, self.options.envs * self.options.rollout)
@@ -140,6 +141,7 @@ class SacLearner:
             "num_timesteps": self.model.num_timesteps,
         }
 
+    @checked(kinds_only=True)
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """See ``Learner``."""
         self.model.set_parameters(state["parameters"])

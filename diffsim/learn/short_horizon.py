@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from diffsim.core.checked import checked
 from diffsim.envs.task import Task, TaskState, detached, where
 from diffsim.learn.adam import Adam
 from diffsim.learn.critics import Critics, td_lambda_targets
@@ -104,6 +105,7 @@ class ShortHorizonLearner:
         """See ``Learner``."""
         return self.net
 
+    @checked(kinds_only=True)
     def update(self, progress: float) -> Update:
         """One window, one step of the actor, a few passes of the critics."""
         o = self.options
@@ -218,6 +220,7 @@ class ShortHorizonLearner:
             "state": dict(self.state),
         }
 
+    @checked(kinds_only=True)
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """See ``Learner``."""
         for name, part in self._modules().items():

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 
 SurfaceLike: TypeAlias = "trimesh.Trimesh | str | Path"
+SIDES = (1e-70, 1e70)
+"""Least and largest side of a surface [m]: squares of areas must be numbers."""
 
 
 def closed_surface(surface: SurfaceLike, *, may_cross: bool = False) -> tuple[Array, IntArray]:
@@ -33,7 +35,8 @@ def closed_surface(surface: SurfaceLike, *, may_cross: bool = False) -> tuple[Ar
     Raises:
         TypeError: neither a trimesh nor a path.
         MeshError: faces of vertices that there are not, open edges, edges of more than two
-            triangles, inconsistent orientation, no volume, triangles that cross.
+            triangles, inconsistent orientation, no volume, triangles that cross, a size whose
+            areas have no squares.
     """
     import trimesh
 
@@ -52,6 +55,12 @@ def closed_surface(surface: SurfaceLike, *, may_cross: bool = False) -> tuple[Ar
     if not np.isfinite(x).all():
         raise MeshError("the surface has vertices that are not finite")
     check_indices(np.asarray(surface.faces, np.int64), x)
+    far = float(np.abs(x).max())
+    if not SIDES[0] <= far <= SIDES[1]:
+        raise MeshError(
+            f"the surface must reach {SIDES[0]:g} to {SIDES[1]:g} m from the origin, where squares "
+            f"of areas are numbers, got {far:.3g} m; check its unit"
+        )
     x, inverse = np.unique(x, axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[np.asarray(surface.faces, np.int64)]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from diffsim.core.check import LEAST
 from diffsim.core.numbers import anywhere
 from diffsim.core.values import direction, dot
 
@@ -83,7 +84,7 @@ def across_of(start: Tensor, end: Tensor) -> Tensor:
         ValueError: start and end are the same point.
     """
     along = (end - start).detach()
-    if anywhere(~(along.norm() > 0)):
+    if anywhere(~(along.norm() > LEAST)):
         raise ValueError(
             "start and end of a capsule must differ; use Sphere, or sphere as a distance"
         )

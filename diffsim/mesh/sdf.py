@@ -12,35 +12,33 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require_number
-from diffsim.core.values import joined
+from diffsim.core.check import LARGEST, LEAST, require_number, require_range
+from diffsim.core.values import Vector, scalar, vector
 from diffsim.mesh import primitive
 
 Sdf = Callable[[Tensor], Tensor]
-Vector = Sequence[float] | Tensor
 
 
 def sphere(radius: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
     """Ball of a radius [m]."""
-    r = _number("radius", radius)
-    c = _vector("center", center)
+    r = scalar("radius", radius, above=0.0)
+    c = vector("center", center)
     return lambda x: primitive.ball(x - c, r)[0]
 
 
 def box(size: Vector, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
     """Axis-aligned box with edge lengths ``size`` [m]."""
-    edges = _vector("size", size)
-    if not bool((edges > 0).all()):
-        raise ValueError(f"size must be positive, got {tuple(edges.tolist())}")
-    c = _vector("center", center)
+    edges = vector("size", size)
+    require_range("size", edges, above=0.0, hint="unit is m")
+    c = vector("center", center)
     return lambda x: primitive.box(x - c, edges)[0]
 
 
 def cylinder(radius: float, height: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
     """Cylinder along z, radius and full height [m]."""
-    radius = require_number("radius", radius, above=0.0)
-    half = 0.5 * require_number("height", height, above=0.0)
-    c = _vector("center", center)
+    radius = _size("radius", radius)
+    half = 0.5 * _size("height", height)
+    c = vector("center", center)
 
     def distance(x: Tensor) -> Tensor:
         y = x - c
@@ -52,17 +50,17 @@ def cylinder(radius: float, height: float, center: Vector = (0.0, 0.0, 0.0)) -> 
 
 def capsule(start: Vector, end: Vector, radius: float) -> Sdf:
     """All points within ``radius`` [m] of the segment from ``start`` to ``end``."""
-    r = _number("radius", radius)
-    a, b = _vector("start", start), _vector("end", end)
+    r = scalar("radius", radius, above=0.0)
+    a, b = vector("start", start), vector("end", end)
     across = primitive.across_of(a, b)
     return lambda x: primitive.capsule(x, a, b, r, across)[0]
 
 
 def torus(major_radius: float, minor_radius: float, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
     """Ring around the z axis: circle of ``major_radius``, tube of ``minor_radius`` [m]."""
-    minor = require_number("minor_radius", minor_radius, above=0.0)
-    major = require_number("major_radius", major_radius, above=minor)
-    c = _vector("center", center)
+    minor = _size("minor_radius", minor_radius)
+    major = _size("major_radius", major_radius, above=minor)
+    c = vector("center", center)
 
     def distance(x: Tensor) -> Tensor:
         y = x - c
@@ -73,11 +71,11 @@ def torus(major_radius: float, minor_radius: float, center: Vector = (0.0, 0.0, 
 
 def plane(normal: Vector, offset: float = 0.0) -> Sdf:
     """Half space n.x <= offset [m], n the normalized outward normal."""
-    n = _vector("normal", normal)
-    if not float(n.norm()) > 0:
+    n = vector("normal", normal)
+    if not float(n.norm()) > LEAST:
         raise ValueError("normal must not be zero")
     n = n / n.norm()
-    away = torch.tensor(require_number("offset", offset), dtype=torch.float64)
+    away = scalar("offset", offset)
     return lambda x: primitive.half_space(x, n, away)[0]
 
 
@@ -89,13 +87,12 @@ def union(*shapes: Sdf) -> Sdf:
 
 def ellipsoid(half: Vector, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
     """Ellipsoid with half axes ``half`` along x, y, z [m]; exact where it is zero, else nearly."""
-    r, c = _vector("half", half), _vector("center", center)
-    if not bool((r > 0).all()):
-        raise ValueError(f"half must be positive, got {tuple(r.tolist())}")
+    r, c = vector("half", half), vector("center", center)
+    require_range("half", r, above=0.0, hint="unit is m")
 
     def distance(x: Tensor) -> Tensor:
         q = (x - c) / r
-        length, slope = q.norm(dim=1), (q / r).norm(dim=1).clamp(min=1e-9)
+        length, slope = q.norm(dim=1), (q / r).norm(dim=1).clamp(min=1e-9 / float(r.max()))
         return length * (length - 1.0) / slope
 
     return distance
@@ -103,7 +100,7 @@ def ellipsoid(half: Vector, center: Vector = (0.0, 0.0, 0.0)) -> Sdf:
 
 def smooth_union(a: Sdf, b: Sdf, width: float) -> Sdf:
     """Union whose seam is rounded where the two distances differ by less than ``width`` [m]."""
-    width = require_number("width", width, above=0.0)
+    width = _size("width", width)
 
     def distance(x: Tensor) -> Tensor:
         p, q = a(x), b(x)
@@ -127,14 +124,14 @@ def difference(shape: Sdf, *cutters: Sdf) -> Sdf:
 
 def translate(shape: Sdf, by: Vector) -> Sdf:
     """The shape moved by a vector [m]."""
-    offset = _vector("by", by)
+    offset = vector("by", by)
     return lambda x: shape(x - offset)
 
 
 def rotate(shape: Sdf, axis: Vector, angle: float) -> Sdf:
     """The shape turned about an axis through the origin by an angle [rad], right-handed."""
-    a = _vector("axis", axis)
-    if not float(a.norm()) > 0:
+    a = vector("axis", axis)
+    if not float(a.norm()) > LEAST:
         raise ValueError("axis must not be zero")
     kx, ky, kz = (a / a.norm()).tolist()
     cross = torch.tensor([[0.0, -kz, ky], [kz, 0.0, -kx], [-ky, kx, 0.0]], dtype=torch.float64)
@@ -155,19 +152,12 @@ def offset(shape: Sdf, by: float) -> Sdf:
 
 def shell(shape: Sdf, thickness: float) -> Sdf:
     """The points within half a thickness [m] of the shape's surface."""
-    half = 0.5 * require_number("thickness", thickness, above=0.0)
+    half = 0.5 * _size("thickness", thickness)
     return lambda x: shape(x).abs() - half
 
 
-def _number(name: str, value: float) -> Tensor:
-    return torch.tensor(require_number(name, value, above=0.0), dtype=torch.float64)
-
-
-def _vector(name: str, value: Vector) -> Tensor:
-    v = torch.as_tensor(joined(value), dtype=torch.float64)
-    if v.shape != (3,) or not bool(torch.isfinite(v).all()):
-        raise ValueError(f"{name} must be three finite numbers, got {value}")
-    return v
+def _size(name: str, value: float, above: float = 0.0) -> float:
+    return require_number(name, value, above=above, at_most=LARGEST, hint="unit is m")
 
 
 def _some(shapes: Sequence[Sdf]) -> None:

@@ -77,7 +77,7 @@ def read_meshio(path: Path, file_format: str) -> VolumeFile:
         # meshio.read itself prints what is wrong, and ends the program
         content = getattr(meshio, file_format).read(path)
     except (Exception, SystemExit) as error:
-        said = str(error) or type(error).__name__
+        said = str(error) or "it is cut off, or of another kind"
         raise MeshError(f"{path} could not be read as {file_format}: {said}") from error
     kind, chosen = _one_kind(path, content.cells)
     elements = _join_blocks([content.cells[b].data for b in chosen]).astype(np.int64)

@@ -52,10 +52,12 @@ class Log:
         """Entries of a list, in order; empty where there is none."""
         return tuple(self._lists.get(name, ()))
 
+    @checked(kinds_only=True)
     def find(self, name: str, x: Array) -> Mapping[str, Any] | None:
         """The entry of a list at the point x, (n,), the same to the last bit; None if none is."""
         return self._at.get(_key(name, x))
 
+    @checked(kinds_only=True)
     def append(self, name: str, entry: Mapping[str, Any]) -> Mapping[str, Any]:
         """Add an entry to a list, and to the file.
 
@@ -74,6 +76,7 @@ class Log:
             self._has_header = True
         return self._keep(json.loads(line))
 
+    @checked(kinds_only=True)
     def part(self, name: str) -> Log:
         """A log in memory that holds one list only: what a worker goes on from."""
         out = Log()
@@ -81,6 +84,7 @@ class Log:
             out.append(name, entry)
         return out
 
+    @checked(kinds_only=True)
     def take(self, name: str, part: Log) -> None:
         """Add what a worker appended to the list since ``part`` was made."""
         for entry in part[name][len(self[name]) :]:

@@ -85,6 +85,7 @@ class Wall:
         for name in ("height", "over_first", "over_best"):
             require_number(name, getattr(self, name), at_least=0.0)
 
+    @checked(kinds_only=True)
     def value(self, first: float, best: float) -> float:
         """Value of the wall, given the first and the least value so far, all in the search's
         unit."""

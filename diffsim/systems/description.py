@@ -22,6 +22,7 @@ from diffsim.causes.plant import Plant
 from diffsim.causes.ports import SESSIONS
 from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
+from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import KindWords, Part
 from diffsim.core.units import after_number, in_unit
@@ -274,14 +275,17 @@ class Description(Part):
                 found.append(Problem("error", "model", str(error)))
         return found
 
+    @checked(kinds_only=True)
     def find_problems(self, study: Study) -> Iterator[Problem]:
         """Mistakes that names and keys show; those of a kind of system are its own."""
         yield from ()
 
+    @checked(kinds_only=True)
     def build(self, study: Study) -> object:
         """What is made without a simulation, where that alone shows further mistakes."""
         return None
 
+    @checked(kinds_only=True)
     def require_possible(self, study: Study) -> None:
         """Refuse a study that the description disagrees with.
 
@@ -315,6 +319,7 @@ class Description(Part):
             study=None if used is study else used,
         )
 
+    @checked(kinds_only=True)
     def used_of(self, study: Study) -> Study:
         """What counts of a study, such as tosses until their windows end.
 
@@ -327,6 +332,7 @@ class Description(Part):
         """Effort that suits what is described."""
         return self.advised
 
+    @checked(kinds_only=True)
     def model(self, study: Study) -> SimModel:
         """The simulator as described, for all runs of a study.
 

@@ -195,6 +195,7 @@ HOSTILE = {
     "short.mcap": b"\x89MCAP0\r\n",
     "empty.ulg": b"",
     "claim.ulg": b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\xffF" + b"a" * 100,
+    "circle.ulg": ulog(1).replace(b";float[2] control;", b";motors[2] contro;;"),
     "no.h5": b"\x89HDF\r\n\x1a\n" + bytes(500),
     "no.parquet": b"PAR1" + b"\xff" * 40 + b"\xff\xff\xff\x7fPAR1",
     "no.bag": b"#ROSBAG V2.0\n" + b"\xff" * 60,
@@ -237,6 +238,19 @@ def test_groups_that_lead_to_each_other_end(tmp_path):
         parts_of(tmp_path / "log.h5")
 
 
+def test_arrays_of_other_files_are_left_out_and_said(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    (tmp_path / "secret").write_bytes(bytes(88))
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["time_s"] = TIME
+        file["link"] = h5py.ExternalLink("other.h5", "/q")
+        file["soft"] = h5py.SoftLink("/time_s")
+        file.create_dataset("raw", (11,), "f8", external=[(str(tmp_path / "secret"), 0, 88)])
+    assert list(read_columns(tmp_path / "log.h5")) == ["time_s"]
+    said = " ".join(left_out_of(tmp_path / "log.h5"))
+    assert all(f"{name}: a link, or kept in another file" in said for name in ("link", "raw"))
+
+
 def test_a_database_without_messages_is_refused(tmp_path):
     pytest.importorskip("rosbags")
     with sqlite3.connect(tmp_path / "log.db3") as base:
@@ -251,6 +265,31 @@ system: rigid_body
 channels: [{name: q, unit: m}]
 runs: [{name: a, file: "FILE"}]
 """
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        "1_000",
+        "0x1p3",
+        "=1+1",
+        "1e400",
+        "1\0",
+        "\u22121",
+        "1 2",
+        "--1",
+        "1.2.3",
+        "True",
+        "1e",
+        "+-1",
+    ],
+)
+def test_what_is_no_number_is_refused_by_row_and_column(tmp_path, cell):
+    """Python's own reader takes 1_000 for a thousand."""
+    (tmp_path / "log.csv").write_text(f"time_s,q\n0,1\n1,{cell}\n2,3\n", encoding="utf-8")
+    (tmp_path / "study.yaml").write_text(STUDY.replace("FILE", "log.csv"))
+    with pytest.raises(ValueError, match=r"log\.csv, row 3, column q: .* is not a"):
+        load_study(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["deep.json", "huge.npz", "short.mcap", "empty.ulg", "no.h5"])

@@ -63,14 +63,6 @@ def test_a_held_out_repeat_is_a_warning():
     )
 
 
-def test_clock_that_steps_back():
-    t = make_study().runs[1].time_s.copy()
-    t[7] = t[5]
-    assert "run b: time_s does not increase at sample 7" in problems(
-        with_run(make_study(), 1, time_s=t), "error"
-    )
-
-
 def test_gap_in_the_clock():
     t = make_study().runs[1].time_s.copy()
     t[7:] += 0.1
@@ -80,10 +72,10 @@ def test_gap_in_the_clock():
 
 
 def test_unit_against_name():
-    study = replace(make_study(), channels=(Channel("tip_z_mm", "m", "position", 1e-6),) * 2)
+    wrong = Channel("tip_z_mm", "m", "position", 1e-6)
+    study = replace(make_study(), channels=(wrong, *make_study().channels[1:]))
     found = problems(study, "error")
     assert "channel tip_z_mm: the name ends in 'mm', but unit is 'm'" in found
-    assert "the name is used twice" in found
 
 
 def test_unknown_noise():
@@ -101,11 +93,11 @@ def test_a_run_that_scatters_more_than_its_sd_says(times, is_said):
     study, rng = make_study(), np.random.default_rng(0)
     sd = study.channels[0].sd
     t = 0.01 * np.arange(300.0)
-    run = replace(study.runs[1], time_s=t, command={}, columns={})
+    run = study.runs[1]
     swing = np.sin(2.0 * np.pi * t)[:, None] * np.ones(run.measured.shape[1]) * 1e4 * sd
     noise = rng.normal(size=(2, *swing.shape)) * sd
-    calm = replace(run, name="a", measured=swing + noise[0])
-    shaken = replace(run, measured=swing + times * noise[1])
+    calm = replace(run, name="a", time_s=t, measured=swing + noise[0], command={}, columns={})
+    shaken = replace(calm, name="b", measured=swing + times * noise[1])
     found = problems(replace(study, runs=(calm, shaken, replace(calm, name="c"))), "note")
     assert ("from sample to sample run b scatters" in found) == is_said
 
@@ -159,27 +151,70 @@ def test_repeats_on_another_clock_are_compared_in_time():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"measured": np.zeros((25, 3))}, "measured must have shape .* (25, 2), got (25, 3)"),
         ({"measured": np.full((25, 2), np.nan)}, "nothing was measured"),
         ({"measured": np.ones((25, 2))}, "never changes"),
         ({"command": {}}, "different command columns"),
         ({"command": {"tendon_N": np.full(25, np.nan)}}, "is unknown in 100%"),
-        (
-            {"command": {"tendon_N": np.zeros(3)}},
-            "command tendon_N must have shape (25,), got (3,)",
-        ),
-        ({"name": "a"}, "the name is used twice"),
         ({"order": 0}, "share a place in the order"),
     ],
 )
 def test_defects_of_a_run(changes, message):
     found = problems(with_run(make_study(), 1, **changes))
-    assert all(part in found for part in message.split(" .* "))
+    assert message in found
 
 
 def test_errors_come_first():
     t = make_study().runs[2].time_s.copy()
     t[7:] += 0.1
     bad = with_run(with_run(make_study(), 2, time_s=t), 3, use="fit")
-    found = check_study(with_run(bad, 1, name="a"))
+    found = check_study(replace(bad, model={"system": "ode", "states": "TODO"}))
     assert [p.severity for p in found] == ["error", "warning", "warning"]
+
+
+TIMES = make_study().runs[0].time_s
+SPOILED = {
+    "time_s of two dimensions": ({"time_s": TIMES[:, None]}, "time_s must have shape"),
+    "no stamp": ({"time_s": np.where(TIMES > 0.5, np.nan, TIMES)}, "time_s of run 'b' must be fin"),
+    "an infinite stamp": ({"time_s": np.append(TIMES[:-1], np.inf)}, "got inf after .* at sample"),
+    "time runs back": ({"time_s": TIMES[::-1]}, "increase, got 0.766667 after 0.8 at sample 1"),
+    "time in words": ({"time_s": TIMES.astype(str)}, "time_s must be an array of real numbers"),
+    "complex time": ({"time_s": 1j * TIMES}, "time_s must be .*, got complex128"),
+    "one sample less": ({"measured": np.zeros((24, 2))}, r"measured must have shape \(25, num_ch"),
+    "a row for a table": ({"measured": np.zeros(25)}, "measured must have shape"),
+    "samples in words": ({"measured": np.full((25, 2), "1")}, "measured must be an array of real"),
+    "a list": ({"measured": [[0.0, 0.0]] * 25}, "measured must be an array"),
+    "a short command": ({"command": {"u": np.zeros(3)}}, r"command\['u'\] must have shape \(25,\)"),
+    "a command in words": ({"command": {"u": "0.1"}}, r"command\['u'\] must be .*, got str"),
+    "a column of tensors": ({"columns": {"temp": [0.0] * 25}}, r"columns\['temp'\] must be"),
+    "raw of another length": ({"raw": {"tip": ("tip", TIMES[1:])}}, r"raw\['tip'\] must have"),
+    "no group": ({"group": None}, "group must be text"),
+}
+
+
+@pytest.mark.parametrize(("changes", "said"), SPOILED.values(), ids=SPOILED)
+def test_a_run_made_by_hand_is_refused_by_the_name_of_what_is_wrong(changes, said):
+    with pytest.raises((TypeError, ValueError), match=said):
+        replace(make_study().runs[1], **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"channels": (Channel("x", "m", "position"),)}, "measured of run 'a' must have a column"),
+        ({"channels": (Channel("x", "m", "position"),) * 2}, "channels must have different names"),
+        ({"runs": (make_study().runs[0],) * 2}, "runs must have different names, got 'a' more"),
+        ({"runs": ("a.csv",)}, r"runs\[0\] must be a Run, got str"),
+        ({"commands": ("tendon_N",)}, r"commands\[0\] must be a Command, got str"),
+    ],
+)
+def test_a_study_made_by_hand_is_refused_by_the_name_of_what_is_wrong(changes, said):
+    with pytest.raises((TypeError, ValueError), match=said):
+        replace(make_study(), **changes)
+
+
+def test_equal_stamps_are_of_no_study():
+    run = replace(make_study().runs[1], time_s=np.maximum(TIMES, 0.1))
+    with pytest.raises(
+        ValueError, match=r"time_s of run 'b' must be finite and increase, got 0\.1"
+    ):
+        replace(make_study(), runs=(run,))

@@ -197,7 +197,7 @@ def test_ellipsoid_is_zero_on_its_surface_and_a_sphere_where_it_is_one():
     outside = at + 1e-6 * (rays / half) / (rays / half).norm(dim=1, keepdim=True)
     assert shape(outside).numpy() == pytest.approx(1e-6, rel=1e-4)
     assert sdf.ellipsoid((0.2,) * 3)(0.5 * rays).numpy() == pytest.approx(0.3)
-    with pytest.raises(ValueError, match="half must be positive"):
+    with pytest.raises(ValueError, match="half must lie in"):
         sdf.ellipsoid((0.1, 0.0, 0.1))
 
 

@@ -67,8 +67,9 @@ def test_measured_markers_lie_on_the_simulated_rod():
     assert away[0] == pytest.approx(0.0045, abs=5e-4)
     seen = [c.name for c in study.channels]
     flat = {k: {"marker": k[:-2], "axis": k[-1]} for k in seen if k != "middle_x"}
-    only = replace(study, channels=study.channels[1:], model={**study.model, "channels": flat})
-    only = replace(only, runs=tuple(replace(r, measured=r.measured[:, 1:]) for r in only.runs))
+    runs = tuple(replace(r, measured=r.measured[:, 1:]) for r in study.runs)
+    changed = {"channels": study.channels[1:], "model": {**study.model, "channels": flat}}
+    only = replace(study, runs=runs, **changed)
     shown = setup_of(only).model.shape_of(run, torch.from_numpy(run.measured[:, 1:]))
     assert balls_of(shown).shape == (1, 1, 3)  # of the other marker one coordinate is unknown
 

@@ -68,6 +68,7 @@ class Feedback:
         require("reference", self.reference, ("...", 12))
 
 
+@checked(time=("steps + 1",))
 @loadable
 @dataclass(frozen=True, eq=False)
 class Flight:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from diffsim.copter.dynamics import _ops_hover
+from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.numbers import values_of
 from diffsim.core.record import Ended, Solve, warn
@@ -38,6 +39,7 @@ class HoverWarning(UserWarning):
     """A hover that is rank deficient or did not converge."""
 
 
+@checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class HoverResult:
     """Thrusts that hold a multicopter in place, and the status of the solve.

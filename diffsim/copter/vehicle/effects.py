@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require, require_range
+from diffsim.core.checked import checked
 
 
 def _require(
@@ -45,6 +46,7 @@ class MotorLag:
     def __post_init__(self) -> None:
         _require("time_constants", self.time_constants, ("n_rotors",), above=0.0)
 
+    @checked(kinds_only=True)
     def row(self, dt: float) -> dict[str, Tensor]:
         """Parameters of the kernel."""
         return {"lag_decay": torch.exp(-0.5 * dt / self.time_constants)}
@@ -108,6 +110,7 @@ class BodyDrag:
         _require("linear", self.linear, (3,), at_least=0.0)
         _require("quadratic", self.quadratic, (3,), at_least=0.0)
 
+    @checked(kinds_only=True)
     def row(self, dt: float) -> dict[str, Tensor]:
         """Parameters of the kernel."""
         return {"drag_linear": self.linear, "drag_quadratic": self.quadratic}

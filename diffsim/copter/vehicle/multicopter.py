@@ -205,6 +205,7 @@ class Fleet:
         """A copy with other values."""
         return replace(self, **changes)
 
+    @checked(kinds_only=True)
     def repeated(self, count: int) -> Fleet:
         """Every vehicle ``count`` times in a row; a leading axis of one stays."""
         values = {name: getattr(self, name) for name in NUMBERS}

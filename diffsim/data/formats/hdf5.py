@@ -133,6 +133,11 @@ def _gather(
     if prefix and (_has_clock(arrays) or (arrays and _rows(arrays) != _rows(found))):
         return  # a table of its own
     found |= {f"{prefix}{name}": data for name, data in arrays.items()}
+    others += [
+        f"{prefix}{name}: a link, or kept in another file; neither is followed"
+        for name in group
+        if name not in own and name[:1] != "#"
+    ]
     for name, held in own.items():
         if isinstance(held, h5py.Dataset) and name not in arrays:
             others.append(f"array {prefix}{name}: a single value, or neither numbers nor text")

@@ -226,6 +226,11 @@ def _read_guarded(path: Path, read: Callable[[], Any]) -> Any:
         raise
     except MemoryError as error:  # what it claims to hold, or holds
         raise ValueError(f"{path}: needs more memory than there is") from error
+    except RecursionError as error:
+        raise ValueError(
+            f"{path}: cannot be read as {path.suffix}: it describes records inside of each other "
+            "without end"
+        ) from error
     except Exception as error:  # each library has its own
         said = " ".join(str(error).split()) or type(error).__name__
         raise ValueError(f"{path}: cannot be read as {path.suffix}: {said}") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from diffsim.core.check import require_range
+from diffsim.core.check import LEAST, require_range
 from diffsim.core.numbers import anywhere
 from diffsim.core.values import Number, scalar
 from diffsim.mesh import primitive
@@ -27,7 +27,7 @@ class Plane(Shape):
 
     def _unit(self) -> Tensor:
         length = self.normal.norm()
-        if anywhere(~(length > 0)):
+        if anywhere(~(length > LEAST)):
             raise ValueError("normal must not be zero; (0, 0, 1) is a floor with fluid above")
         return self.normal / length
 

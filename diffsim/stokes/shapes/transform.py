@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require_choice
+from diffsim.core.check import LEAST, require_choice
 from diffsim.core.layer import is_followed
 from diffsim.core.numbers import anywhere
 from diffsim.core.values import Number, scalar
@@ -69,7 +69,7 @@ class Rotate(Shape):
         if self.axis is None:
             return torch.stack([cos, -sin, sin, cos]).reshape(2, 2)
         length = self.axis.norm()
-        if anywhere(~(length > 0)):
+        if anywhere(~(length > LEAST)):
             raise ValueError("axis must not be zero; (0, 0, 1) is vertical")
         x, y, z = self.axis / length
         o = torch.zeros_like(x)

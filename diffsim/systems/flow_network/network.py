@@ -95,6 +95,7 @@ class NetworkDevice:
         (x0, y0), (x1, y1) = (self.nodes[n] for n in self.segments[0][1:3])
         return (x0, y0), (x0 + self.tap * (x1 - x0), y0 + self.tap * (y1 - y0))
 
+    @checked(kinds_only=True)
     def coordinates(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Distance to every channel's axis [m] and place along it [-], (..., num_segments) each.
 
@@ -112,6 +113,7 @@ class NetworkDevice:
             places.append(place)
         return torch.stack(distances, -1), torch.stack(places, -1)
 
+    @checked(kinds_only=True)
     def level_set(self, points: Tensor, offset: float, narrowing: tuple[float, ...]) -> Tensor:
         """phi at points (..., 2) [m], > 0 in the fluid.
 
@@ -130,6 +132,7 @@ class NetworkDevice:
         hump = torch.where((place - 0.5).abs() < 0.5 * self.throat, hump, 0.0)
         return (half * (1.0 - share * hump) + offset - distance).amax(-1)
 
+    @checked(kinds_only=True)
     def owners(self, points: Tensor) -> Tensor:
         """Which channel a point belongs to, (...) int64."""
         distance, _ = self.coordinates(points)

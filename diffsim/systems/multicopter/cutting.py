@@ -234,7 +234,9 @@ def _make_even(run: Run, rate_hz: float | None, means: Mask) -> Run:
         for name, values in run.command.items()
     }
     beside = {name: np.interp(time, run.time_s, values) for name, values in run.columns.items()}
-    return replace(run, time_s=time, measured=np.stack(columns, 1), command=command, columns=beside)
+    kept = replace(run, raw={})  # whose rows are those of the file
+    measured = np.stack(columns, 1)
+    return replace(kept, time_s=time, measured=measured, command=command, columns=beside)
 
 
 def _resample_channel(

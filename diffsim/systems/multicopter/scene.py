@@ -15,6 +15,7 @@ from diffsim.causes.signals import Grid
 from diffsim.copter import FlightEffects, FlightError, prepare_flight
 from diffsim.copter.vehicle.effects import BodyDrag, RotorDrag
 from diffsim.copter.vehicle.multicopter import Fleet
+from diffsim.core.checked import checked
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.layer import may_be_differentiated
 from diffsim.systems.multicopter.estimator import force_of
@@ -92,10 +93,12 @@ class CopterScene(RecordedScene):
             return value.movedim(0, -1)
         return super().number(name)
 
+    @checked(kinds_only=True)
     def with_schedule(self, change: Schedule) -> CopterScene:
         """A copy whose thrusts depend on the motion."""
         return replace(self, schedules=(*self.schedules, change))
 
+    @checked(kinds_only=True)
     def with_air(self, force: Air) -> CopterScene:
         """A copy with one more force that depends on the motion."""
         return replace(self, air=(*self.air, force))
@@ -146,6 +149,7 @@ class CopterScene(RecordedScene):
         push = self.commands.values.mT.sum(-1) / self.vehicle.mass[:, None]
         return force_of(self.windows.states, push)
 
+    @checked(kinds_only=True)
     def delivered(self, past: Tensor) -> Tensor:
         """Thrusts over the steps that end at the samples, (points, num_samples, n_rotors) [N].
 
@@ -167,6 +171,7 @@ class CopterScene(RecordedScene):
             return self.simulate_many(1, shooting)[0]
         return shooting.at_own_point()[: self.num_samples]
 
+    @checked(kinds_only=True)
     def find_starts(self, max_steps: int = MAX_STEPS) -> FlightShooting:
         """Best initial states of one point and their tangents there, found within some steps; those
         of the last points are kept."""
@@ -188,6 +193,7 @@ class CopterScene(RecordedScene):
 
         return self.windows.find_starts(predict, max_steps)
 
+    @checked(kinds_only=True)
     def simulate_many(self, points: int, shooting: FlightShooting) -> Tensor:
         """Predicted channels with the best initial states.
 

@@ -15,6 +15,7 @@ from diffsim.causes.channel_groups import CLOCKS, clock_problems
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import HELD
 from diffsim.copter.exchange.mjcf_text import whole_scene
+from diffsim.core.checked import checked
 from diffsim.core.inside import inside
 from diffsim.core.schema import Part
 from diffsim.core.schema_paths import CODE, INSIDE, PathWords
@@ -149,6 +150,7 @@ class OutsideDescription(Description):
             raise ValueError(f"{', '.join(sorted(both))}: in parameters or in start, not in both")
         return self
 
+    @checked(kinds_only=True)
     def source(self, study: Study) -> Source:
         """Where the simulator of a study is."""
         reading = Environment(**self.environment.model_dump())
@@ -159,6 +161,7 @@ class OutsideDescription(Description):
                 options["folder"] = str(study.folder)
         return Source(self.simulator, study.folder, options, reading)
 
+    @checked(kinds_only=True)
     def problems(self, study: Study) -> list[Problem]:
         """A simulator that is not there, hooks that no column has; nothing is run."""
         out = []
@@ -207,6 +210,7 @@ class OutsideDescription(Description):
             return [Problem("error", "model", "MuJoCo is not installed: pip install mujoco")]
         return [Problem("note", "model.options.model", note) for note in version_notes(text, own)]
 
+    @checked(kinds_only=True)
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         held = self._are_commands_held(study)
@@ -228,6 +232,7 @@ class OutsideDescription(Description):
             settings=settings_with(made.settings, self.effort),
         )
 
+    @checked(kinds_only=True)
     def plant(self, study: Study) -> Plant:
         """What the simulator offers to causes of a user."""
         return outside_plant(

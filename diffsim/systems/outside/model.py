@@ -262,6 +262,7 @@ class OutsideModel(SimModel):
         self.zeros: tuple[str, ...] = ()  # numbers that causes alone change
         self._pool: Processes | None = None
 
+    @checked(kinds_only=True)
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction; counted where the simulator counts its own."""
         return self._cost_of(run, numerics or Numerics(), None)
@@ -278,13 +279,16 @@ class OutsideModel(SimModel):
             return super().cost(run, numerics)
         return self.run_cost + float(self._count_steps(run, forces)) / numerics.time_step
 
+    @checked(kinds_only=True)
     def note_simulations(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
         """Count nothing: calls are counted where they are made, records are used again."""
 
+    @checked(kinds_only=True)
     def count(self, job: Job) -> None:
         """Count a call of the simulator."""
         self.simulations.add(1, round(self._cost_of(job.run, job.numerics, job.forces)))
 
+    @checked(kinds_only=True)
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes, side by side where there are workers."""
         jobs = [scene.job() for scene in scenes]

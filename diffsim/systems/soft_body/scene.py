@@ -18,6 +18,7 @@ from diffsim.causes.scene import ForceLaw, Scene
 from diffsim.causes.signals import Grid
 from diffsim.contact import Obstacle
 from diffsim.core.check import require
+from diffsim.core.checked import checked
 from diffsim.core.errors import ConvergenceError
 from diffsim.soft.forces import ElasticGradient
 from diffsim.soft.inputs import check_loads
@@ -194,6 +195,7 @@ class SoftScene(Scene):
     hung_mass: Tensor | None = None
     obstacles: tuple[Obstacle, ...] = ()
 
+    @checked(kinds_only=True)
     def number(self, name: str) -> Tensor:
         """A physical parameter as it is in this run, 0 where the body has none; or the rate of the
         clock."""
@@ -207,14 +209,17 @@ class SoftScene(Scene):
         """Physical parameters for ``body.physics`` by name."""
         return {name: v for name, v in self.numbers.items() if name != CLOCK_RATE}
 
+    @checked(kinds_only=True)
     def with_parameter(self, name: str, value: Tensor) -> Self:
         """A copy with one physical parameter replaced."""
         return self.changed(numbers={**self.numbers, name: value})
 
+    @checked(kinds_only=True)
     def with_hook(self, make: Callable[[], Force]) -> Self:
         """A copy with one more force on the nodes."""
         return self.changed(forces=(*self.forces, (ANYWHERE, make)))
 
+    @checked(kinds_only=True)
     def with_places(self, change: OutputMap) -> Self:
         """A copy whose observed places are changed: f(places, times) -> places."""
         return self.changed(place_maps=(*self.place_maps, change))
