@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from diffsim.core.figures import figure
-from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off, words_of
@@ -41,7 +41,6 @@ from diffsim.identify import Fit
 
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
-MUCH_UNSEEN = 3.0  # that unseen runs show
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
 UNCONTRADICTED = "no other recording could contradict it"

@@ -16,7 +16,12 @@ from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.data.shown import resolution_words
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.checks.gates import REPEATED, GateResult
+from diffsim.diagnose.checks.gates import (
+    MUCH_UNSEEN,
+    REPEATED,
+    GateResult,
+    contradiction_gate,
+)
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.apart import apart_in_fit
@@ -29,7 +34,6 @@ from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
     MUCH_LEFT,
-    MUCH_UNSEEN,
     Grounds,
     doubts_of,
     doubts_of_fit,
@@ -328,6 +332,11 @@ def taken_back(frozen: Report, gained: Gain | None, errors: Sequence[ErrorRow]) 
         gained: Gain on test runs; None without such runs or without a cause.
         errors: Errors on runs that were not fitted.
     """
+    if frozen.verdict == "none":
+        off = [(row.run, row.after / row.noise) for row in errors if row.noise > 0.0]
+        against = contradiction_gate(dict(sorted(off, key=lambda pair: pair[1])))
+        verdict = "unknown" if against else "none"
+        return replace(frozen, verdict=verdict, gates=(*frozen.gates, *against))
     # far from the noise, an error that names do not lower speaks against them, sure to rise or not
     is_withdrawn = gained is not None and (
         gained.status == "withdrawn" or (gained.value < 0.0 and gained.left > MUCH_UNSEEN**2)

@@ -12,7 +12,7 @@ import numpy as np
 
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
-from diffsim.diagnose.checks.gates import LAWS
+from diffsim.diagnose.checks.gates import CONTRADICTED, LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, MAY_BE_ZERO, why_unconfirmed
@@ -236,6 +236,9 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
             f"{capital(what)} {verb} withdrawn",
             "What was named is withdrawn",
         ]
+    if against := [gate.note for gate in answer.gates if gate.name == CONTRADICTED]:
+        run = capital(against[0].partition(" is ")[0])
+        return [f"{run} contradicts the others, which leave noise alone"]
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
         them = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
