@@ -242,6 +242,8 @@ def _status(
         rivals, is_best = _rivals_of(known, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
         is_named &= decision.forms.get(i) != OWN_STEP  # which is no cause at all
+        if is_named and _is_hollow(judgment, about, i):
+            return UNTOLD, rivals or (NOISE,)
         return (LIKELY if is_named else UNTOLD), rivals
     if i in decision.forms and i not in decision.best:  # a wrong data sheet leads by far
         return REFUTED, (decision.forms[i],)
@@ -254,6 +256,18 @@ def _status(
         return UNTOLD, (REST,)
     visible = [s <= SEEN * known.effects[i].typical for s in _smallest_visible(known, i).values()]
     return (REFUTED if added < -KEEP_NATS and any(visible) else HIDDEN), ()
+
+
+def _is_hollow(judgment: Judgment, about: ModelAverage, i: int) -> bool:
+    """Whether a member adds nothing that is sure to a set with others that do: its size may be
+    zero, and what it was not fitted to shows no gain by it. It may stand in for one of these, or
+    for what the fit of another set did not reach."""
+
+    def is_idle(k: int) -> bool:
+        gain = judgment.gains.get(k)
+        return gain is not None and not gain.has_fallen and about.may_be_zero(k)
+
+    return is_idle(i) and not all(is_idle(k) for k in judgment.decision.best)
 
 
 def _why_not_refuted(known: CauseEvidence, i: int) -> str:
