@@ -41,6 +41,7 @@ from diffsim.identify import Fit
 
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
+UNDONE = 3.0  # times as far as all causes together, that one moves the record
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
 UNCONTRADICTED = "no other recording could contradict it"
@@ -202,6 +203,28 @@ def _may_be_zero(g: Grounds, i: int) -> str:
     return MAY_BE_ZERO if g.about.may_be_zero(i) else ""
 
 
+def undone(fit: Fit) -> frozenset[str]:
+    """Names of causes of a fit that others undo: each moves the record several times as far as all
+    of them together. Such a set is a curve made of pieces, such as a root, a line and a level that
+    are a weir: what acts may be one law, and none of its names.
+
+    Args:
+        fit: With the causes.
+    """
+    own = {
+        e.name: fit.jacobian[:, columns] @ fit.x[columns]
+        for e in fit.problem.effects
+        for columns in [fit.problem.columns_of(e)]
+    }
+    together = float(np.linalg.norm(sum(own.values(), np.zeros(len(fit.residual)))))
+    return frozenset(n for n, moved in own.items() if np.linalg.norm(moved) > UNDONE * together)
+
+
+def _others_undo_it(g: Grounds, i: int) -> str:
+    is_undone = g.search.wide.effects[i].name in undone(g.fit)
+    return "it and others undo each other: one law may act in place of all" if is_undone else ""
+
+
 def _helps_nothing(g: Grounds, i: int) -> str:
     """Its interval lies at zero or below, although there is something to gain."""
     gain = g.judgment.gains.get(i)
@@ -314,6 +337,7 @@ LEAVES_OPEN: tuple[Callable[[Grounds, int], str], ...] = (
     _sets_do_without,
     _stands_in_for_what_was_refused,
     _may_be_zero,
+    _others_undo_it,
     _helps_nothing,
 )
 OF_A_CAUSE: tuple[Callable[[Grounds, int], str], ...] = (

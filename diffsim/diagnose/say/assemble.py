@@ -40,6 +40,7 @@ from diffsim.diagnose.judge.preconditions import (
     doubts_of_names,
     doubts_of_unseen,
     singled_out,
+    undone,
     wrong_gradients,
 )
 from diffsim.diagnose.judge.records import (
@@ -147,6 +148,8 @@ def report_of(
     refused = grounds is not None and bool(grounds.refused)
     is_off = any(row.finding for row in base)
     verdict, named = _verdict(judgment, known.alone, is_off=is_off, stands_in=refused)
+    if verdict == "named" and named <= known.undone:
+        verdict, named = "ambiguous", decision.best
     if verdict == "unknown" and not any(gate.name == REPEATED for gate in checks.gates):
         checks = checks.joined(repeated_gate(best, seed))
     # of a verdict that names what all sets share, the sets are all given
@@ -224,6 +227,7 @@ def _evidence(
         about=grounds.about,
         alone=alone,
         rivals=open_rivals(decision, grounds.about, alone),
+        undone=frozenset(i for i in decision.best if effects[i].name in undone(grounds.fit)),
         doubts={i: doubts_of(grounds, i) for i in asked},
         doubts_of_names=doubts_of_names(grounds),
         doubts_of_fit=doubts_of_fit(grounds),

@@ -21,6 +21,7 @@ from diffsim.diagnose.judge.records import (
     DATA_SHEET,
     EFFECT,
     LIKELY,
+    ONE_LAW,
     SKILL,
     WRONG_DATA_SHEET,
     CauseRow,
@@ -254,6 +255,12 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
 
 def _open(answer: Answer) -> list[str]:
     """Sets of causes that cannot be told apart, without what they share."""
+    if pieces := [row for row in effects_of(answer) if ONE_LAW in row.rivals]:
+        them = _join([_brief(row.words) for row in pieces[:MAX_NAMES]])
+        return [
+            f"One law may act in place of {them}, which undo each other",
+            "One law may act in place of causes that undo each other",
+        ]
     sets = [answer.best_names, *answer.rivals]
     if not any(answer.rivals) and not answer.decision.forms:
         return _unsure(answer)
