@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
@@ -44,6 +45,7 @@ SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 UNDONE = 3.0  # times as far as all causes together, that one moves the record
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
+OTHERS_UNDO_IT = "it and others undo each other: one law may act in place of all"
 UNCONTRADICTED = "no other recording could contradict it"
 FIRST_ANSWER = "this is a first answer"
 
@@ -200,29 +202,16 @@ def _stands_in_for_what_was_refused(g: Grounds, i: int) -> str:
 
 
 def _may_be_zero(g: Grounds, i: int) -> str:
+    """Its size, or what it and others do together: a root, a line and a level are a weir. Where
+    each moves the record several times as far as all of them, what acts may be one law."""
+    problem, own = g.fit.problem, dict[str, Array]()
+    for effect in problem.effects:
+        columns = problem.columns_of(effect)
+        own[effect.name] = g.fit.jacobian[:, columns] @ g.fit.x[columns]
+    moved = own.get(g.search.wide.effects[i].name)
+    if moved is not None and np.linalg.norm(moved) > UNDONE * np.linalg.norm(sum(own.values())):
+        return OTHERS_UNDO_IT
     return MAY_BE_ZERO if g.about.may_be_zero(i) else ""
-
-
-def undone(fit: Fit) -> frozenset[str]:
-    """Names of causes of a fit that others undo: each moves the record several times as far as all
-    of them together. Such a set is a curve made of pieces, such as a root, a line and a level that
-    are a weir: what acts may be one law, and none of its names.
-
-    Args:
-        fit: With the causes.
-    """
-    own = {
-        e.name: fit.jacobian[:, columns] @ fit.x[columns]
-        for e in fit.problem.effects
-        for columns in [fit.problem.columns_of(e)]
-    }
-    together = float(np.linalg.norm(sum(own.values(), np.zeros(len(fit.residual)))))
-    return frozenset(n for n, moved in own.items() if np.linalg.norm(moved) > UNDONE * together)
-
-
-def _others_undo_it(g: Grounds, i: int) -> str:
-    is_undone = g.search.wide.effects[i].name in undone(g.fit)
-    return "it and others undo each other: one law may act in place of all" if is_undone else ""
 
 
 def _helps_nothing(g: Grounds, i: int) -> str:
@@ -337,7 +326,6 @@ LEAVES_OPEN: tuple[Callable[[Grounds, int], str], ...] = (
     _sets_do_without,
     _stands_in_for_what_was_refused,
     _may_be_zero,
-    _others_undo_it,
     _helps_nothing,
 )
 OF_A_CAUSE: tuple[Callable[[Grounds, int], str], ...] = (

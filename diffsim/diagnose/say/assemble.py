@@ -34,13 +34,13 @@ from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
     MUCH_LEFT,
+    OTHERS_UNDO_IT,
     Grounds,
     doubts_of,
     doubts_of_fit,
     doubts_of_names,
     doubts_of_unseen,
     singled_out,
-    undone,
     wrong_gradients,
 )
 from diffsim.diagnose.judge.records import (
@@ -222,13 +222,14 @@ def _evidence(
         return replace(known, rivals=decision.rivals)
     left = float(np.sqrt(grounds.fit.chi2 / grounds.fit.num_samples))
     alone, asked = singled_out(grounds), decision.best if decision.verdict in NAMES else NONE
+    doubts = {i: doubts_of(grounds, i) for i in asked}
     return replace(
         known,
         about=grounds.about,
+        undone=frozenset(i for i in asked if OTHERS_UNDO_IT in doubts[i]),
         alone=alone,
         rivals=open_rivals(decision, grounds.about, alone),
-        undone=frozenset(i for i in decision.best if effects[i].name in undone(grounds.fit)),
-        doubts={i: doubts_of(grounds, i) for i in asked},
+        doubts=doubts,
         doubts_of_names=doubts_of_names(grounds),
         doubts_of_fit=doubts_of_fit(grounds),
         wrong_gradients=wrong_gradients(grounds.gates),

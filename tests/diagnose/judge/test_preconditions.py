@@ -15,13 +15,14 @@ from diffsim.diagnose.judge import judge
 from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import (
+    OTHERS_UNDO_IT,
     Grounds,
     _may_be_replaced,
+    _may_be_zero,
     doubts_of,
     doubts_of_fit,
     doubts_of_unseen,
     singled_out,
-    undone,
     wrong_gradients,
 )
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow
@@ -435,8 +436,11 @@ def test_causes_that_undo_each_other_are_pieces_of_one_curve():
         place = {names[k]: [row] for row, k in enumerate(which)}
         problem = SimpleNamespace(effects=effects, columns_of=lambda e: place[e.name])
         return SimpleNamespace(
-            problem=problem, x=x, jacobian=columns[:, which], residual=np.zeros(50)
+            fit=SimpleNamespace(problem=problem, x=x, jacobian=columns[:, which]),
+            about=SimpleNamespace(may_be_zero=lambda i: False),
+            search=SimpleNamespace(wide=SimpleNamespace(effects=effects)),
         )
 
-    assert undone(fitted([0, 1, 2])) == {"line", "root"}
-    assert undone(fitted([0, 3])) == undone(fitted([0])) == frozenset()
+    weir_of_three = fitted([0, 1, 2])
+    assert [_may_be_zero(weir_of_three, i) for i in range(3)] == [OTHERS_UNDO_IT] * 2 + [""]
+    assert _may_be_zero(fitted([0, 3]), 0) == _may_be_zero(fitted([0]), 0) == ""
