@@ -17,6 +17,7 @@ from diffsim.core.threads import one_thread
 from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
+    CONTRADICTED,
     LEAST_FREEDOM,
     GateResult,
     budget_gates,
@@ -242,6 +243,8 @@ class _Answer:
         noise."""
         if self.found is None or self.frozen.verdict not in (*NAMES, "unknown"):
             return False
+        if any(gate.name == CONTRADICTED for gate in self.frozen.gates):
+            return False  # fitted runs leave noise: no law can be told from them
         return self.frozen.verdict == "unknown" or self.frozen.left > BELOW_NOISE
 
     def nats_with(self, laws: AbstractSet[str]) -> tuple[float, float]:

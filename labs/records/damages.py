@@ -328,6 +328,45 @@ def unit_of_run(folder: Folder, rng: Rng) -> Folder | None:
     return folder.changed(_one(folder, run, **{column: times * folder.tables[run][column]}))
 
 
+def turned_in_run(folder: Folder, rng: Rng) -> Folder | None:
+    """A channel with a turned sign in one run of any use."""
+    column, run = _drawn(folder, rng), str(rng.choice(RUNS))
+    return folder.changed(_one(folder, run, **{column: -folder.tables[run][column]}))
+
+
+def late_in_run(folder: Folder, rng: Rng) -> Folder | None:
+    """Channels whose clock is late in one run of any use."""
+    run = str(rng.choice(RUNS))
+    table = folder.tables[run]
+    rows = int(rng.uniform(0.04, 0.15) * len(table["time_s"]))
+    before = {c: table[c][rows:0:-1] for c in _columns(folder)}  # it moved before, somehow
+    late = {c: np.concatenate([x, table[c]])[: len(table[c])] for c, x in before.items()}
+    return folder.changed(_one(folder, run, **late)) if _commands(folder) else None
+
+
+def exchanged_in_run(folder: Folder, rng: Rng) -> Folder | None:
+    """Two channels whose columns are exchanged in one run of any use."""
+    names, run = _columns(folder), str(rng.choice(RUNS))
+    if len(names) < 2:
+        return None
+    a, b = (str(n) for n in rng.choice(names, 2, replace=False))
+    table = folder.tables[run]
+    return folder.changed(_one(folder, run, **{a: table[b], b: table[a]}))
+
+
+def doubled_rows(folder: Folder, rng: Rng) -> Folder | None:
+    """Each row of a run twice, or a stretch of rows once more, under stamps that go on."""
+    run = str(rng.choice(RUNS))
+    table, count = folder.tables[run], len(folder.tables[run]["time_s"])
+    first, length = int(rng.uniform(0.2, 0.6) * count), int(rng.uniform(0.05, 0.2) * count)
+    again = [*range(first + length), *range(first, count)]
+    rows = np.repeat(np.arange(count), 2) if rng.random() < 0.5 else np.array(again)
+    times = np.diff(table["time_s"])[0] * np.arange(len(rows))
+    return folder.changed(
+        _one(folder, run, **{n: v[rows] for n, v in table.items()} | {"time_s": times})
+    )
+
+
 def unit_half_way(folder: Folder, rng: Rng) -> Folder | None:
     """A unit that changes within a run."""
     if folder.rig == "bench":
@@ -440,7 +479,11 @@ DAMAGES = (
     Damage("far_values", r"valid: ", far_values),
     Damage("missing_as_number", r"missing: ", missing_as_number),
     Damage("frozen", r"missing_if: ", frozen),
-    Damage("unit_of_run", r"unit: |scale: ", unit_of_run),
+    Damage("unit_of_run", r"unit: |scale: |formula: ", unit_of_run),
+    Damage("turned_in_run", r"\*\(-1\)", turned_in_run),
+    Damage("late_in_run", r"clocks of its file", late_in_run),
+    Damage("exchanged_in_run", r"exchanged", exchanged_in_run),
+    Damage("doubled_rows", r"mend the file", doubled_rows),
     Damage("unit_half_way", r"formula: ", unit_half_way),
     Damage("one_file_twice", r"leave it out|leave\s+one out", one_file_twice),
     Damage("shifted_cells", r"until_s: ", shifted_cells),

@@ -32,18 +32,21 @@ def test_a_sound_record_is_not_accused(make, tmp_path):
     assert told(make(np.random.default_rng(11)), tmp_path / "rig") == []
 
 
-@pytest.mark.parametrize(("step", "is_unit"), [(0.00879, False), (1e-6, True)])
-def test_a_sensor_whose_step_stays_is_in_no_other_unit(step, is_unit):
-    """A swing-up that failed: torques and their scatter were a fiftieth of those of other runs."""
+@pytest.mark.parametrize(
+    ("step", "unit", "is_unit"),
+    [(0.00879, "rad/s", False), (1e-6, "rad/s", True), (1e-6, "N m", False)],
+)
+def test_a_sensor_whose_step_stays_is_in_no_other_unit(step, unit, is_unit):
+    """A swing-up that failed: rates and their scatter were a fiftieth of those of other runs."""
     rng, time = np.random.default_rng(5), 0.005 * np.arange(1000.0)
 
-    def torque(run: str, size: float, sd: float) -> Samples:
+    def rate(run: str, size: float, sd: float) -> Samples:
         values = size * np.sin(3.0 * time) + rng.normal(0.0, sd, len(time))
         return Samples(run, np.arange(1000), time, step * np.round(values / step))
 
     scatter = {"a": 0.3, "b": 0.15, "c": 0.01, "d": 0.9}
-    runs = [torque(run, 3.0, sd) for run, sd in scatter.items()]
-    seen = Signal("torque", "channel", "torque", "N m", (*runs, torque("e", 0.052, 0.004)))
+    runs = [rate(run, 3.0, sd) for run, sd in scatter.items()]
+    seen = Signal("rate", "channel", "rate", unit, (*runs, rate("e", 0.052, 0.004)))
     found = list(find_units(Record(Study("rig", "ode", (), ()), (seen,), ())))
     assert [f.where for f in found] == (["run e"] if is_unit else [])
 

@@ -19,6 +19,7 @@ from diffsim.data.record.columns import (
     find_unit_changes,
     find_units,
 )
+from diffsim.data.record.doubled import find_doubled
 from diffsim.data.record.encodings import find_codes, find_folded, find_signs, find_wraps
 from diffsim.data.record.finding import Finding, RecordRule
 from diffsim.data.record.shapes import (
@@ -36,6 +37,7 @@ from diffsim.data.study import Study
 
 RULES: tuple[RecordRule, ...] = (
     RecordRule("stamps", "stamps that cannot be right", "stamps, duplicates", find_stamps),
+    RecordRule("doubled", "rows of a run that were written twice", "until_s", find_doubled),
     RecordRule("signs", "words whose sign is a bit, or was not read", "decode", find_signs),
     RecordRule("wraps", "counts and angles that wrap", "decode: {wrap}", find_wraps),
     RecordRule("codes", "numbers for nothing measured", "decode: {missing}", find_codes),
@@ -61,6 +63,7 @@ RULES: tuple[RecordRule, ...] = (
 
 _EXPLAINS = {
     "stamps": ("gaps", "unstamped", "drift", "lines", "lasting", "misread", "frozen", "jumps"),
+    "doubled": ("lines", "repeats", "lasting", "misread", "jumps"),
     "signs": (
         "wraps",
         "far",

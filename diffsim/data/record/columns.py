@@ -162,7 +162,7 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
         if spread > MOST_SPREAD or abs(off) < 1.5 + 4.0 * spread:
             continue
         near = max(GAIN_NEAR, 1.5 * spread) if is_level else GAIN_NEAR + 2.0 * spread
-        factor = _factor_near(off, near)
+        factor = _factor_near(off, near, channel.unit)
         if factor is None:
             continue
         times, words = factor
@@ -204,9 +204,10 @@ def _gain(record: Record, samples: Samples) -> float:
     return float(np.log(max(high - low, 1e-300) / drive))
 
 
-def _factor_near(off: float, within: float) -> tuple[float, str] | None:
-    """The factor between units whose logarithm is next to this one, and its words."""
-    ways = [(s * np.log(u.ratio), u.ratio**s, u.words) for u in UNIT_SLIPS for s in (1, -1)]
+def _factor_near(off: float, within: float, unit: str | None) -> tuple[float, str] | None:
+    """The factor between units of a quantity whose logarithm is next to this one, and its words."""
+    slips = [u for u in UNIT_SLIPS if u.suits(unit)]
+    ways = [(s * np.log(u.ratio), u.ratio**s, u.words) for u in slips for s in (1, -1)]
     log, times, words = min(ways, key=lambda way: abs(way[0] - off))
     return (float(times), words) if abs(log - off) < within else None
 
@@ -233,7 +234,7 @@ def _units_of_commands(record: Record) -> Iterator[Finding]:
             if len(fits) < 2 or float(np.median([share for _, share in fits])) < FOLLOWS:
                 continue
             times = float(np.median([slope for slope, _ in fits]))
-            factor = _factor_near(float(np.log(times)), 0.2)
+            factor = _factor_near(float(np.log(times)), 0.2, channel.unit)
             if factor is None or not (factor[0] > BIG or factor[0] < 1.0 / BIG):
                 continue
             yield Finding(
@@ -303,7 +304,7 @@ def _change_of(record: Record, channel: Signal, samples: Samples) -> tuple[int, 
     for k in _places_of_change(samples, bends):
         left, right = bends[: k - 2], bends[k + 1 :]
         noise = _log_ratio(right, left)
-        factor = _factor_near(noise, NOISE_NEAR)
+        factor = _factor_near(noise, NOISE_NEAR, channel.unit)
         if factor is None or abs(np.log(factor[0])) < 1.5:
             continue
         near = _log_ratio(right[:WINDOW], left[-WINDOW:])

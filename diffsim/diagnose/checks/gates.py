@@ -179,6 +179,8 @@ def _goes_on(first: Run, second: Run) -> bool:
 CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
 PLAIN = "plain_budget"
+CONTRADICTED = "contradicted"
+MUCH_UNSEEN = 3.0  # noise sd, root mean square, that unseen runs show
 UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"
 LEAST_FREEDOM = 3  # samples beyond the numbers of a model, for a law to be one
@@ -335,6 +337,22 @@ def few_samples_gate(freedom: int) -> GateResult:
     """
     note = f"no law was looked for: {freedom} more samples than numbers of the model tell none"
     return GateResult(LAWS, False, float(freedom), float(LEAST_FREEDOM), note, applies=False)
+
+
+def contradiction_gate(times: Mapping[str, float]) -> tuple[GateResult, ...]:
+    """A run that contradicts fit runs which leave noise alone; none where all runs do.
+
+    Args:
+        times: Error of each run that was not fitted, over its noise.
+    """
+    run = max(times, key=lambda name: times[name], default="")
+    if not run or not times[run] > MUCH_UNSEEN:
+        return ()
+    note = (
+        f"run {run} is {figure(times[run], 2)} times the noise off what the fitted runs tell, and "
+        "these leave noise alone: read its record first, else something acts in it alone"
+    )
+    return (GateResult(CONTRADICTED, False, times[run], MUCH_UNSEEN, note),)
 
 
 def unsimulable_gate(error: Exception) -> GateResult:

@@ -18,6 +18,7 @@ from diffsim.core.arrays import Array
 from diffsim.core.unit_slips import UNIT_SLIPS
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
+from diffsim.diagnose.checks.one_run import run_problems
 from diffsim.diagnose.checks.starts import start_problems
 from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
@@ -56,13 +57,17 @@ class _Way:
 
 
 def model_problems(study: Study, setup: DiagnosisSetup) -> list[Problem]:
-    """Faults of a record that only its model can tell: of columns, else of where runs begin.
+    """Faults of a record that only its model can tell: of columns, of single runs, of where they
+    begin; the first kind that is found.
 
     Args:
         study: Study with the description.
         setup: What the description made.
     """
-    return [*column_problems(study, setup)] or [*start_problems(study, setup)]
+    for ask in (column_problems, run_problems, start_problems):
+        if found := [*ask(study, setup)]:
+            return found
+    return []
 
 
 def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.checks.gates import GateResult, contradiction_gate
 from diffsim.diagnose.judge.crosscheck import repeated_gate
-from diffsim.diagnose.judge.gain import Gain, Validation, gain_over
+from diffsim.diagnose.judge.gain import Gain, SelectRuns, Validation, gain_over
 from diffsim.diagnose.judge.records import LEVEL
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fitted_sets import Search
@@ -209,8 +209,11 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
         if (h := asked.unknown) is not None and decision.unknown is None:
             refuted |= frozenset() if h in decision.rivals or h.unknown is None else {h.unknown}
         gates = (*gates, *(g for g in checks if g not in gates))
-        if withdrawn and decision.verdict == "none":
-            decision = replace(decision, verdict="unknown")
+        if decision.verdict == "none":
+            against = _contradiction(search, validation)
+            gates = (*gates, *against)
+            if withdrawn or against:
+                decision = replace(decision, verdict="unknown")
         judgment = Judgment(decision, search, None, gains, withdrawn, gates, refuted)
         if validation is None:
             return judgment
@@ -244,6 +247,17 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             return replace(judgment, as_good=as_good(judgment, validation, seed))
         withdrawn |= {min(harmful, key=lambda i: harmful[i])}
         search = _ready_without(search, decision.best - withdrawn)
+
+
+def _contradiction(search: Search, validation: Validation | None) -> tuple[GateResult, ...]:
+    """A run with use: select that contradicts fit runs of which the plain model leaves noise."""
+    if not isinstance(validation, SelectRuns):
+        return ()
+    found = validation.residuals(search.fit_of(frozenset()))
+    if found is None:
+        return ()
+    pairs = zip(validation.runs, found, strict=True)
+    return contradiction_gate({r.name: float(np.sqrt(np.mean(e**2))) for r, e in pairs if len(e)})
 
 
 def as_good(judgment: Judgment, validation: Validation, seed: int) -> dict[int, frozenset[int]]:

@@ -18,8 +18,9 @@ from functools import cached_property
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
-from diffsim.diagnose.checks.gates import GateResult
+from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off, words_of
@@ -41,9 +42,10 @@ from diffsim.identify import Fit
 
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
-MUCH_UNSEEN = 3.0  # that unseen runs show
+UNDONE = 3.0  # times as far as all causes together, that one moves the record
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
+OTHERS_UNDO_IT = "it and others undo each other: one law may act in place of all"
 UNCONTRADICTED = "no other recording could contradict it"
 FIRST_ANSWER = "this is a first answer"
 
@@ -200,6 +202,15 @@ def _stands_in_for_what_was_refused(g: Grounds, i: int) -> str:
 
 
 def _may_be_zero(g: Grounds, i: int) -> str:
+    """Its size, or what it and others do together: a root, a line and a level are a weir. Where
+    each moves the record several times as far as all of them, what acts may be one law."""
+    problem, own = g.fit.problem, dict[str, Array]()
+    for effect in problem.effects:
+        columns = problem.columns_of(effect)
+        own[effect.name] = g.fit.jacobian[:, columns] @ g.fit.x[columns]
+    moved = own.get(g.search.wide.effects[i].name)
+    if moved is not None and np.linalg.norm(moved) > UNDONE * np.linalg.norm(sum(own.values())):
+        return OTHERS_UNDO_IT
     return MAY_BE_ZERO if g.about.may_be_zero(i) else ""
 
 

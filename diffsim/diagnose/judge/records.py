@@ -21,6 +21,7 @@ CERTAIN, LIKELY, UNTOLD = "certain", "likely", "cannot be told from"
 REFUTED, HIDDEN, UNJUDGED = "refuted", "not visible below", "not judged"
 STATUSES = (CERTAIN, LIKELY, UNTOLD, REFUTED, HIDDEN, UNJUDGED)
 EFFECT, DATA_SHEET, UNKNOWN = "effect", "data sheet", "unknown"
+ONE_LAW = "one law in place of all that undo each other"
 WRONG_DATA_SHEET = "a wrong data sheet of "  # what may stand in place of a cause, before its name
 RATIOS = ("stroke of", "rate of")  # quantities whose distance is a ratio to the largest fitted
 SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and channels

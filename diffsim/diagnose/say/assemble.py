@@ -16,7 +16,12 @@ from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.data.shown import resolution_words
 from diffsim.data.study import Run, Study
-from diffsim.diagnose.checks.gates import REPEATED, GateResult
+from diffsim.diagnose.checks.gates import (
+    MUCH_UNSEEN,
+    REPEATED,
+    GateResult,
+    contradiction_gate,
+)
 from diffsim.diagnose.checks.noise import UNREPEATABLE
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, SetNumerics
 from diffsim.diagnose.judge.apart import apart_in_fit
@@ -29,7 +34,7 @@ from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
     MUCH_LEFT,
-    MUCH_UNSEEN,
+    OTHERS_UNDO_IT,
     Grounds,
     doubts_of,
     doubts_of_fit,
@@ -143,6 +148,8 @@ def report_of(
     refused = grounds is not None and bool(grounds.refused)
     is_off = any(row.finding for row in base)
     verdict, named = _verdict(judgment, known.alone, is_off=is_off, stands_in=refused)
+    if verdict == "named" and named <= known.undone:
+        verdict, named = "ambiguous", decision.best
     if verdict == "unknown" and not any(gate.name == REPEATED for gate in checks.gates):
         checks = checks.joined(repeated_gate(best, seed))
     # of a verdict that names what all sets share, the sets are all given
@@ -215,12 +222,14 @@ def _evidence(
         return replace(known, rivals=decision.rivals)
     left = float(np.sqrt(grounds.fit.chi2 / grounds.fit.num_samples))
     alone, asked = singled_out(grounds), decision.best if decision.verdict in NAMES else NONE
+    doubts = {i: doubts_of(grounds, i) for i in asked}
     return replace(
         known,
         about=grounds.about,
+        undone=frozenset(i for i in asked if OTHERS_UNDO_IT in doubts[i]),
         alone=alone,
         rivals=open_rivals(decision, grounds.about, alone),
-        doubts={i: doubts_of(grounds, i) for i in asked},
+        doubts=doubts,
         doubts_of_names=doubts_of_names(grounds),
         doubts_of_fit=doubts_of_fit(grounds),
         wrong_gradients=wrong_gradients(grounds.gates),
@@ -328,6 +337,11 @@ def taken_back(frozen: Report, gained: Gain | None, errors: Sequence[ErrorRow]) 
         gained: Gain on test runs; None without such runs or without a cause.
         errors: Errors on runs that were not fitted.
     """
+    if frozen.verdict == "none":
+        off = [(row.run, row.after / row.noise) for row in errors if row.noise > 0.0]
+        against = contradiction_gate(dict(sorted(off, key=lambda pair: pair[1])))
+        verdict = "unknown" if against else "none"
+        return replace(frozen, verdict=verdict, gates=(*frozen.gates, *against))
     # far from the noise, an error that names do not lower speaks against them, sure to rise or not
     is_withdrawn = gained is not None and (
         gained.status == "withdrawn" or (gained.value < 0.0 and gained.left > MUCH_UNSEEN**2)

@@ -18,6 +18,7 @@ from diffsim.diagnose.judge.records import (
     HALF_LEVEL,
     HIDDEN,
     LIKELY,
+    ONE_LAW,
     REFUTED,
     SURE,
     UNJUDGED,
@@ -70,6 +71,7 @@ class CauseEvidence:
         unmet: What the study lacks for candidates that were left out, by name.
         alone: Effects in whose place nothing else may act, by index.
         rivals: Sets that the choice is open to.
+        undone: Effects that others of the best set undo, by index.
         doubts: Why members of the best set are not certain, by index; none: they are.
         doubts_of_names: Why no data sheet is, either.
         doubts_of_fit: Why no unknown cause is.
@@ -86,6 +88,7 @@ class CauseEvidence:
     unmet: Mapping[str, str]
     alone: frozenset[int] = frozenset()
     rivals: tuple[Hypothesis, ...] = ()
+    undone: frozenset[int] = frozenset()
     doubts: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     doubts_of_names: tuple[str, ...] = ()
     doubts_of_fit: tuple[str, ...] = ()
@@ -242,6 +245,10 @@ def _status(
         rivals, is_best = _rivals_of(known, decision, i), i in decision.best
         is_named = is_best and (decision.verdict == "named" or p >= PROBABLE)
         is_named &= decision.forms.get(i) != OWN_STEP  # which is no cause at all
+        if is_named and _is_hollow(judgment, about, i):
+            return UNTOLD, rivals or (NOISE,)
+        if i in known.undone:
+            return UNTOLD, (*rivals, ONE_LAW)
         return (LIKELY if is_named else UNTOLD), rivals
     if i in decision.forms and i not in decision.best:  # a wrong data sheet leads by far
         return REFUTED, (decision.forms[i],)
@@ -254,6 +261,18 @@ def _status(
         return UNTOLD, (REST,)
     visible = [s <= SEEN * known.effects[i].typical for s in _smallest_visible(known, i).values()]
     return (REFUTED if added < -KEEP_NATS and any(visible) else HIDDEN), ()
+
+
+def _is_hollow(judgment: Judgment, about: ModelAverage, i: int) -> bool:
+    """Whether a member adds nothing that is sure to a set with others that do: its size may be
+    zero, and what it was not fitted to shows no gain by it. It may stand in for one of these, or
+    for what the fit of another set did not reach."""
+
+    def is_idle(k: int) -> bool:
+        gain = judgment.gains.get(k)
+        return gain is not None and not gain.has_fallen and about.may_be_zero(k)
+
+    return is_idle(i) and not all(is_idle(k) for k in judgment.decision.best)
 
 
 def _why_not_refuted(known: CauseEvidence, i: int) -> str:

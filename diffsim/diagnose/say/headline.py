@@ -12,7 +12,7 @@ import numpy as np
 
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
-from diffsim.diagnose.checks.gates import LAWS
+from diffsim.diagnose.checks.gates import CONTRADICTED, LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, MAY_BE_ZERO, why_unconfirmed
@@ -21,6 +21,7 @@ from diffsim.diagnose.judge.records import (
     DATA_SHEET,
     EFFECT,
     LIKELY,
+    ONE_LAW,
     SKILL,
     WRONG_DATA_SHEET,
     CauseRow,
@@ -236,6 +237,9 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
             f"{capital(what)} {verb} withdrawn",
             "What was named is withdrawn",
         ]
+    if against := [gate.note for gate in answer.gates if gate.name == CONTRADICTED]:
+        run = capital(against[0].partition(" is ")[0])
+        return [f"{run} contradicts the others, which leave noise alone"]
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
         them = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
@@ -251,6 +255,12 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
 
 def _open(answer: Answer) -> list[str]:
     """Sets of causes that cannot be told apart, without what they share."""
+    if pieces := [row for row in effects_of(answer) if ONE_LAW in row.rivals]:
+        them = _join([_brief(row.words) for row in pieces[:MAX_NAMES]])
+        return [
+            f"One law may act in place of {them}, which undo each other",
+            "One law may act in place of causes that undo each other",
+        ]
     sets = [answer.best_names, *answer.rivals]
     if not any(answer.rivals) and not answer.decision.forms:
         return _unsure(answer)

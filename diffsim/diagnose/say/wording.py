@@ -13,6 +13,7 @@ from diffsim.core.figures import figure, limits
 from diffsim.core.units import after_number
 from diffsim.diagnose.checks.gates import (
     COARSE,
+    CONTRADICTED,
     CUTS,
     LATE,
     LAWS,
@@ -261,6 +262,7 @@ def sentences(
         if g.applies
         and not g.passed
         and (g.name not in NUMERICS_GATES or answer.verdict != "numerical")
+        and g.name != CONTRADICTED
         and not g.name.startswith(REPEATS)
     ]
     out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name in (CUTS, WINDOWS)]
@@ -323,6 +325,8 @@ def _first(answer: Answer) -> str:
 
 def _say_unknown(answer: Answer) -> str:
     """That something is missing, and whether repeats show it."""
+    if against := [gate.note for gate in answer.gates if gate.name == CONTRADICTED]:
+        return f"{against[0][0].upper()}{against[0][1:]}"
     tested = [gate for gate in answer.gates if gate.name == REPEATED]
     if tested and tested[-1].passed:
         return "Something real and repeatable is missing that the library does not hold"

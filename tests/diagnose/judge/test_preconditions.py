@@ -15,8 +15,10 @@ from diffsim.diagnose.judge import judge
 from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import (
+    OTHERS_UNDO_IT,
     Grounds,
     _may_be_replaced,
+    _may_be_zero,
     doubts_of,
     doubts_of_fit,
     doubts_of_unseen,
@@ -419,3 +421,26 @@ def test_a_cause_chosen_by_what_coarse_steps_may_leave_is_open(grounds, moved, l
     fit = replace(grounds.fit, chi2=left**2 * grounds.fit.num_samples)
     gates = [*grounds.gates, GateResult("time_step", False, moved, 2.0)]
     assert (not singled_out(replace(grounds, fit=fit, gates=gates))) == is_open
+
+
+def test_causes_that_undo_each_other_are_pieces_of_one_curve():
+    """A root, a line and a level are a weir; a push beside a small one that opposes it is none."""
+    height = np.linspace(0.3, 0.9, 50)
+    names = ("line", "root", "level", "push")
+    columns = np.stack([height, np.sqrt(height), np.ones(50), np.sin(40.0 * height)], axis=1)
+    weir = np.maximum(height - 0.25, 0.0) ** 1.5
+
+    def fitted(which):
+        x = np.linalg.lstsq(columns[:, which], weir, rcond=None)[0]
+        effects = [SimpleNamespace(name=names[k]) for k in which]
+        place = {names[k]: [row] for row, k in enumerate(which)}
+        problem = SimpleNamespace(effects=effects, columns_of=lambda e: place[e.name])
+        return SimpleNamespace(
+            fit=SimpleNamespace(problem=problem, x=x, jacobian=columns[:, which]),
+            about=SimpleNamespace(may_be_zero=lambda i: False),
+            search=SimpleNamespace(wide=SimpleNamespace(effects=effects)),
+        )
+
+    weir_of_three = fitted([0, 1, 2])
+    assert [_may_be_zero(weir_of_three, i) for i in range(3)] == [OTHERS_UNDO_IT] * 2 + [""]
+    assert _may_be_zero(fitted([0, 3]), 0) == _may_be_zero(fitted([0]), 0) == ""

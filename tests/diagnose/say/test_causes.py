@@ -13,12 +13,12 @@ from diffsim.diagnose import Report, diagnose
 from diffsim.diagnose.judge.averaging import Widening, _interval, widening
 from diffsim.diagnose.judge.data_sheet import _pulled_together, base_rows, pull_limit, words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.judge import Decision
+from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.judge.left_out import folds_of
 from diffsim.diagnose.judge.preconditions import singled_out
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
-from diffsim.diagnose.say.causes import CauseEvidence, _rise_without
+from diffsim.diagnose.say.causes import CauseEvidence, _is_hollow, _rise_without
 from diffsim.diagnose.say.headline import _on_unseen, first_of, headline
 from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
@@ -470,3 +470,20 @@ def test_a_kink_that_no_fit_held_is_not_judged_while_much_is_left(left, fits):
     late = SimpleNamespace(scans={}, scans_late=frozenset({("", frozenset(), frozenset({0}))}))
     judgment = SimpleNamespace(search=SimpleNamespace(fits={}, simulations=late))
     assert replace(known, judgment=judgment).why_not_judged(0) == "its sizes were not tried"
+
+
+@pytest.mark.parametrize(
+    ("falls", "zero", "hollow"),
+    [
+        ((0.4, -0.1), (False, True), True),
+        ((0.4, 0.1), (False, True), False),  # what was not fitted shows its gain
+        ((0.4, -0.1), (False, False), False),  # its interval leaves zero out
+        ((-0.2, -0.1), (True, True), False),  # of one of the two the misfit must be
+    ],
+)
+def test_a_member_that_may_be_zero_and_gains_nothing_is_not_likely(falls, zero, hollow):
+    gains = {i: Gain(0.5, 0.1, 0.9, 1.0, 8, fall) for i, fall in enumerate(falls)}
+    decision = Decision("named", frozenset({0, 1}), (), None, 0.99)
+    judged = Judgment(decision, gains=gains)
+    about = SimpleNamespace(may_be_zero=lambda i: zero[i])
+    assert _is_hollow(judged, about, 1) == hollow
