@@ -4,12 +4,14 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose import diagnose, diagnosis
 from diffsim.diagnose.checks.gates import budget_gates
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, could_be_misfit, numerics_gate
+from diffsim.diagnose.judge.judge import decision_of
 from diffsim.diagnose.judge.stand_ins import OWN_STEP, own_steps
 from diffsim.diagnose.search import coarse
 from diffsim.diagnose.search import search as searching
@@ -127,6 +129,34 @@ def test_an_answer_that_finer_simulations_cannot_follow_stays_and_says_so(monkey
     assert not gate.passed and gate.note.endswith("at the plain fit; at the answer they failed")
     assert report.named == ("bias",) and report.causes[0].status == "likely"
     assert "inf" not in " ".join(report.sentences)
+
+
+def test_a_renewed_search_begins_at_what_was_found(monkeypatch):
+    """A payload was found in 27 CPU s, lost where its correction changed and sought twice more."""
+    study, begins = noisy({"bias": 0.3}), []
+    effects = (toy.DELAY, toy.BIAS, toy.DRAG)
+    model = toy.model(study.runs, STEP)
+    null = null_fit(diagnosis._make_case(study, model, effects, (), DEAR, None))
+    null, _ = corrected(null, 1e3)
+    found = diagnosis.search_rounds(null, Simulations(null.wide, null.case.store).under(null))
+    best = frozenset({1})
+    assert decision_of(found).best == best
+    assert all(h.unknown is None for h in found.posteriors), "unknown causes wait"
+
+    def watched(search):
+        begins.append(set(search.fits))
+        return searching.search_sets(search)
+
+    sizes = iter([2.0 * NUMERICS_LAMBDA, 0.0])  # once another correction, then the same
+    told = diagnosis.renewed_at
+    monkeypatch.setattr(diagnosis, "search_sets", watched)
+    monkeypatch.setattr(diagnosis, "renewed_at", lambda fit: (*told(fit)[:2], next(sizes)))
+    monkeypatch.setattr(searching, "_fit_from_prior", lambda search: pytest.fail("sought anew"))
+    monkeypatch.setattr(searching, "has_left_prior", lambda fit: True)
+    again, _ = diagnosis._renew_correction(found)
+    assert begins and all(best in sets for sets in begins)
+    assert again.fit_of(best).ended == "converged" and decision_of(again).best == best
+    assert Hypothesis(best, 0) in again.posteriors
 
 
 def test_simulations_that_are_not_dear_begin_as_they_are():
