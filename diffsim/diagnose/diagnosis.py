@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,13 @@ from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
 from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
-from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
+from diffsim.diagnose.search.coarse import (
+    NullCorrection,
+    carried,
+    coarse_gate,
+    corrected,
+    renewed_at,
+)
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, screen
 from diffsim.diagnose.search.fit import (
     MAX_RENEWALS,
@@ -526,7 +533,7 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
             return search, ()
         null.case.progress("search", 0.84, "finer simulations of the answer")
         try:
-            new, change, size = renewed_at(fit)
+            new, size = renewed_at(fit)
         except DiffsimError:  # finer simulations fail at the answer, which stays as it is
             size = math.inf
             break
@@ -535,10 +542,11 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
         case = replace(null.case, correction=new)
         if case.store is not None:
             case = replace(case, store=case.store.sibling(f"renewed{round_}"))
-        at = replace(null.at, record=null.at.record + change)
-        ended = gauss_newton(case.problem(null.noise.whitener), at)
+        carry = partial(carried, old=fit.problem.correction, new=new, runs=fit.problem.runs)
+        problem, best_cost = case.problem(null.noise.whitener), search.best_cost()
+        ended = gauss_newton(problem, carry(null.at), best_cost=best_cost)
         null = Null(case, null.noise, *ended, null.num_spikes, null.num_misread)
-        made, again = search.simulations.moved(null, change, case.store), _best_sets(search)
+        made, again = search.simulations.moved(null, carry, case.store), _best_sets(search)
         search = search_rounds(null, made, again=again)
     search = weigh_unknowns_beside(search, decision_of(search).best)
     return search, (coarse_gate(size, search.null.fit.problem),)
