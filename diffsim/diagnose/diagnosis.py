@@ -576,8 +576,9 @@ def _search_fine_enough(
             search = begin_from(search, members, x)
         for members in again:
             search = refit(search, members)
-        if again:  # what others are held against, and what they begin at
-            search = fitted_to_end(search, again[:1])
+        fits = search.fits
+        if cut := [s for s in again[:1] if s in fits and fits[s].ended == "budget"]:
+            search = fitted_to_end(search, cut)  # others are held against it, and begin there
         search = search_sets(search)
         steps = search.steps - started
         best = decision_of(search).best

@@ -90,7 +90,13 @@ def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
     unknown causes beside it: they choose no set, and wait where a correction may still change."""
     until = search.null.case.searching + search.settings.refit_steps
-    center, search = _first_center(search)
+    # it begins at what an earlier one found; else at the plain model or, if its fit has left the
+    # data sheet, at the best set that was fitted from there
+    if len(search.fits) == 1 and has_left_prior(search.fit_of(NONE)):
+        search = _fit_from_prior(search)
+    center, best = search.plain, _best_of(search)
+    if best != NONE:
+        center, search = _center(search, best, center)
     if center is search.plain:
         center, search = _scan_kinks(search, search.plain)
         search = replace(search, plain=center)
@@ -138,15 +144,6 @@ def has_left_prior(fit: Fit) -> bool:
     """Whether a fit of the plain model took a base parameter far from its prior."""
     base = np.abs(fit.x[: fit.problem.num_base])
     return bool(base.max(initial=0.0) > LEFT_SHEET_SD)
-
-
-def _first_center(search: Search) -> tuple[Center, Search]:
-    """Where the search begins: at what an earlier one found; else at the plain model or, if its fit
-    has left the data sheet, at the best set that was fitted from there."""
-    if len(search.fits) == 1 and has_left_prior(search.fit_of(NONE)):
-        search = _fit_from_prior(search)
-    best = _best_of(search)
-    return (search.plain, search) if best == NONE else _center(search, best, search.plain)
 
 
 def _best_of(search: Search) -> Members:
@@ -272,8 +269,7 @@ def fitted_to_end(search: Search, parts: Sequence[Members]) -> Search:
     a member gains by what its part lacks, not by what the part's fit has left. The best set first,
     as long as one more budget of a fit lasts."""
     until = search.steps + search.null.case.settings.plain_steps
-    cut = [p for p in parts if p in search.fits and search.fit_of(p).ended == "budget"]
-    for members in sorted(cut, key=lambda p: -search.nats(Hypothesis(p))):
+    for members in sorted(parts, key=lambda p: -search.nats(Hypothesis(p))):
         made = search.simulations
         if search.steps >= until:
             break
