@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,13 @@ from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
 from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
-from diffsim.diagnose.search.coarse import NullCorrection, coarse_gate, corrected, renewed_at
+from diffsim.diagnose.search.coarse import (
+    NullCorrection,
+    carried,
+    coarse_gate,
+    corrected,
+    renewed_at,
+)
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, screen
 from diffsim.diagnose.search.fit import (
     MAX_RENEWALS,
@@ -60,9 +67,11 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import (
     begin,
     begin_from,
+    fitted_to_end,
     has_left_prior,
     refit,
     search_sets,
+    weigh_unknowns_beside,
     with_numerics,
 )
 from diffsim.diagnose.search.simulations import NONE, Members, Simulations
@@ -484,18 +493,21 @@ def _answer(
     return _Answer(frozen, judgment.search or search, judgment.decision.best, kept)
 
 
-def search_rounds(null: Null, simulations: Simulations, first: Begins = ()) -> Search:
+def search_rounds(
+    null: Null, simulations: Simulations, first: Begins = (), again: Sequence[Members] = ()
+) -> Search:
     """Search; estimate the noise from what the best set leaves; again if it has changed, from what
-    was simulated before.
+    was simulated before: where that is coarse and corrected, at the sets that were found.
 
     Args:
         null: The plain model under its noise floor.
         simulations: Simulations made so far.
         first: Sets and their coordinates, at which the search begins; none: at the plain model.
+        again: Sets that an earlier search found, at whose ends it begins.
     """
     case = null.case
     for round_ in range(case.settings.noise_rounds):
-        search = _search_fine_enough(null, simulations, first)
+        search = _search_fine_enough(null, simulations, first, again)
         null, simulations = search.null, search.simulations
         best = simulations.fitted[decision_of(search).best]
         residuals = residuals_by_run(case.study.fit_runs, best.record)
@@ -506,6 +518,7 @@ def search_rounds(null: Null, simulations: Simulations, first: Begins = ()) -> S
         if is_same or round_ == case.settings.noise_rounds - 1:
             break
         null = null.under(after)
+        again = _best_sets(search) if case.correction is not None else ()
     # the report shows the floor that the best set leaves
     return replace(search, null=replace(null, noise=after))
 
@@ -523,7 +536,7 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
             return search, ()
         null.case.progress("search", 0.84, "finer simulations of the answer")
         try:
-            new, change, size = renewed_at(fit)
+            new, size = renewed_at(fit)
         except DiffsimError:  # finer simulations fail at the answer, which stays as it is
             size = math.inf
             break
@@ -532,14 +545,28 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
         case = replace(null.case, correction=new)
         if case.store is not None:
             case = replace(case, store=case.store.sibling(f"renewed{round_}"))
-        at = replace(null.at, record=null.at.record + change)
-        ended = gauss_newton(case.problem(null.noise.whitener), at)
+        carry = partial(carried, old=fit.problem.correction, new=new, runs=fit.problem.runs)
+        problem, best_cost = case.problem(null.noise.whitener), search.best_cost()
+        ended = gauss_newton(problem, carry(null.at), best_cost=best_cost)
         null = Null(case, null.noise, *ended, null.num_spikes, null.num_misread)
-        search = search_rounds(null, search.simulations.moved(null, change, case.store))
+        made, again = search.simulations.moved(null, carry, case.store), _best_sets(search)
+        search = search_rounds(null, made, again=again)
+    search = weigh_unknowns_beside(search, decision_of(search).best)
     return search, (coarse_gate(size, search.null.fit.problem),)
 
 
-def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()) -> Search:
+def _best_sets(search: Search) -> list[Members]:
+    """The best set, and beside it the best ones without one of its members: coarse steps may have
+    put one that does the same behind."""
+    best = decision_of(search).best
+    fits = sorted(search.fits, key=lambda s: -search.nats(Hypothesis(s)))
+    least = [next(s for s in fits if i not in s) for i in sorted(best)]
+    return [s for s in dict.fromkeys([best, *least]) if s != NONE]
+
+
+def _search_fine_enough(
+    null: Null, simulations: Simulations, first: Begins = (), again: Sequence[Members] = ()
+) -> Search:
     """Search under numerical settings that are fine enough for the best set, as far as the budgets
     allow; simulations under coarser ones do not serve. Where the search began at a set that is
     known, or its budget would not last for the same one with finer settings, it begins at the set
@@ -550,6 +577,11 @@ def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()
         search = begin(null, simulations)
         for members, x in found:
             search = begin_from(search, members, x)
+        for members in again:
+            search = refit(search, members)
+        fits = search.fits
+        if cut := [s for s in again[:1] if s in fits and fits[s].ended == "budget"]:
+            search = fitted_to_end(search, cut)  # others are held against it, and begin there
         search = search_sets(search)
         steps = search.steps - started
         best = decision_of(search).best
@@ -567,11 +599,7 @@ def _search_fine_enough(null: Null, simulations: Simulations, first: Begins = ()
             return replace(search, numerics={**search.numerics, best: checked.postponed()})
         null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
         null = _store_anew(refit_under(null, checked.finer), simulations)
-        # beside the best set the best ones without one of its members: coarse steps may have put
-        # one that does the same behind
-        fits = sorted(search.fits, key=lambda s: -search.nats(Hypothesis(s)))
-        least = [next(s for s in fits if i not in s) for i in sorted(best)]
-        sets = [s for s in dict.fromkeys([best, *least]) if s != NONE]
+        sets = _best_sets(search)
         found = [(s, search.fit_of(s).x) for s in sets] if is_short or first else []
         simulations = Simulations(null.wide, null.case.store).under(null)
     return search

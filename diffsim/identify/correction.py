@@ -103,15 +103,6 @@ class Correction:
         )
         return replace(self, told=tuple(zip(runs, values, strict=True)))
 
-    def at(self, problem: Any, x: Array) -> Correction:
-        """The correction told at another point.
-
-        Args:
-            problem: Problem with the same model and settings; its effects may be others.
-            x: Its standardized coordinates.
-        """
-        return Correction(replace(problem, correction=None), x, self.finer)
-
     @torch.no_grad()
     def _simulate_correction(self, run: Run) -> Tensor:
         point = torch.from_numpy(np.array(self.x))

@@ -90,7 +90,7 @@ def coarse_searches(folder: Path) -> dict[str, Any]:
     return {
         "gates": [(g.name, g.value, g.limit, g.passed) for g in [*found.gates, *checked.gates]],
         "finest": [vars(found.correction.finest), checked.changes],
-        "record": [problem.record(x), renewed_at(null.fit)[2]],
+        "record": [problem.record(x), renewed_at(null.fit)[1]],
         **{f"coarse {k}": v for k, v in facts_of_search(coarse).items()},
         **{f"begun {k}": v for k, v in facts_of_search(again).items()},
     }

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.figures import figure
+from diffsim.data.study import Run
 from diffsim.diagnose.checks.gates import COARSE, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerics_gate
 from diffsim.diagnose.search.fit import Null
@@ -24,6 +25,7 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
 from diffsim.identify.correction import Correction, Finer
 from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.linearization import Linearization
 from diffsim.identify.numerics import REFINEMENTS, Numerics
 
 Array = NDArray[np.float64]
@@ -116,7 +118,7 @@ def _refine_setting(null: Null, name: str, once: float) -> _RefinedSetting:
         raw = numerics_gate(null.fit, {name: record - at.record})[0].value
         if not here.sizes and raw < NEGLIGIBLE:  # or the model has no such setting
             return replace(here, sizes=(raw,), change=record - at.record)
-        shift, added = _fit_shift(null, record, here.shift)
+        shift, added = _fit_shift(null.fit, record, here.shift)
         change = at.columns @ (shift - here.shift) + added - here.added
         size = numerics_gate(null.fit, {name: change})[0].value
         here = _RefinedSetting(name, there, shift, added, change, (*here.sizes, size))
@@ -129,23 +131,28 @@ def _refine_setting(null: Null, name: str, once: float) -> _RefinedSetting:
     return here
 
 
-def _fit_shift(null: Null, record: Array, shift: Array) -> tuple[Array, Array]:
+def _fit_shift(fit: Fit, record: Array, shift: Array) -> tuple[Array, Array]:
     """Base parameters at which coarse records are most like a finer one, and what is left of it.
 
     Args:
-        null: The plain model, fitted with coarse settings.
-        record: Finer record of all runs at its fit, (N,) [unit of the channel].
+        fit: Fit with coarse settings, corrected or not.
+        record: Finer record of all runs at its end, (N,) [unit of the channel].
         shift: First guess, (num_base,).
     """
-    problem, x = null.fit.problem, null.at.x
-    left = record - problem.record(x + shift)
+    problem = replace(fit.problem, correction=None)
+    left = record - problem.record(_shifted(fit.x, shift))
     for _ in range(SHIFTS):
-        moved = shift + _shift(null.fit, left)
-        after = record - problem.record(x + moved)
+        moved = shift + _shift(fit, left)
+        after = record - problem.record(_shifted(fit.x, moved))
         if np.linalg.norm(problem.whiten_all(after)) >= np.linalg.norm(problem.whiten_all(left)):
             break
         shift, left = moved, after
     return shift, left
+
+
+def _shifted(x: Array, shift: Array) -> Array:
+    """A point, (n,), with its base parameters shifted, (num_base,)."""
+    return x + np.pad(shift, (0, len(x) - len(shift)))
 
 
 def _next(sizes: Sequence[float]) -> float:
@@ -181,24 +188,55 @@ def _gate(refined: _RefinedSetting, coarse: Numerics) -> GateResult:
 def _shift(fit: Fit, change: Array) -> Array:
     """(num_base,) parameters that make coarse records most like finer ones."""
     j = fit.jacobian
-    return np.asarray(posterior_covariance(j) @ (j.T @ fit.problem.whiten_all(change)))
+    moved = posterior_covariance(j) @ (j.T @ fit.problem.whiten_all(change))
+    return np.asarray(moved[: fit.problem.num_base])
 
 
-def renewed_at(fit: Fit) -> tuple[Correction, Array, float]:
-    """The correction made at a fit, by how much it differs there, and that in noise sd.
+def renewed_at(fit: Fit) -> tuple[Correction, float]:
+    """The correction made at a fit, its shifts too, and how much it differs there.
+
+    A plain model that lacks a large cause may end where finer steps ask for another damping; at
+    the answer they ask for none.
 
     Args:
         fit: Fit of a corrected problem.
 
     Returns:
-        The new correction; what it adds to records of the fitted runs, (N,); and its length as the
-        numerics gate measures it [noise and prior sd].
+        The new correction; and the length of what it changes of the record there, as the numerics
+        gate measures it [noise and prior sd].
     """
     problem = fit.problem
     assert problem.correction is not None
-    new = problem.correction.at(problem, fit.x)
-    moved = new.over(problem.runs) - problem.correction.over(problem.runs)
-    return new, moved, numerics_gate(fit, {COARSE: moved})[0].value
+    coarse, none = replace(problem, correction=None), np.zeros(problem.num_base)
+    here, finer, total = coarse.record(fit.x), [], np.zeros(0)
+    for one in problem.correction.finer:
+        record = replace(coarse, numerics=one.numerics).record(fit.x)
+        shift, added = none, record - here
+        if numerics_gate(fit, {COARSE: added})[0].value >= NEGLIGIBLE:
+            # slopes are those of where coarse simulations were, which may be far from no shift
+            tried = [_fit_shift(fit, record, first) for first in (none, one.shift)]
+            shift, added = min(tried, key=lambda t: float(np.linalg.norm(problem.whiten_all(t[1]))))
+        finer.append(Finer(one.numerics, shift))
+        total = total + added if total.size else added
+    new = Correction(coarse, fit.x, tuple(finer)).known(problem.runs, total)
+    moved = replace(problem, correction=new).record(fit.x) - problem.record(fit.x)
+    return new, numerics_gate(fit, {COARSE: moved})[0].value
+
+
+def carried(
+    at: Linearization, old: Correction, new: Correction, runs: Sequence[Run]
+) -> Linearization:
+    """A linearization under one correction where the same coarse simulation serves under another.
+
+    Args:
+        at: Under the old one.
+        old, new: Corrections with the same coarse settings.
+        runs: Runs of its record.
+    """
+    base = old.problem.model.values
+    x = _shifted(at.x, (old.shift - new.shift).numpy())
+    x[: len(base.low)] = np.clip(x[: len(base.low)], base.low, base.high)
+    return replace(at, x=x, record=at.record + new.over(runs) - old.over(runs))
 
 
 def coarse_gate(size: float, problem: Problem) -> GateResult:

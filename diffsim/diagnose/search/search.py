@@ -50,6 +50,8 @@ Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
 MAX_MENDED = 3  # fits of the best set, each with better slopes along weak directions
+MOST = 0.5  # of the plain model's misfit, that a cause takes by its slopes to be fitted alone
+MAX_ALONE = 8  # of these
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 
 
@@ -86,9 +88,15 @@ def begin_from(search: Search, members: Members, x: Array) -> Search:
 
 def search_sets(search: Search) -> Search:
     """Weigh sets of effects until none of the best set's neighbors is better; then its rivals, and
-    unknown causes beside it."""
+    unknown causes beside it: they choose no set, and wait where a correction may still change."""
     until = search.null.case.searching + search.settings.refit_steps
-    center, search = _first_center(search)
+    # it begins at what an earlier one found; else at the plain model or, if its fit has left the
+    # data sheet, at the best set that was fitted from there
+    if len(search.fits) == 1 and has_left_prior(search.fit_of(NONE)):
+        search = _fit_from_prior(search)
+    center, best = search.plain, _best_of(search)
+    if best != NONE:
+        center, search = _center(search, best, center)
     if center is search.plain:
         center, search = _scan_kinks(search, search.plain)
         search = replace(search, plain=center)
@@ -98,7 +106,10 @@ def search_sets(search: Search) -> Search:
         enough -= search.linear_slack(center.members)
         ranked = sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s])
         search = repaired(_refit_promising(search, center, ranked, until))
-        best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
+        best = _best_of(search)
+        if best == center.members and len(best) > 1:
+            search = _refit_alone(search, until)
+            best = _best_of(search)
         if best == center.members:
             break
         center, search = _center(search, best, center)
@@ -107,7 +118,8 @@ def search_sets(search: Search) -> Search:
             break
     else:  # nor are they where moves to a better set are used up
         search = search.with_late()
-    return weigh_unknowns(repaired(_refit_rivals(search, center, until)), center)
+    search = repaired(_refit_rivals(search, center, until))
+    return search if search.null.case.correction is not None else weigh_unknowns(search, center)
 
 
 def with_numerics(search: Search, members: Members, *, is_late: bool = False) -> Search:
@@ -134,13 +146,24 @@ def has_left_prior(fit: Fit) -> bool:
     return bool(base.max(initial=0.0) > LEFT_SHEET_SD)
 
 
-def _first_center(search: Search) -> tuple[Center, Search]:
-    """Where the search begins: at what an earlier one found; else at the plain model or, if its fit
-    has left the data sheet, at the best set that was fitted from there."""
-    if len(search.fits) == 1 and has_left_prior(search.fit_of(NONE)):
-        search = _fit_from_prior(search)
-    best = max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
-    return (search.plain, search) if best == NONE else _center(search, best, search.plain)
+def _best_of(search: Search) -> Members:
+    """The set with the most evidence, without an unknown cause."""
+    return max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
+
+
+def _refit_alone(search: Search, until: float) -> Search:
+    """Refit single causes that take most of the misfit by the plain model's slopes, before a set of
+    several is the best one. Several find their size step by step, each a little: where the misfit
+    is large, slopes rank one that does it all behind them, though its own fit would lead there."""
+    fit = search.fit_of(NONE)
+    enough = search.nats(Hypothesis()) + MOST * 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
+    alone = [frozenset({i}) for i in range(len(search.wide.effects))]
+    nats = {s: round(search.plain.weigh(s).nats, TIE_DIGITS) for s in alone}
+    ranked = sorted((s for s in alone if nats[s] > enough), key=lambda s: -nats[s])
+    for members in ranked[:MAX_ALONE]:
+        if search.steps < until:
+            search = refit(search, members)
+    return search
 
 
 def _fit_from_prior(search: Search) -> Search:
@@ -242,9 +265,9 @@ def fitted_exactly(search: Search, members: Members) -> Search:
 
 
 def fitted_to_end(search: Search, parts: Sequence[Members]) -> Search:
-    """The search with parts of its best set fitted on, whose fits a budget had ended: a member
-    gains by what its part lacks, not by what the part's fit has left. The best part first, as long
-    as one more budget of a fit lasts."""
+    """The search with sets fitted on, whose fits a budget had ended, such as parts of the best one:
+    a member gains by what its part lacks, not by what the part's fit has left. The best set first,
+    as long as one more budget of a fit lasts."""
     until = search.steps + search.null.case.settings.plain_steps
     for members in sorted(parts, key=lambda p: -search.nats(Hypothesis(p))):
         made = search.simulations

@@ -105,17 +105,16 @@ class Simulations:
         """The same simulations for another fit of the plain model or another noise floor."""
         return replace(self, wide=null.wide).kept(NONE, null.at)
 
-    def moved(self, null: Null, change: Array, store: Store | None) -> Simulations:
-        """The same under another correction: records differ by as much everywhere, slopes stay.
+    def moved(
+        self, null: Null, of: Callable[[Linearization], Linearization], store: Store | None
+    ) -> Simulations:
+        """The same under another correction.
 
         Args:
             null: Fit of the plain model under it.
-            change: What is added to the record of the fitted runs, (N,) [unit of the channel].
+            of: Carries a linearization there.
             store: Where results under this correction are kept.
         """
-
-        def of(at: Linearization) -> Linearization:
-            return replace(at, record=at.record + change)
 
         def tried(scans: Mapping[tuple[Members, Members], Scan]) -> Mapping[Any, Scan]:
             return {k: s if s.at is None else replace(s, at=of(s.at)) for k, s in scans.items()}

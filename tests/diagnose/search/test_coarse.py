@@ -4,18 +4,21 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose import diagnose, diagnosis
 from diffsim.diagnose.checks.gates import budget_gates
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, could_be_misfit, numerics_gate
+from diffsim.diagnose.judge.judge import decision_of
 from diffsim.diagnose.judge.stand_ins import OWN_STEP, own_steps
 from diffsim.diagnose.search import coarse
 from diffsim.diagnose.search import search as searching
-from diffsim.diagnose.search.coarse import corrected, renewed_at
+from diffsim.diagnose.search.coarse import carried, corrected, renewed_at
 from diffsim.diagnose.search.evidence import KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fit import Case, coarsen_first_look, null_fit
+from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import _center, _refit_promising, _refit_rivals, begin, refit
 from diffsim.diagnose.search.simulations import Simulations
 from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel, WhiteNoise
@@ -59,7 +62,7 @@ def test_corrected_records_are_the_finer_ones_around_where_they_were_told():
         off = fine.whiten_all(null.fit.problem.record(x) - fine.record(x))
         without = fine.whiten_all(before.fit.problem.record(x) - fine.record(x))
         assert np.linalg.norm(off) < 0.1 * np.linalg.norm(without)
-    assert renewed_at(null.fit)[2] < NUMERICS_LAMBDA
+    assert renewed_at(null.fit)[1] < NUMERICS_LAMBDA
 
 
 def test_a_corrected_plain_fit_ends_where_a_plain_fit_does():
@@ -68,6 +71,26 @@ def test_a_corrected_plain_fit_ends_where_a_plain_fit_does():
     cut = replace(before.case, settings=replace(before.case.settings, plain_steps=0.0))
     short, _ = corrected(replace(before, case=cut), 1.0)
     assert short.fit.ended == "budget"
+
+
+def test_shifts_are_renewed_where_the_answer_is():
+    """Told where a plain model had no payload, 1.6 prior sd of damping bent all that was found."""
+    _, null, found = correct_toy()
+    (good,) = found.correction.finer
+    wrong = replace(good, shift=good.shift + np.array([1.5, *np.zeros(len(good.shift) - 1)]))
+    bent = replace(found.correction, finer=(wrong,), told=())
+    problem = replace(null.fit.problem, correction=bent)
+    start = linearization_at(problem, null.fit.x)
+    fit = gauss_newton(problem, start)[0]
+    new, size = renewed_at(fit)
+    assert size > NUMERICS_LAMBDA
+    kept = replace(bent, x=fit.x)
+    sizes = [np.linalg.norm(problem.whiten_all(c.over(problem.runs))) for c in (new, kept)]
+    assert sizes[0] < 0.5 * sizes[1]  # what is added is small, so that it holds around
+    runs, renewed = problem.runs, replace(problem, correction=new)
+    there = carried(start, bent, new, runs)
+    np.testing.assert_allclose(there.record, renewed.record(there.x), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(there.columns, linearization_at(renewed, there.x).columns)
 
 
 def test_where_no_end_is_in_sight_the_whole_change_counts(monkeypatch):
@@ -127,6 +150,34 @@ def test_an_answer_that_finer_simulations_cannot_follow_stays_and_says_so(monkey
     assert not gate.passed and gate.note.endswith("at the plain fit; at the answer they failed")
     assert report.named == ("bias",) and report.causes[0].status == "likely"
     assert "inf" not in " ".join(report.sentences)
+
+
+def test_a_renewed_search_begins_at_what_was_found(monkeypatch):
+    """A payload was found in 27 CPU s, lost where its correction changed and sought twice more."""
+    study, begins = noisy({"bias": 0.3}), []
+    effects = (toy.DELAY, toy.BIAS, toy.DRAG)
+    model = toy.model(study.runs, STEP)
+    null = null_fit(diagnosis._make_case(study, model, effects, (), DEAR, None))
+    null, _ = corrected(null, 1e3)
+    found = diagnosis.search_rounds(null, Simulations(null.wide, null.case.store).under(null))
+    best = frozenset({1})
+    assert decision_of(found).best == best
+    assert all(h.unknown is None for h in found.posteriors), "unknown causes wait"
+
+    def watched(search):
+        begins.append(set(search.fits))
+        return searching.search_sets(search)
+
+    sizes = iter([2.0 * NUMERICS_LAMBDA, 0.0])  # once another correction, then the same
+    told = diagnosis.renewed_at
+    monkeypatch.setattr(diagnosis, "search_sets", watched)
+    monkeypatch.setattr(diagnosis, "renewed_at", lambda fit: (told(fit)[0], next(sizes)))
+    monkeypatch.setattr(searching, "_fit_from_prior", lambda search: pytest.fail("sought anew"))
+    monkeypatch.setattr(searching, "has_left_prior", lambda fit: True)
+    again, _ = diagnosis._renew_correction(found)
+    assert begins and all(best in sets for sets in begins)
+    assert again.fit_of(best).ended == "converged" and decision_of(again).best == best
+    assert Hypothesis(best, 0) in again.posteriors
 
 
 def test_simulations_that_are_not_dear_begin_as_they_are():
