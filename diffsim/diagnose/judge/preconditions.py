@@ -44,6 +44,7 @@ SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 MUCH_UNSEEN = 3.0  # that unseen runs show
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
+FIT_AS_WELL = "other causes fit about as well"
 UNCONTRADICTED = "no other recording could contradict it"
 FIRST_ANSWER = "this is a first answer"
 
@@ -187,7 +188,7 @@ def _sets_do_without(g: Grounds, i: int) -> str:
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return "an unknown cause may act as well"
     if not all(i in h.effects for h in g.within) or g.about.probability(i) < SURE:
-        return "other causes fit about as well"
+        return FIT_AS_WELL
     if _may_be_replaced(g, i):
         return "more causes at once, which were not tried, may do without it"
     if i in decision.forms:
@@ -230,7 +231,7 @@ def why_unconfirmed(total: Gain) -> str:
         return ""
     far, what = total.farthest
     is_bought = far > FAR_OFF and total.is_above_zero
-    bought = f"with {what} {figure(far, 2)} sd off what the study states " if is_bought else ""
+    bought = f"with {what} {figure(far, 2)} standard deviations off, " if is_bought else ""
     return f"{bought}no gain is confirmed"
 
 
