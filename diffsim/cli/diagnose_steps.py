@@ -30,7 +30,7 @@ from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
 from diffsim.cli.diagnose_task import command, worth
 from diffsim.cli.export_targets import export_to, only_target
-from diffsim.core.figures import limits
+from diffsim.core.figures import figure, limits
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -467,7 +467,8 @@ def _next(args: argparse.Namespace) -> None:
     advice: NextRun | Narrowing | None
     if len(sets) > 1:
         advice = advise(inputs, sets, numerics)
-        _tell_runs(advice.chi2_gain, -1.0)
+        print("noise sd between the nearest two, by run to record:")
+        _tell_runs(advice.apart, -1.0)
     else:
         advice = advise_narrowing(inputs, saved, numerics)
         if advice is None:
@@ -486,7 +487,7 @@ def _tell_runs(values: Mapping[str, float], sign: float) -> None:
     """A number for each run of a bank, the best first."""
     width = max(32, *(len(name) for name in values))
     for name, value in sorted(values.items(), key=lambda item: sign * item[1]):
-        print(f"{name:<{width}} {value:>12.4g}")
+        print(f"{name:<{width}} {figure(value):>12}")
 
 
 def _read_json(path: Path) -> Mapping[str, Any] | None:

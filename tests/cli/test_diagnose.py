@@ -461,9 +461,12 @@ def test_rivals_of_a_saved_report():
 
 def test_a_bank_that_tells_nothing_apart_says_so():
     made = NextRun("long", {"long": 4e-3, "short": 1e-3}, 4.0)
-    assert "none of these runs tells them apart" in made.words and "0.004" in made.words
-    found = replace(made, chi2_gain={"long": 6.1, "short": 1e-3}).words
-    assert found == "record long: expected chi2 6.1, 4 times the bank's median"
+    assert "none of these runs tells them apart" in made.words and "0.063 noise sd" in made.words
+    found = replace(made, chi2_gain={"long": 6.25, "short": 1e-3}).words
+    assert found == (
+        "record long: it parts the nearest two by 2.5 noise sd, where 2.4 tell them apart; a usual "
+        "run by 1.2"
+    )
 
 
 @pytest.mark.parametrize(

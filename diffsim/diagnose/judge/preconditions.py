@@ -12,7 +12,7 @@ away.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -184,7 +184,7 @@ def _sets_do_without(g: Grounds, i: int) -> str:
     # causes are chosen by what coarse steps leave as well, and backlash does what these get wrong
     above_noise = (g.fit.chi2 - g.fit.num_samples) / np.sqrt(2.0 * g.fit.num_samples)
     if above_noise > SURE_SD and could_be_misfit(g.fit, g.gates):
-        return "what the fit leaves may be the numerical settings'"
+        return "what the fit leaves may be the simulation's own error"
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return "an unknown cause may act as well"
     if not all(i in h.effects for h in g.within) or g.about.probability(i) < SURE:
@@ -327,6 +327,12 @@ OF_A_CAUSE: tuple[Callable[[Grounds, int], str], ...] = (
     _gradients_are_wrong,
     _rivals_ended_early,
 )
+
+
+def may_be_another(doubts: Collection[str]) -> bool:
+    """Whether a doubt says that something else may act in a cause's place, or nothing at all."""
+    open_ones = (MAY_BE_ZERO, FIT_AS_WELL, UNCONTRADICTED)
+    return any(why in open_ones or why.startswith("it may ") for why in doubts)
 
 
 def doubts_of_fit(grounds: Grounds) -> tuple[str, ...]:

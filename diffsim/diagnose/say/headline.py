@@ -15,12 +15,7 @@ from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.checks.gates import LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.preconditions import (
-    FIRST_ANSWER,
-    FIT_AS_WELL,
-    MAY_BE_ZERO,
-    why_unconfirmed,
-)
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, may_be_another, why_unconfirmed
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -306,17 +301,26 @@ def _open(answer: Answer, verb: str) -> list[str]:
     sets = [answer.best_names, *answer.rivals]
     if not any(answer.rivals) and not answer.decision.forms:
         return _unsure(answer)
+    held = {row.name: row for row in effects_of(answer)}
     common = set(sets[0]).intersection(*sets[1:])
+    # nor what is likely over all sets, though one of them does without it
+    likely = (row for row in held.values() if row.status in (CERTAIN, LIKELY))
+    wide = common | {row.name for row in likely if not may_be_another(row.doubts)}
+    if any(n not in wide for n in sets[0]):
+        common = wide.intersection(sets[0])
     place = {row.name: k for k, row in enumerate(answer.causes)}  # what removes most comes first
     sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
     parts = [[_listed_name(answer, n) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
-    if common and names and not all(parts):  # what they share alone does nearly as well
-        shared = [_brief(plain_name(answer, n)) for n in sets[0] if n in common][:MAX_NAMES]
-        verb = "are" if len(shared) > 1 else "is"
-        said = f"{capital(_join(shared))} {verb} probably missing; these runs leave open whether"
-        more = names[0] if len(names) == 1 else "another cause"
-        return [f"{said} {more} is, too", f"{said} another cause is, too"]
+    if common and names:
+        shared = [n for n in sets[0] if n in common]
+        more = [n for n in sets[0] if n not in common]
+        total = sum(held[n].removes or 0.0 for n in sets[0] if n in held)
+        is_told = (
+            len(names) == 1
+            and sum(held[n].removes or total for n in more if n in held) >= SMALL * total
+        )
+        return _beside_shared(answer, shared, names[0] if is_told else "another cause", verb)
     if len(names) == 1 and all(parts):
         return [f"Something like {names[0]} {verb} missing; these runs cannot tell its form"]
     shown = f"{names[0]}, {names[1]} or another cause" if len(names) > 2 else " or ".join(names)
@@ -341,6 +345,21 @@ def _open(answer: Answer, verb: str) -> list[str]:
         said,
         f"One of several causes {verb} missing; these runs cannot tell which",
     ]
+
+
+def _beside_shared(answer: Answer, shared: Sequence[str], more: str, verb: str) -> list[str]:
+    """What all sets hold, and that another cause may act beside it; the longest first."""
+    names = [_brief(plain_name(answer, n)) for n in shared]
+    how = {row.name: _sure(row, shared) for row in effects_of(answer) if row.name in shared}
+    least = max((how.get(n, PROBABLY) for n in shared), key=tuple(_VERBS).index)
+    is_are = _VERBS[least].format("are" if len(names) > 1 else "is")
+    missing = f"{verb if verb == _VERBS[PERHAPS] else is_are} missing"
+    rest = dict.fromkeys((f"whether {more} is, too", "whether another cause is, too"))
+    said = [f"{_join(names)} {missing}"] if len(names) <= MAX_NAMES else []
+    if len(names) > 1:
+        said += [f"{_count(len(names))} causes, {names[0]} first, {missing}"]
+    leads = ("these runs leave open", "open is")
+    return [capital(f"{text}; {lead} {end}") for text in said for lead in leads for end in rest]
 
 
 def _listed_name(answer: Answer, name: str) -> str:
@@ -485,7 +504,7 @@ def _sure(row: CauseRow, singled_out: Collection[str]) -> str:
     in whose place another one may act."""
     if row.status == CERTAIN:
         return SURELY
-    is_open = {MAY_BE_ZERO, FIT_AS_WELL} & set(row.doubts) or row.name not in singled_out
+    is_open = may_be_another(row.doubts) or row.name not in singled_out
     return PERHAPS if is_open else PROBABLY
 
 

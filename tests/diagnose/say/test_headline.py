@@ -247,9 +247,32 @@ def test_what_the_unseen_error_does_not_bear_out_is_not_probably_missing(after):
         assert text.startswith(f"Delay {verb} missing (0.1 to 0.5 mrad); but the error on unseen ")
 
 
+def test_what_is_likely_over_all_sets_is_named_before_what_is_open():
+    """Of a friction and a delay in every set it said: Friction with saturation or another cause."""
+    rows = [
+        cause("friction", removes=0.98, status="likely"),
+        cause("delay", removes=0.06, status="likely"),
+        cause("saturation", removes=1e-6, status="cannot be told from"),
+    ]
+    names = tuple(row.name for row in rows)
+    rivals = (("friction", "delay"), ("stick", "delay"))
+    answer = Answer(
+        "ambiguous", SimpleNamespace(forms={}), tuple(rows), rivals, (), None,
+        named=names, best_names=names,
+    )  # fmt: skip
+    assert headline(answer, [FELL]).startswith(
+        "Friction and delay are probably missing; these runs leave open whether another cause is"
+    )
+    open_rows = (replace(rows[0], doubts=("other causes fit about as well",)), *rows[1:])
+    assert headline(replace(answer, causes=open_rows), [FELL]).startswith(
+        "Delay is probably missing; these runs leave open whether another cause is, too"
+    )
+
+
 def test_what_cannot_be_told_apart_may_be_neither():
     """It said: Command offset or sensor offset is missing; a drift was that the library lacked."""
-    rows = [cause(name, removes=0.4) for name in ("command_offset", "sensor_offset")]
+    untold = {"removes": 0.4, "status": "cannot be told from"}
+    rows = [cause(name, **untold) for name in ("command_offset", "sensor_offset")]
     answer = Answer(
         "ambiguous", SimpleNamespace(forms={}), tuple(rows), (("sensor_offset",),), (), None,
         named=("command_offset",), best_names=("command_offset",),
