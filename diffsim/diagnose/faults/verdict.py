@@ -156,14 +156,20 @@ def _most_telling(found: Sequence[FaultVerdict]) -> Iterator[str]:
     """The fault that most groups have, or that of one group, the longest words first."""
     causes = Counter(cause for v in found for cause in v.causes)
     for cause, number in causes.most_common(1):
+        own = [v for v in found if cause in v.causes]
         if number > 1:
-            plain = next(v.plain[cause] for v in found if cause in v.plain)
-            yield f"; most often {plain} ({number} groups)"
+            yield f"; most often {_probably(own)}{own[0].plain[cause]} ({number} groups)"
     best = max(found, key=lambda v: (v.status == CERTAIN, v.strength))
     words = " and ".join(size.words for size in best.sizes) or "a change that no cause describes"
     such = "" if len(found) == 1 else "such as "
+    words = f"{_probably([best])}{words}"
     yield from (f", {such}{name}: {words}" for name in (best.title, best.group))
     yield f", {such}{best.group}"
+
+
+def _probably(rows: Sequence[FaultVerdict]) -> str:
+    """What stands before a fault that is not certain in one of these groups."""
+    return "" if all(v.status in (CERTAIN, UNLISTED) for v in rows) else "probably "
 
 
 @checked(kinds_only=True)
@@ -209,7 +215,7 @@ class FaultReport:
         of = f"{len(self.verdicts)} group{'' if len(self.verdicts) == 1 else 's'}"
         if not found:
             return f"No fault is visible in {of}."
-        num_sure = sum(v.status == CERTAIN for v in found)
+        num_sure = sum(v.sound <= CERTAIN_LIMIT for v in found)
         probably = "" if num_sure == len(found) else "probably "
         sure = f", {num_sure} of them certainly" if probably and num_sure else ""
         has = "has" if len(found) == 1 else "have"
