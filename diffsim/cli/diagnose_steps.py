@@ -20,6 +20,7 @@ from diffsim.cli.diagnose_files import (
     PAGE_FILE,
     RECORDING_FILE,
     REPORT_FILE,
+    against_before,
     is_drawn,
     lacking,
     write_judged,
@@ -175,6 +176,7 @@ def _explain(args: argparse.Namespace) -> None:
         else:
             what = f"lacks {', '.join(lacks)}"
         print(f"{out} {what}: diagnosing again")
+    stood = _read_json(out / REPORT_FILE) if before is not None else None
     cache = out / CACHE / inputs.key  # an interrupted diagnosis goes on from what is there
     if args.force:
         shutil.rmtree(out / CACHE, ignore_errors=True)
@@ -196,7 +198,10 @@ def _explain(args: argparse.Namespace) -> None:
                 write_json_atomic(out / REPORT_FILE, look)  # until the answer takes its place
 
         report = diagnosed(inputs, progress=told, cache=cache)
-    if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
+    is_drawn_all = _write(report, inputs, out)
+    if stood is not None and (added := against_before(stood, report.to_dict())):
+        print(added)
+    if is_drawn_all:  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
 
 

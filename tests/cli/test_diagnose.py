@@ -16,6 +16,7 @@ import yaml
 
 from diffsim import cli
 from diffsim.cli import main
+from diffsim.cli.diagnose_files import against_before
 from diffsim.cli.diagnose_inputs import changed, choose, inputs_of
 from diffsim.core.optional import advice
 from diffsim.data.study import Study
@@ -457,6 +458,26 @@ def test_rivals_of_a_saved_report():
         [],
         "verdict data_sheet: no cause is open; measure mass, arm to confirm the number",
     )
+
+
+def test_an_answer_says_what_it_adds_to_the_one_before():
+    """A full answer cost five first ones, and did not say what for."""
+
+    def answer(verdict, after, **causes):
+        rows = [{"name": n, "words": n, "status": status} for n, status in causes.items()]
+        sizes = {"num_samples": 9, "after": after, "noise": 2.0}
+        error = {"kind": "position", "unit": "m", **sizes}
+        return {"verdict": verdict, "causes": rows, "errors": [error]}
+
+    first = answer("ambiguous", 6.0, lag="likely", play="likely", drag="cannot be told from")
+    full = answer("named", 3.0, lag="certain", drag="likely")
+    assert against_before(first, full) == (
+        "Against the answer before: verdict named, was ambiguous; lag is certain, was likely; drag "
+        "is likely, was not named; play is not named any more; unseen error 1.5 times the noise, "
+        "was 3."
+    )
+    assert "the same verdict and causes; unseen" in against_before(full, full)
+    assert against_before({"verdict": "first look"}, full) == ""
 
 
 def test_a_bank_that_tells_nothing_apart_says_so():
