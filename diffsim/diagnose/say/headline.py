@@ -322,7 +322,8 @@ def _open(answer: Answer, verb: str) -> list[str]:
         )
         return _beside_shared(answer, shared, names[0] if is_told else "another cause", verb)
     if len(names) == 1 and all(parts):
-        return [f"Something like {names[0]} {verb} missing; these runs cannot tell its form"]
+        said = f"Something like {names[0]} {verb} missing"
+        return [f"{said}; these runs cannot tell its form", said]
     shown = f"{names[0]}, {names[1]} or another cause" if len(names) > 2 else " or ".join(names)
     if names and len(shown.split()) > MAX_OPEN:
         shown = f"{names[0]} or another cause"

@@ -247,6 +247,19 @@ def test_what_the_unseen_error_does_not_bear_out_is_not_probably_missing(after):
         assert text.startswith(f"Delay {verb} missing (0.1 to 0.5 mrad); but the error on unseen ")
 
 
+def test_two_forms_of_a_long_name_leave_room_for_the_error():
+    words = "a change of the stiffness that depends on the temperature"
+    line, power = (cause(n, words=words, removes=0.9, helps=True) for n in ("line", "power"))
+    likely = tuple(replace(row, status="cannot be told from") for row in (line, power))
+    answer = Answer(
+        "ambiguous", SimpleNamespace(forms={}), likely, (("power",),), (), None,
+        named=("line",), best_names=("line",),
+    )  # fmt: skip
+    assert headline(answer, [FELL]).startswith(
+        f"Something like {words} is missing: error on unseen runs 72.4 to 7.21 um"
+    )
+
+
 def test_what_is_likely_over_all_sets_is_named_before_what_is_open():
     """Of a friction and a delay in every set it said: Friction with saturation or another cause."""
     rows = [
