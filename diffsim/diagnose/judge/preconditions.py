@@ -12,7 +12,8 @@ away.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -47,6 +48,8 @@ MAY_BE_ZERO = "its size may be zero"
 FIT_AS_WELL = "other causes fit about as well"
 UNCONTRADICTED = "no other recording could contradict it"
 FIRST_ANSWER = "this is a first answer"
+#: Doubts that something else may act in a cause's place, or nothing at all.
+MAY_BE_ANOTHER = re.compile(f"{MAY_BE_ZERO}$|{FIT_AS_WELL}$|{UNCONTRADICTED}$|it may ")
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,12 +330,6 @@ OF_A_CAUSE: tuple[Callable[[Grounds, int], str], ...] = (
     _gradients_are_wrong,
     _rivals_ended_early,
 )
-
-
-def may_be_another(doubts: Collection[str]) -> bool:
-    """Whether a doubt says that something else may act in a cause's place, or nothing at all."""
-    open_ones = (MAY_BE_ZERO, FIT_AS_WELL, UNCONTRADICTED)
-    return any(why in open_ones or why.startswith("it may ") for why in doubts)
 
 
 def doubts_of_fit(grounds: Grounds) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.checks.gates import LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, may_be_another, why_unconfirmed
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, MAY_BE_ANOTHER, why_unconfirmed
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -31,6 +31,7 @@ from diffsim.diagnose.say.wording import (
     Answer,
     capital,
     effects_of,
+    join_words,
     opened,
     plain_name,
     size_range,
@@ -78,8 +79,15 @@ def headline(
         gained: Gain over all these errors; None: not known.
         laws: Names of the causes that no library holds.
     """
-    found = _say_findings(answer, laws, is_denied=not failed and _is_denied(answer, errors, gained))
-    first = _first_that_fits(found, _endings(answer, errors, failed, gained))
+    is_denied = False  # nothing is certain, and what is named leaves the unseen error as it was
+    if errors and not failed and all(row.status != CERTAIN for row in effects_of(answer)):
+        row = _quoted_kind(errors, True, gained)
+        is_denied = row.after > STAYS * row.before
+    found = _say_findings(answer, laws, is_denied=is_denied)
+    endings = _endings(answer, errors, failed, gained)
+    # the longest words that fit with an ending: the error comes before details of the cause
+    texts = [f"{a}{b}." for a, b in (*product(found, endings), *product(found, ("",)))]
+    first = next((text for text in texts if len(text.split()) <= MAX_WORDS), texts[-1])
     second = _second(answer, errors, failed, gained, first)
     return " ".join([first, *second, *_noise(errors, gained)])
 
@@ -132,18 +140,8 @@ def _by_kind(gains: Mapping[str, Gain]) -> list[str]:
             said[verb].append(f"{kind} ({most} of {len(own)})" if len(own) > 1 else kind)
     if not all(said.values()):
         return []
-    parts = [f"{verb} on {_join(names[:MAX_NAMES])}" for verb, names in said.items()]
+    parts = [f"{verb} on {join_words(names[:MAX_NAMES])}" for verb, names in said.items()]
     return [f"{', '.join(parts)}."]
-
-
-def _first_that_fits(said: Sequence[str], endings: Sequence[str]) -> str:
-    """The longest words of a finding with the longest ending that fit; the error comes before
-    details of the cause."""
-    for first, second in (*product(said, endings), *product(said, ("",))):
-        text = f"{first}{second}."
-        if len(text.split()) <= MAX_WORDS:
-            return text
-    return f"{said[-1]}."
 
 
 def _endings(
@@ -188,7 +186,7 @@ def _reasons(answer: Answer, first: str) -> list[str]:
         own = [row for row in rows if why in row.doubts]
         is_named = any(_brief(row.words).lower() in first.lower() for row in own)
         is_of_all = len(own) == len(rows) or why == FIRST_ANSWER or not is_named
-        whose = "" if is_of_all else f"{_join([_brief(row.words) for row in own[:2]])}, as "
+        whose = "" if is_of_all else f"{join_words([_brief(row.words) for row in own[:2]])}, as "
         text = f"{whose}{_of_several(why) if whose and len(own) > 1 else why}"
         said.append(text if len(text.split()) <= MAX_WORDS - len(NOT_CERTAIN.split()) else why)
     return said
@@ -224,14 +222,6 @@ def _noise(errors: Sequence[ErrorRow], gained: Gain | None) -> list[str]:
 def _by_share(rows: Sequence[CauseRow], laws: Collection[str] = ()) -> list[CauseRow]:
     """Causes in the order of what each removes, laws last."""
     return sorted(rows, key=lambda row: (row.name in laws, -(row.removes or 0.0)))
-
-
-def _is_denied(answer: Answer, errors: Sequence[ErrorRow], gained: Gain | None) -> bool:
-    """Whether nothing is certain, and the error on unseen runs does not fall with what is named."""
-    if not errors or any(row.status == CERTAIN for row in effects_of(answer)):
-        return False
-    row = _quoted_kind(errors, True, gained)
-    return row.after > STAYS * row.before
 
 
 def _say_findings(answer: Answer, laws: Collection[str], *, is_denied: bool = False) -> list[str]:
@@ -270,7 +260,7 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
     if answer.is_taken_back and answer.before_test is not None:
         taken = [row for row in effects_of(answer) if row.name in answer.before_test.statuses]
         names = [_brief(row.words) for row in _by_share(taken, laws)[:MAX_NAMES]]
-        what = _join(names) or "What was named"
+        what = join_words(names) or "What was named"
         verb = "are" if len(names) > 1 else "is"
         return [
             f"{capital(what)} {verb} withdrawn",
@@ -278,7 +268,7 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
         ]
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
-        them = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
+        them = join_words([_brief(row.words) for row in helping[:MAX_NAMES]])
         return [
             f"Something without a name is missing beside {them}",
             "Something without a name is missing beside causes of the library",
@@ -305,7 +295,7 @@ def _open(answer: Answer, verb: str) -> list[str]:
     common = set(sets[0]).intersection(*sets[1:])
     # nor what is likely over all sets, though one of them does without it
     likely = (row for row in held.values() if row.status in (CERTAIN, LIKELY))
-    wide = common | {row.name for row in likely if not may_be_another(row.doubts)}
+    wide = common | {row.name for row in likely if not any(map(MAY_BE_ANOTHER.match, row.doubts))}
     if any(n not in wide for n in sets[0]):
         common = wide.intersection(sets[0])
     place = {row.name: k for k, row in enumerate(answer.causes)}  # what removes most comes first
@@ -356,7 +346,7 @@ def _beside_shared(answer: Answer, shared: Sequence[str], more: str, verb: str) 
     is_are = _VERBS[least].format("are" if len(names) > 1 else "is")
     missing = f"{verb if verb == _VERBS[PERHAPS] else is_are} missing"
     rest = dict.fromkeys((f"whether {more} is, too", "whether another cause is, too"))
-    said = [f"{_join(names)} {missing}"] if len(names) <= MAX_NAMES else []
+    said = [f"{join_words(names)} {missing}"] if len(names) <= MAX_NAMES else []
     if len(names) > 1:
         said += [f"{_count(len(names))} causes, {names[0]} first, {missing}"]
     leads = ("these runs leave open", "open is")
@@ -439,7 +429,7 @@ def _laws(effects: Sequence[CauseRow], laws: Collection[str], how: Mapping[str, 
     said = _without_sizes(own, how, is_set=False) + _count_causes(own, how, is_set=False)
     none = ("No cause of the library explains it: ", "No library cause explains it: ")
     marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in beside[:MAX_NAMES]]
-    names = _join([f"{m}{_brief(r.words)}" for m, r in zip(marks, beside, strict=False)])
+    names = join_words([f"{m}{_brief(r.words)}" for m, r in zip(marks, beside, strict=False)])
     also = [f", beside {names}", f", beside {_count(len(beside))} more"] if beside else [""]
     return [f"{n}{text}{also[0]}" for text in said for n in none] + [
         capital(f"{text}{end}") for end in dict.fromkeys((*also, "")) for text in said
@@ -505,7 +495,7 @@ def _sure(row: CauseRow, singled_out: Collection[str]) -> str:
     in whose place another one may act."""
     if row.status == CERTAIN:
         return SURELY
-    is_open = may_be_another(row.doubts) or row.name not in singled_out
+    is_open = any(map(MAY_BE_ANOTHER.match, row.doubts)) or row.name not in singled_out
     return PERHAPS if is_open else PROBABLY
 
 
@@ -536,15 +526,11 @@ def _say(
     if len(effects) > 1:
         words = [f"{w}{sizes.get(row.name, '')}" for w, row in zip(words, effects, strict=True)]
     comma = "," if is_whole else ""
-    return f"{_join(words)}{together}{comma} {is_missing} missing{end}"
+    return f"{join_words(words)}{together}{comma} {is_missing} missing{end}"
 
 
 def _count(number: int) -> str:
     return _COUNTS[number] if number < len(_COUNTS) else str(number)
-
-
-def _join(words: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _brief(words: str) -> str:
