@@ -261,12 +261,12 @@ def factor_of(parts: Sequence[Part], noise: Array) -> tuple[BandVariance, float]
         scores.append(over[np.isfinite(over)])
     scores = [own for own in scores if len(own)]
     # of a part, over the factor that the others alone would have given it
-    over = [
+    needed = [
         own / (_held([*scores[:k], *scores[k + 1 :]]) + TINY)
         for k, own in enumerate(scores)
         if len(scores) > 1
     ]
-    return together, _held(scores) * (_held(over) if over else 1.0)
+    return together, _held(scores) * (_held(needed) if needed else 1.0)
 
 
 def _held(scores: Sequence[Array]) -> float:
