@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.figures import figure
 from diffsim.core.files import write_text_atomic
 from diffsim.data.shown import shown
 from diffsim.data.study import Run, Study
+from diffsim.diagnose.judge.records import CERTAIN, LIKELY
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.identify.model_file import MODEL_FILE
 
@@ -40,6 +42,45 @@ def lacking(out: Path, before: Mapping[str, Any] | None) -> list[str]:
         for name in (REPORT_FILE, MODEL_FILE, PAGE_FILE, RECORDING_FILE)
         if not (out / name).is_file() and not (name in undrawn and find_spec(NEEDS[name]) is None)
     ]
+
+
+def against_before(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """What an answer adds to the one that stood in its folder, in a sentence; nothing without one.
+
+    Args:
+        before: Content of its ``report.json``.
+        after: That of the new answer.
+    """
+    if "causes" not in before:
+        return ""
+    was, now = (
+        {row["name"]: row for row in answer["causes"] if row["status"] in (CERTAIN, LIKELY)}
+        for answer in (before, after)
+    )
+    said = []
+    if before["verdict"] != after["verdict"]:
+        said.append(f"verdict {after['verdict']}, was {before['verdict']}")
+    for name, row in now.items():
+        if name not in was:
+            said.append(f"{row['words']} is {row['status']}, was not named")
+        elif was[name]["status"] != row["status"]:
+            said.append(f"{row['words']} is {row['status']}, was {was[name]['status']}")
+    said += [f"{row['words']} is not named any more" for n, row in was.items() if n not in now]
+    said = list(dict.fromkeys(said)) or ["the same verdict and causes"]
+    left, left_before = (_times_noise(answer["errors"]) for answer in (after, before))
+    if left is not None and left_before is not None:
+        said.append(f"unseen error {figure(left)} times the noise, was {figure(left_before)}")
+    return f"Against the answer before: {'; '.join(said)}."
+
+
+def _times_noise(errors: Sequence[Mapping[str, Any]]) -> float | None:
+    """Error over all runs of the kind of channel that is worst, over its noise; None: no runs."""
+    sums: dict[str, list[float]] = {}
+    for row in errors:
+        of = sums.setdefault(f"{row['kind']} {row['unit']}", [0.0, 0.0])
+        of[0] += row["num_samples"] * row["after"] ** 2
+        of[1] += row["num_samples"] * row["noise"] ** 2
+    return max(((a / n) ** 0.5 for a, n in sums.values() if n > 0.0), default=None)
 
 
 def is_drawn(write: Callable[[], Path]) -> bool:

@@ -30,7 +30,7 @@ def progress_bar(title: str, *, quiet: bool = False) -> Iterator[Progress]:
                 start = bar.n / 100
             last = fraction
             share = start + OF_THE_REST * (1.0 - start) * min(max(fraction, 0.0), 1.0)
-            bar.n = max(bar.n, round(100 * share))
+            bar.n = max(bar.n, min(round(100 * share), NEARLY))
             text = f"{stage} {message}".strip()
             if stage == FIRST_LOOK:  # a line of its own, which stays
                 if stage not in begun:
@@ -61,5 +61,6 @@ def _tick(refresh: Callable[[], object], ended: Event) -> None:
 
 
 OF_THE_REST = 0.7  # of the bar, that one search gets: another one may follow
+NEARLY = 99  # percent that it shows at most before all is done, however often searches begin
 ANEW = 0.3  # by which the share of a search falls where another one begins
 _FORMAT = "{desc} |{bar:20}| {percentage:3.0f} % [{elapsed}{postfix}]"

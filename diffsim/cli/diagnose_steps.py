@@ -20,6 +20,7 @@ from diffsim.cli.diagnose_files import (
     PAGE_FILE,
     RECORDING_FILE,
     REPORT_FILE,
+    against_before,
     is_drawn,
     lacking,
     write_judged,
@@ -30,7 +31,7 @@ from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
 from diffsim.cli.diagnose_task import command, worth
 from diffsim.cli.export_targets import export_to, only_target
-from diffsim.core.figures import limits
+from diffsim.core.figures import figure, limits
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -175,6 +176,7 @@ def _explain(args: argparse.Namespace) -> None:
         else:
             what = f"lacks {', '.join(lacks)}"
         print(f"{out} {what}: diagnosing again")
+    stood = _read_json(out / REPORT_FILE) if before is not None else None
     cache = out / CACHE / inputs.key  # an interrupted diagnosis goes on from what is there
     if args.force:
         shutil.rmtree(out / CACHE, ignore_errors=True)
@@ -196,7 +198,10 @@ def _explain(args: argparse.Namespace) -> None:
                 write_json_atomic(out / REPORT_FILE, look)  # until the answer takes its place
 
         report = diagnosed(inputs, progress=told, cache=cache)
-    if _write(report, inputs, out):  # else a page, once it can be drawn, costs no diagnosis
+    is_drawn_all = _write(report, inputs, out)
+    if stood is not None and (added := against_before(stood, report.to_dict())):
+        print(added)
+    if is_drawn_all:  # else a page, once it can be drawn, costs no diagnosis
         shutil.rmtree(out / CACHE, ignore_errors=True)
 
 
@@ -467,7 +472,8 @@ def _next(args: argparse.Namespace) -> None:
     advice: NextRun | Narrowing | None
     if len(sets) > 1:
         advice = advise(inputs, sets, numerics)
-        _tell_runs(advice.chi2_gain, -1.0)
+        print("noise sd between the nearest two, by run to record:")
+        _tell_runs(advice.apart, -1.0)
     else:
         advice = advise_narrowing(inputs, saved, numerics)
         if advice is None:
@@ -486,7 +492,7 @@ def _tell_runs(values: Mapping[str, float], sign: float) -> None:
     """A number for each run of a bank, the best first."""
     width = max(32, *(len(name) for name in values))
     for name, value in sorted(values.items(), key=lambda item: sign * item[1]):
-        print(f"{name:<{width}} {value:>12.4g}")
+        print(f"{name:<{width}} {figure(value):>12}")
 
 
 def _read_json(path: Path) -> Mapping[str, Any] | None:

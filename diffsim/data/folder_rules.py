@@ -97,7 +97,11 @@ def families(guess: Guess) -> Iterable[str]:
         guess.kinds = [Kind("", tuple(best), best[0].layout.columns, {})]
         guess.names = _names(best)
     taken = {one.path for kind in guess.kinds for one in kind.files}
-    others = dict.fromkeys(one.path.name for one in guess.found if one.path not in taken)
+    others = dict.fromkeys(
+        one.path.relative_to(guess.folder).as_posix()
+        for one in guess.found
+        if one.path not in taken
+    )
     yield from listed("files with other columns, not used", others)
     used = {one.reference for kind in guess.kinds for one in kind.files}
     beside = [one for one in guess.found if one.path in taken and not one.is_topic]

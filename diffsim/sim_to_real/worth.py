@@ -51,8 +51,8 @@ class Worth:
 
     @property
     def is_nothing(self) -> bool:
-        """Whether mending the cause changes less than the search leaves open."""
-        return abs(self.bought) <= self.noise
+        """Whether mending the cause gains no more than the search for a command leaves open."""
+        return self.bought <= self.noise
 
     @property
     def words(self) -> str:

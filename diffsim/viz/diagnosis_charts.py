@@ -331,22 +331,22 @@ def force_map(components: Sequence[str], groups: Sequence[str], z: Array) -> Any
     return charts.styled(figure, height=200 + 40 * len(rows))
 
 
-def next_run_bars(chi2_gain: Mapping[str, float], best: str) -> Any:
-    """Expected chi2 that each run would add to the distance of the rivals, as bars.
+def next_run_bars(apart: Mapping[str, float], best: str) -> Any:
+    """How far each run would part the nearest rivals, as bars.
 
     Args:
-        chi2_gain: Expected chi2 between the nearest rivals by name of the run.
+        apart: Distance of the nearest two by name of the run [noise sd].
         best: Name of the run that is advised.
     """
-    names = sorted(chi2_gain, key=lambda name: chi2_gain[name])
+    names = sorted(apart, key=lambda name: apart[name])
     bars = charts.graph_objects().Bar(
-        x=charts.rounded(np.array([chi2_gain[n] for n in names])),
+        x=charts.rounded(np.array([apart[n] for n in names])),
         y=names,
         orientation="h",
         marker_color=[EXTENDED if n == best else SOFT for n in names],
     )
     figure = charts.graph_objects().Figure(bars)
-    figure.update_xaxes(title_text="expected chi2 between the nearest rivals")
+    figure.update_xaxes(title_text="noise sd between the nearest two")
     return charts.styled(figure, height=140 + 26 * len(names))
 
 

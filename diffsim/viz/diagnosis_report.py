@@ -356,13 +356,10 @@ def _next_run(r: Report) -> page.Section:
             else "The command “diffsim diagnose next” looks for runs that part what is left open."
         )
         return page.Section(title=title, text=[text])
-    best, gains = r.next_run.best, r.next_run.chi2_gain
-    text = (
-        f"Record “{best}”: it moves the nearest rivals apart by an expected chi2 of "
-        f"{gains[best]:.3g}, {r.next_run.over_median:.1f} times the bank's median."
-    )
-    caption = "Distance of the nearest rivals after both are refitted, by run of the bank."
-    chart = draw.next_run_bars(gains, best)
+    caption = "Distance of the nearest two sets after both are refitted, by run to record."
+    chart = draw.next_run_bars(r.next_run.apart, r.next_run.best)
+    words = r.next_run.words
+    text = f"{words[:1].upper()}{words[1:]}."
     return page.Section(
         title=title, text=[text], content=[page.Chart(figure=chart, caption=caption)]
     )

@@ -201,7 +201,8 @@ def _outside(o: OutsideRow) -> list[str]:
 def _cause(row: CauseRow) -> list[str]:
     row = row.as_read()
     return [
-        row.words if row.words == row.name else f"{row.words}\n{row.name}",
+        # the name, as options take it, where the words do not say it
+        row.words if row.words in (row.name, words_of(row.name)) else f"{row.words}\n{row.name}",
         _status(row),
         _sizes(row),
         "–" if row.probability is None else f"{row.probability:.2f}",
@@ -216,7 +217,8 @@ def _note(row: CauseRow) -> str:
     if row.status == UNJUDGED and row.note:
         return f"needs {row.note}"
     doubts = f"Likely, not certain: {'; '.join(row.doubts)}." if row.doubts else ""
-    return f"{row.note} {doubts}".strip()
+    point = "" if not row.note or row.note.endswith(".") else "."
+    return f"{row.note}{point} {doubts}".strip()
 
 
 def _status(row: CauseRow) -> str:

@@ -58,7 +58,7 @@ def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str
         title=f"What mending would buy: {name}",
         subtitle="The task's best command was sought again with each cause, with half of its size, "
         "and without it.",
-        verdict=[row.words for row in ranked[:1]],
+        verdict=[_first_sentence(ranked[0])],
         numbers=numbers,
         sections=[
             page.Section(
@@ -69,6 +69,17 @@ def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str
         ],
         held_fixed=list(facts),
     )
+
+
+def _first_sentence(row: Worth) -> str:
+    """What mending buys most, and what it costs a command not to know of it."""
+    unit = " m" if row.of != MISS else ""
+    if row.is_nothing:
+        best = f"its best {row.of} is {figure(row.whole)}{unit}"
+        return f"Mending no cause buys this task anything: {best}."
+    most = f"its best {row.of} goes from {figure(row.whole)} to {figure(row.none)}{unit}"
+    unaware = f"a command that does not know of it has {figure(row.unaware)}{unit}"
+    return f"Mending {_words(row)} buys most: {most}; {unaware}."
 
 
 def _words(row: Worth) -> str:

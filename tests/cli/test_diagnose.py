@@ -16,6 +16,7 @@ import yaml
 
 from diffsim import cli
 from diffsim.cli import main
+from diffsim.cli.diagnose_files import against_before
 from diffsim.cli.diagnose_inputs import changed, choose, inputs_of
 from diffsim.core.optional import advice
 from diffsim.data.study import Study
@@ -459,11 +460,34 @@ def test_rivals_of_a_saved_report():
     )
 
 
+def test_an_answer_says_what_it_adds_to_the_one_before():
+    """A full answer cost five first ones, and did not say what for."""
+
+    def answer(verdict, after, **causes):
+        rows = [{"name": n, "words": n, "status": status} for n, status in causes.items()]
+        sizes = {"num_samples": 9, "after": after, "noise": 2.0}
+        error = {"kind": "position", "unit": "m", **sizes}
+        return {"verdict": verdict, "causes": rows, "errors": [error]}
+
+    first = answer("ambiguous", 6.0, lag="likely", play="likely", drag="cannot be told from")
+    full = answer("named", 3.0, lag="certain", drag="likely")
+    assert against_before(first, full) == (
+        "Against the answer before: verdict named, was ambiguous; lag is certain, was likely; drag "
+        "is likely, was not named; play is not named any more; unseen error 1.5 times the noise, "
+        "was 3."
+    )
+    assert "the same verdict and causes; unseen" in against_before(full, full)
+    assert against_before({"verdict": "first look"}, full) == ""
+
+
 def test_a_bank_that_tells_nothing_apart_says_so():
     made = NextRun("long", {"long": 4e-3, "short": 1e-3}, 4.0)
-    assert "none of these runs tells them apart" in made.words and "0.004" in made.words
-    found = replace(made, chi2_gain={"long": 6.1, "short": 1e-3}).words
-    assert found == "record long: expected chi2 6.1, 4 times the bank's median"
+    assert "none of these runs tells them apart" in made.words and "0.063 noise sd" in made.words
+    found = replace(made, chi2_gain={"long": 6.25, "short": 1e-3}).words
+    assert found == (
+        "record long: it parts the nearest two by 2.5 noise sd, where 2.4 tell them apart; a usual "
+        "run by 1.2"
+    )
 
 
 @pytest.mark.parametrize(

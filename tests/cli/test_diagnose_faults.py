@@ -69,7 +69,7 @@ def test_new_recordings_are_groups_of_their_own(folder, capsys):
     size = said["new_1"]["sizes"][0]["interval"]
     assert size["low"] < 0.2 < size["high"] < 0.3
     out = capsys.readouterr().out
-    assert "1 of 2 groups has a fault. new_1 (weak.csv): Side 1 lost " in out
+    assert "1 of 2 groups has a fault, new_1 (weak.csv): side 1 lost " in out
     assert "Side 1 lost " in (folder / "out" / "faults.html").read_text("utf-8")
     assert "Nothing visible beyond the scatter between groups." in out
 

@@ -590,6 +590,20 @@ def test_files_that_are_not_of_one_run_stay_apart(tmp_path, capsys, change):
     assert "files with other columns, not used" in capsys.readouterr().out
 
 
+def test_what_is_not_used_is_named_with_its_folder(tmp_path, capsys):
+    """Of four folders it said: not used: data_desired.csv."""
+    for run in ("slow", "fast"):
+        folder = tmp_path / run
+        folder.mkdir()
+        rows = np.column_stack([T, np.sin(T), np.cos(T)])
+        np.savetxt(folder / "data.csv", rows, delimiter=",", header="t,x,u", comments="")
+        late = rows[:9, :2] + 1e6  # a clock that meets no other
+        np.savetxt(folder / "wanted.csv", late, delimiter=",", header="t,w", comments="")
+    init(tmp_path)
+    said = capsys.readouterr().out
+    assert "files with other columns, not used: fast/wanted.csv, slow/wanted.csv" in said
+
+
 @pytest.mark.parametrize(
     "name",
     ["z_m", "p_dps", "gyro_x (deg/s)", "roll_deg", "vx_mps", "Position (mm)", "az_mps2",

@@ -66,7 +66,7 @@ def test_next_says_what_to_record_and_writes_it(folder, capsys):
     assert cli.main([*argv, "--debug"]) == 0
     said = capsys.readouterr().out
     advice = json.loads((folder / "out" / "next.json").read_text())
-    assert f"record {advice['best']}: expected chi2" in said
+    assert f"record {advice['best']}: it parts the nearest two by " in said
     gains = advice["chi2_gain"]
     assert len(gains) > 10 and gains[advice["best"]] == max(gains.values()) > 2.0 * min(
         gains.values()

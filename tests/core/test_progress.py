@@ -223,6 +223,9 @@ def test_a_diagnosis_never_goes_back_is_full_at_the_end_alone_and_ticks(monkeypa
             progress("search", share, "sets")
             shown.append(bars[-1].n)
         assert shown == [14, 49, 53, 85] and ticks()
+        for share in (0.1, 1.0, 0.1, 1.0, 0.1, 1.0, 0.1, 1.0):  # a full one stood at 100 for 60 s
+            progress("search", share, "sets")
+        assert bars[-1].n == 99
     assert seen == sorted(seen) and seen[-1] == 100
 
 

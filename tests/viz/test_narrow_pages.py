@@ -86,6 +86,14 @@ def test_what_does_not_pay_and_what_to_do_are_said():
     assert Worth("lag", 4.0, 4.0, 3.99, 4.0, noise=0.02).words.endswith("mending it buys nothing")
     page = worth_page([Worth("own_lag", 4.0, 4.0, 3.9, 4.0, noise=0.02)], "cart", [])
     assert [(n.label, n.value) for n in page.numbers] == [("mending own lag buys", "0.1")]
+    assert page.verdict == [
+        "Mending own lag buys most: its best miss goes from 4 to 3.9; a command that does not know "
+        "of it has 4."
+    ]
+    harm = Worth("lag", 4.0, 4.1, 4.2, 4.2, noise=0.02)  # it said: buys -0.2
+    page = worth_page([harm], "cart", [])
+    assert page.verdict[0].startswith("Mending no cause buys this task anything")
+    assert page.numbers[0].value == "nothing" and harm.words.endswith("buys nothing")
     groups = faults_page(faulty()).sections[0].content[0]
     told = list(groups.columns).index("what to do next")
     assert [row[told].partition(" ")[0] for row in groups.rows] == ["Mend", "Nothing"]

@@ -5,7 +5,8 @@ Every interval holds 90 % and is averaged over sets of causes and over the scatt
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ SOUND = "nothing"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
-MAX_SAID = 3  # groups with a fault that the first sentence names
+MAX_WORDS = 25  # of the first sentence
 MOST_SETS = 8  # explanations of a group that its verdict holds
 ENDS = (0.05, 0.95)  # shares below the two ends of an interval
 
@@ -151,6 +152,26 @@ class FaultVerdict:
         return None if self.known is None else set(self.causes) == set(self.known)
 
 
+def _most_telling(found: Sequence[FaultVerdict]) -> Iterator[str]:
+    """The fault that most groups have, or that of one group, the longest words first."""
+    causes = Counter(cause for v in found for cause in v.causes)
+    for cause, number in causes.most_common(1):
+        own = [v for v in found if cause in v.causes]
+        if number > 1:
+            yield f"; most often {_probably(own)}{own[0].plain[cause]} ({number} groups)"
+    best = max(found, key=lambda v: (v.status == CERTAIN, v.strength))
+    words = " and ".join(size.words for size in best.sizes) or "a change that no cause describes"
+    such = "" if len(found) == 1 else "such as "
+    words = f"{_probably([best])}{words}"
+    yield from (f", {such}{name}: {words}" for name in (best.title, best.group))
+    yield f", {such}{best.group}"
+
+
+def _probably(rows: Sequence[FaultVerdict]) -> str:
+    """What stands before a fault that is not certain in one of these groups."""
+    return "" if all(v.status in (CERTAIN, UNLISTED) for v in rows) else "probably "
+
+
 @checked(kinds_only=True)
 @dataclass(frozen=True)
 class Spread:
@@ -189,15 +210,18 @@ class FaultReport:
 
     @property
     def headline(self) -> str:
-        """How many groups have a fault, and which."""
+        """How many groups have a fault, how sure that is, and which fault, in at most 25 words."""
         found = [v for v in self.verdicts if v.status != SILENT]
         of = f"{len(self.verdicts)} group{'' if len(self.verdicts) == 1 else 's'}"
         if not found:
             return f"No fault is visible in {of}."
-        said = "; ".join(f"{v.title}: {v.words.rstrip('.')}" for v in found[:MAX_SAID])
-        more = f"; and {len(found) - MAX_SAID} more" if len(found) > MAX_SAID else ""
+        num_sure = sum(v.sound <= CERTAIN_LIMIT for v in found)
+        probably = "" if num_sure == len(found) else "probably "
+        sure = f", {num_sure} of them certainly" if probably and num_sure else ""
         has = "has" if len(found) == 1 else "have"
-        return f"{len(found)} of {of} {has} a fault. {said}{more}."
+        begin = f"{len(found)} of {of} {probably}{has} a fault{sure}"
+        said = (f"{begin}{what}." for what in _most_telling(found))
+        return next((text for text in said if len(text.split()) <= MAX_WORDS), f"{begin}.")
 
     def to_dict(self) -> dict[str, Any]:
         """The report as plain records, with ``headline``, ``is_right`` of each verdict, and

@@ -21,7 +21,8 @@ parameters tell excess. A part whose fit has run away tells nothing.
 
 The factor holds the share of the readings of these parts that is wanted, each part weighing the
 same and with what the other parts tell: how much parts differ is in it, and no shape of what is
-left is assumed.
+left is assumed. Of few parts that differ such a factor holds less of one more: it is multiplied by
+what the factors of all parts but one need to hold that share of the one, on average.
 """
 
 from __future__ import annotations
@@ -258,12 +259,28 @@ def factor_of(parts: Sequence[Part], noise: Array) -> tuple[BandVariance, float]
         rest = np.where(np.isfinite(others.rest), others.rest, together.rest)
         over = np.abs(part.left) / np.sqrt(replace(others, rest=rest).variance(noise, part))
         scores.append(over[np.isfinite(over)])
-    weights = np.concatenate([np.full(len(own), 1.0 / max(len(own), 1)) for own in scores])
+    scores = [own for own in scores if len(own)]
+    # of a part, over the factor that the others alone would have given it
+    needed = [
+        own / (_held([*scores[:k], *scores[k + 1 :]]) + TINY)
+        for k, own in enumerate(scores)
+        if len(scores) > 1
+    ]
+    return together, _held(scores) * (_held(needed) if needed else 1.0)
+
+
+def _held(scores: Sequence[Array]) -> float:
+    """What the wanted share of the scores is at most, each part weighing the same.
+
+    Args:
+        scores: Of one part or more, (num_readings,) each, one or more.
+    """
+    weights = np.concatenate([np.full(len(own), 1.0 / len(own)) for own in scores])
     every = np.concatenate(scores)
     order = np.argsort(every, kind="stable")
     share = np.cumsum(weights[order])
     k = min(int(np.searchsorted(share, LEVEL * share[-1])), len(every) - 1)
-    return together, float(every[order[k]])
+    return float(every[order[k]])
 
 
 def noise_of(parts: Sequence[Part], noise: Array) -> Array:

@@ -119,7 +119,7 @@ class Gain:
             if self.left > 1.0 + max(self.excess, 0.0) + NEAR_ZERO:
                 why = ": without these samples the fit ran away"
         if (far := self.farthest[0]) > FAR_OFF:
-            why = f"; {self.farthest[1]} of them is {figure(far, 2)} sd off what the study states"
+            why = f"; {self.farthest[1]} of them is {figure(far, 2)} standard deviations off"
         if self.is_below_noise:
             share = percent(float(np.sqrt(max(self.left, 0.0))))
             why = f"; the stated noise is too large, {share} of it is left"

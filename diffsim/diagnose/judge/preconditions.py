@@ -12,6 +12,7 @@ away.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -46,8 +47,13 @@ UNDONE = 3.0  # times as far as all causes together, that one moves the record
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
 OTHERS_UNDO_IT = "it and others undo each other: one law may act in place of all"
+FIT_AS_WELL = "other causes fit about as well"
 UNCONTRADICTED = "no other recording could contradict it"
 FIRST_ANSWER = "this is a first answer"
+#: Doubts that something else may act in a cause's place, or nothing at all.
+MAY_BE_ANOTHER = re.compile(
+    f"{MAY_BE_ZERO}$|{OTHERS_UNDO_IT}$|{FIT_AS_WELL}$|{UNCONTRADICTED}$|it may "
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,11 +191,11 @@ def _sets_do_without(g: Grounds, i: int) -> str:
     # causes are chosen by what coarse steps leave as well, and backlash does what these get wrong
     above_noise = (g.fit.chi2 - g.fit.num_samples) / np.sqrt(2.0 * g.fit.num_samples)
     if above_noise > SURE_SD and could_be_misfit(g.fit, g.gates):
-        return "what the fit leaves may be the numerical settings'"
+        return "what the fit leaves may be the simulation's own error"
     if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
         return "an unknown cause may act as well"
     if not all(i in h.effects for h in g.within) or g.about.probability(i) < SURE:
-        return "other causes fit about as well"
+        return FIT_AS_WELL
     if _may_be_replaced(g, i):
         return "more causes at once, which were not tried, may do without it"
     if i in decision.forms:
@@ -241,7 +247,7 @@ def why_unconfirmed(total: Gain) -> str:
         return ""
     far, what = total.farthest
     is_bought = far > FAR_OFF and total.is_above_zero
-    bought = f"with {what} {figure(far, 2)} sd off what the study states " if is_bought else ""
+    bought = f"with {what} {figure(far, 2)} standard deviations off, " if is_bought else ""
     return f"{bought}no gain is confirmed"
 
 

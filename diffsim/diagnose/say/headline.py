@@ -15,7 +15,7 @@ from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.checks.gates import CONTRADICTED, LAWS
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, MAY_BE_ZERO, why_unconfirmed
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, MAY_BE_ANOTHER, why_unconfirmed
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -32,6 +32,7 @@ from diffsim.diagnose.say.wording import (
     Answer,
     capital,
     effects_of,
+    join_words,
     opened,
     plain_name,
     size_range,
@@ -42,11 +43,22 @@ MAX_SIZED = 2  # causes whose sizes are said
 MAX_NAMES = 4  # causes that are said by name; of more, how many they are and the first
 MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
+NOT_CERTAIN = "Not certain:"
 TOGETHER = 0.5  # of the misfit, all that causes remove one by one: below it they act as one
+STAYS = 0.99  # of the error before: what is left is none the smaller
 SMALL = 0.05  # of what all remove: causes that the first sentence leaves to the page
+UNKNOWN_CAUSE, UNNAMED = "unknown ", "something without a name"
 SURELY, PROBABLY, PERHAPS = "certainly", "probably", "perhaps"
 _VERBS = {SURELY: "{}", PROBABLY: "{} probably", PERHAPS: "may be"}  # the less sure, the later
 _PLURALS = ("pulses",)  # of causes that are several things
+#: A clause on "it" as one on "them".
+_OF_SEVERAL = (
+    (r"^its (\w+)", r"their \1s"),
+    (r"^it helps\b", "they help"),
+    (r"^it\b", "they"),
+    (r"\bit does$", "they do"),
+    (r"\b(by|without|for) it\b", r"\1 them"),
+)
 _COUNTS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
 
 
@@ -68,8 +80,17 @@ def headline(
         gained: Gain over all these errors; None: not known.
         laws: Names of the causes that no library holds.
     """
-    first = _first_that_fits(_say_findings(answer, laws), _endings(answer, errors, failed, gained))
-    return " ".join([first, *_second(answer, errors, failed, gained), *_noise(errors, gained)])
+    is_denied = False  # nothing is certain, and what is named leaves the unseen error as it was
+    if errors and not failed and all(row.status != CERTAIN for row in effects_of(answer)):
+        row = _quoted_kind(errors, True, gained)
+        is_denied = row.after > STAYS * row.before
+    found = _say_findings(answer, laws, is_denied=is_denied)
+    endings = _endings(answer, errors, failed, gained)
+    # the longest words that fit with an ending: the error comes before details of the cause
+    texts = [f"{a}{b}." for a, b in (*product(found, endings), *product(found, ("",)))]
+    first = next((text for text in texts if len(text.split()) <= MAX_WORDS), texts[-1])
+    second = _second(answer, errors, failed, gained, first)
+    return " ".join([first, *second, *_noise(errors, gained)])
 
 
 def first_of(said: str) -> str:
@@ -101,7 +122,7 @@ def judged_headline(
     with_model = f"With the extended model the {ending.removeprefix('the ')}."
     if ending.startswith("no skill"):
         with_model = f"The extended model has {ending}."
-    doubts = [f"Not certain: {why}." for why in _of_gain(gained)]
+    doubts = [f"{NOT_CERTAIN} {why}." for why in _of_gain(gained)]
     return " ".join([*_by_kind(gains), with_model, *doubts, *_noise(errors, gained)])
 
 
@@ -120,18 +141,8 @@ def _by_kind(gains: Mapping[str, Gain]) -> list[str]:
             said[verb].append(f"{kind} ({most} of {len(own)})" if len(own) > 1 else kind)
     if not all(said.values()):
         return []
-    parts = [f"{verb} on {_join(names[:MAX_NAMES])}" for verb, names in said.items()]
+    parts = [f"{verb} on {join_words(names[:MAX_NAMES])}" for verb, names in said.items()]
     return [f"{', '.join(parts)}."]
-
-
-def _first_that_fits(said: Sequence[str], endings: Sequence[str]) -> str:
-    """The longest words of a finding with the longest ending that fit; the error comes before
-    details of the cause."""
-    for first, second in (*product(said, endings), *product(said, ("",))):
-        text = f"{first}{second}."
-        if len(text.split()) <= MAX_WORDS:
-            return text
-    return f"{said[-1]}."
 
 
 def _endings(
@@ -148,7 +159,11 @@ def _endings(
 
 
 def _second(
-    answer: Answer, errors: Sequence[ErrorRow], failed: Collection[str], gained: Gain | None
+    answer: Answer,
+    errors: Sequence[ErrorRow],
+    failed: Collection[str],
+    gained: Gain | None,
+    first: str,
 ) -> list[str]:
     """Why the first sentence is not certain; that nothing tests it."""
     no_test = not errors and not failed
@@ -156,24 +171,33 @@ def _second(
     if answer.verdict in ("numerical", "unrepeatable", "none"):
         return untested
     twin = twin_words(answer) if answer.causes_with(LIKELY) else ""
-    said = [*filter(None, [twin]), *_of_gain(gained), *_reasons(answer)]
+    said = [*filter(None, [twin]), *_of_gain(gained), *_reasons(answer, first)]
     if any(gate.name == LAWS for gate in answer.gates):
         said = [*(why for why in said if why != FIRST_ANSWER), f"{FIRST_ANSWER}, without laws"]
-    return [*(f"Not certain: {why}." for why in said[:1]), *untested]
+    return [*(f"{NOT_CERTAIN} {why}." for why in said[:1]), *untested]
 
 
-def _reasons(answer: Answer) -> list[str]:
-    """Doubts of what is named, that of a first answer last; whose it is where others have none."""
+def _reasons(answer: Answer, first: str) -> list[str]:
+    """Doubts of what is named, that of a first answer last; whose it is where others have none, and
+    where the first sentence names it."""
     rows = [r for r in answer.causes_with(CERTAIN, LIKELY) if r.doubts or r.status == CERTAIN]
     doubts = dict.fromkeys(why for row in _by_share(rows) for why in row.doubts)
     said = []
     for why in sorted(doubts, key=lambda why: why == FIRST_ANSWER):
         own = [row for row in rows if why in row.doubts]
-        is_of_all = len(own) == len(rows) or why == FIRST_ANSWER
-        whose = "" if is_of_all else f"{_join([_brief(row.words) for row in own[:2]])}, as "
-        is_shared = bool(whose) and len(own) > 1
-        said.append(f"{whose}{why.replace('its size', 'their sizes') if is_shared else why}")
+        is_named = any(_brief(row.words).lower() in first.lower() for row in own)
+        is_of_all = len(own) == len(rows) or why == FIRST_ANSWER or not is_named
+        whose = "" if is_of_all else f"{join_words([_brief(row.words) for row in own[:2]])}, as "
+        text = f"{whose}{_of_several(why) if whose and len(own) > 1 else why}"
+        said.append(text if len(text.split()) <= MAX_WORDS - len(NOT_CERTAIN.split()) else why)
     return said
+
+
+def _of_several(why: str) -> str:
+    """A doubt of one cause as one of several."""
+    for pattern, plural in _OF_SEVERAL:
+        why = re.sub(pattern, plural, why)
+    return why
 
 
 def _of_gain(gained: Gain | None) -> list[str]:
@@ -201,8 +225,14 @@ def _by_share(rows: Sequence[CauseRow], laws: Collection[str] = ()) -> list[Caus
     return sorted(rows, key=lambda row: (row.name in laws, -(row.removes or 0.0)))
 
 
-def _say_findings(answer: Answer, laws: Collection[str]) -> list[str]:
-    """What is wrong, without a full stop; shorter ones later."""
+def _say_findings(answer: Answer, laws: Collection[str], *, is_denied: bool = False) -> list[str]:
+    """What is wrong, without a full stop; shorter ones later.
+
+    Args:
+        answer: What is put into words.
+        laws: Names of the causes that no library holds.
+        is_denied: Whether unseen runs speak against what is named.
+    """
     if answer.verdict == "unrepeatable":
         return ["Repeats differ more than the sensor's noise, so no cause can be judged"]
     if answer.verdict == "numerical":
@@ -212,7 +242,7 @@ def _say_findings(answer: Answer, laws: Collection[str]) -> list[str]:
     if answer.verdict == "unknown":
         return _unknown(answer, laws)
     if answer.verdict == "ambiguous":
-        return _open(answer)
+        return _open(answer, "may be" if is_denied else "is")
     if answer.verdict == "data_sheet":
         return _off_sheet([row for row in answer.causes if row.origin == DATA_SHEET])
     # what the extended model holds has made the error smaller, whatever singled it out
@@ -222,7 +252,7 @@ def _say_findings(answer: Answer, laws: Collection[str]) -> list[str]:
         if r.origin != EFFECT or r.name in answer.named or r.removes is not None
     ]
     if named:
-        return _missing(answer, named, laws)
+        return _missing(answer, named, laws, is_open=is_denied)
     return ["Nothing is missing that these runs could show"]
 
 
@@ -231,7 +261,7 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
     if answer.is_taken_back and answer.before_test is not None:
         taken = [row for row in effects_of(answer) if row.name in answer.before_test.statuses]
         names = [_brief(row.words) for row in _by_share(taken, laws)[:MAX_NAMES]]
-        what = _join(names) or "What was named"
+        what = join_words(names) or "What was named"
         verb = "are" if len(names) > 1 else "is"
         return [
             f"{capital(what)} {verb} withdrawn",
@@ -242,7 +272,7 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
         return [f"{run} contradicts the others, which leave noise alone"]
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
-        them = _join([_brief(row.words) for row in helping[:MAX_NAMES]])
+        them = join_words([_brief(row.words) for row in helping[:MAX_NAMES]])
         return [
             f"Something without a name is missing beside {them}",
             "Something without a name is missing beside causes of the library",
@@ -253,10 +283,17 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
     ]
 
 
-def _open(answer: Answer) -> list[str]:
-    """Sets of causes that cannot be told apart, without what they share."""
+def _open(answer: Answer, verb: str) -> list[str]:
+    """Sets of causes that cannot be told apart, without what they share.
+
+    What is missing may be in none of them: something like them is.
+
+    Args:
+        answer: What is put into words.
+        verb: Before "missing".
+    """
     if pieces := [row for row in effects_of(answer) if ONE_LAW in row.rivals]:
-        them = _join([_brief(row.words) for row in pieces[:MAX_NAMES]])
+        them = join_words([_brief(row.words) for row in pieces[:MAX_NAMES]])
         return [
             f"One law may act in place of {them}, which undo each other",
             "One law may act in place of causes that undo each other",
@@ -264,22 +301,34 @@ def _open(answer: Answer) -> list[str]:
     sets = [answer.best_names, *answer.rivals]
     if not any(answer.rivals) and not answer.decision.forms:
         return _unsure(answer)
+    held = {row.name: row for row in effects_of(answer)}
     common = set(sets[0]).intersection(*sets[1:])
+    # nor what is likely over all sets, though one of them does without it
+    likely = (row for row in held.values() if row.status in (CERTAIN, LIKELY))
+    wide = common | {row.name for row in likely if not any(map(MAY_BE_ANOTHER.match, row.doubts))}
+    if any(n not in wide for n in sets[0]):
+        common = wide.intersection(sets[0])
     place = {row.name: k for k, row in enumerate(answer.causes)}  # what removes most comes first
     sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
-    parts = [[_brief(plain_name(answer, n)) for n in s if n not in common] for s in sets]
+    parts = [[_listed_name(answer, n) for n in s if n not in common] for s in sets]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
-    if common and names and not all(parts):  # what they share alone does nearly as well
-        shared = [_brief(plain_name(answer, n)) for n in sets[0] if n in common][:MAX_NAMES]
-        verb = "are" if len(shared) > 1 else "is"
-        said = f"{capital(_join(shared))} {verb} probably missing; these runs leave open whether"
-        more = names[0] if len(names) == 1 else "another cause"
-        return [f"{said} {more} is, too", f"{said} another cause is, too"]
+    if common and names:
+        shared = [n for n in sets[0] if n in common]
+        more = [n for n in sets[0] if n not in common]
+        total = sum(held[n].removes or 0.0 for n in sets[0] if n in held)
+        is_told = (
+            len(names) == 1
+            and sum(held[n].removes or total for n in more if n in held) >= SMALL * total
+        )
+        return _beside_shared(answer, shared, names[0] if is_told else "another cause", verb)
     if len(names) == 1 and all(parts):
-        return [f"{capital(names[0])} is missing; these runs cannot tell its form"]
+        said = f"Something like {names[0]} {verb} missing"
+        return [f"{said}; these runs cannot tell its form", said]
     shown = f"{names[0]}, {names[1]} or another cause" if len(names) > 2 else " or ".join(names)
     if names and len(shown.split()) > MAX_OPEN:
         shown = f"{names[0]} or another cause"
+    if names and len(shown.split()) > MAX_OPEN:  # of a set what removes most
+        shown = f"{names[0].partition(' with ')[0]} or another cause"
     if not names or len(shown.split()) > MAX_OPEN:
         shown = "one of several causes"
     off = [
@@ -290,16 +339,40 @@ def _open(answer: Answer) -> list[str]:
     also = f" or {off[0]} is off its data sheet" if off else ""
     if off == [shown]:  # the cause changes the very number
         also = ", or its data sheet is off"
+    is_any = shown == "one of several causes" or shown.endswith(("another cause", UNNAMED))
+    said = f"{capital(shown) if is_any else f'Something like {shown}'} {verb} missing{also}"
     return [
-        f"{capital(shown)} is missing{also}; these runs cannot tell which",
-        "One of several causes is missing; these runs cannot tell which",
+        f"{said}; these runs cannot tell which",
+        said,
+        f"One of several causes {verb} missing; these runs cannot tell which",
     ]
+
+
+def _beside_shared(answer: Answer, shared: Sequence[str], more: str, verb: str) -> list[str]:
+    """What all sets hold, and that another cause may act beside it; the longest first."""
+    names = [_brief(plain_name(answer, n)) for n in shared]
+    how = {row.name: _sure(row, shared) for row in effects_of(answer) if row.name in shared}
+    least = max((how.get(n, PROBABLY) for n in shared), key=tuple(_VERBS).index)
+    is_are = _VERBS[least].format("are" if len(names) > 1 else "is")
+    missing = f"{verb if verb == _VERBS[PERHAPS] else is_are} missing"
+    rest = dict.fromkeys((f"whether {more} is, too", "whether another cause is, too"))
+    said = [f"{join_words(names)} {missing}"] if len(names) <= MAX_NAMES else []
+    if len(names) > 1:
+        said += [f"{_count(len(names))} causes, {names[0]} first, {missing}"]
+    leads = ("these runs leave open", "open is")
+    return [capital(f"{text}; {lead} {end}") for text in said for lead in leads for end in rest]
+
+
+def _listed_name(answer: Answer, name: str) -> str:
+    """A cause of a set; one that the library does not hold has no name."""
+    is_unknown = name.startswith(UNKNOWN_CAUSE)
+    return UNNAMED if is_unknown else _brief(plain_name(answer, name))
 
 
 def _unsure(answer: Answer) -> list[str]:
     """Causes that the data ask for, where nothing but their absence is a rival."""
     named = [row for row in effects_of(answer) if row.name in answer.best_names]
-    said = _missing(answer, named, (), "may be")
+    said = _missing(answer, named, (), is_open=True)
     return [f"{text}; these runs leave it open" for text in said]
 
 
@@ -310,16 +383,17 @@ def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
     prior = row.sheet.partition(" +-")[0]
     number = next((n for d in (3, 4, 5) if (n := figure(value, d)) != prior), figure(value, 6))
     numbers = f"{number}{unit}, not {prior}{unit}"
+    how = "" if all(row.status == CERTAIN for row in rows) else f"{PROBABLY} "
     if len(rows) == 1:
-        off = f"{row.words} is {numbers}"
+        off = f"{row.words} is {how}{numbers}"
         return [f"Only a data sheet is off: {off}", opened(off)]
-    count = f"{capital(_count(len(rows)))} data sheets are off"
+    count = f"{capital(_count(len(rows)))} data sheets are {how}off"
     such = f"{count}, such as {row.words}"
     return [f"{such}: {numbers}", such, count]
 
 
 def _missing(
-    answer: Answer, named: Sequence[CauseRow], laws: Collection[str], verb: str = ""
+    answer: Answer, named: Sequence[CauseRow], laws: Collection[str], *, is_open: bool = False
 ) -> list[str]:
     """Sentences on causes that are named, the longest first.
 
@@ -327,27 +401,29 @@ def _missing(
         answer: What is put into words.
         named: Causes, data sheets among them.
         laws: Names of the causes that no library holds.
-        verb: Before "missing"; empty: as sure and as many as they are.
+        is_open: Whether none of them is surer than perhaps.
     """
+    how = {row.name: PERHAPS if is_open else _sure(row, answer.named) for row in named}
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = _by_share([row for row in named if row.origin == EFFECT], laws)
     if not effects:
         return _off_sheet(sheet)
     of_laws = sum(row.removes or 0.0 for row in effects if row.name in laws)
     if of_laws > sum(row.removes or 0.0 for row in effects if row.name not in laws):
-        return _laws(effects, laws, verb)
+        return _laws(effects, laws, how)
     total = sum(row.removes or 0.0 for row in effects)
     is_set = len(effects) > 1 and 0.0 < total < TOGETHER
     if not is_set:
         effects = effects[: max(len(effects) - _num_small(effects, total), 1)]
-    names = [*([] if is_set else _with_sizes(effects, laws, verb))]
-    names += _without_sizes(effects, verb, is_set=is_set)
+    names = [*([] if is_set else _with_sizes(effects, laws, how))]
+    names += _without_sizes(effects, how, is_set=is_set)
     held = [row for row in effects_of(answer) if row.helps and row not in effects]
     if beside := held[: len(held) - _num_small(held, total)]:
         also = _count(len(beside))
-        ends = (f", with {also} that these runs leave open", f", with {also} left open")
+        causes = "cause" if len(beside) == 1 else "causes"
+        ends = (f", with {also} more {causes} left open", f", {also} more left open")
         names = [f"{said}{end}" for said in names for end in ends]
-    counts = _count_causes(_by_share([*effects, *beside], laws), verb, is_set=is_set)
+    counts = _count_causes(_by_share([*effects, *beside], laws), how, is_set=is_set)
     out = [*names, *counts]
     if sheet:
         off = f", {sheet[0].words} is off its data sheet"
@@ -355,16 +431,18 @@ def _missing(
     return [capital(said) for said in out]
 
 
-def _laws(effects: Sequence[CauseRow], laws: Collection[str], verb: str) -> list[str]:
+def _laws(effects: Sequence[CauseRow], laws: Collection[str], how: Mapping[str, str]) -> list[str]:
     """Laws that remove more than the causes of the library beside them."""
     own = [row for row in effects if row.name in laws]
     total = sum(row.removes or 0.0 for row in effects)
     beside = [row for row in effects if row not in own and (row.removes or 0.0) > SMALL * total]
-    said = _without_sizes(own, verb, is_set=False) + _count_causes(own, verb, is_set=False)
+    said = _without_sizes(own, how, is_set=False) + _count_causes(own, how, is_set=False)
     none = ("No cause of the library explains it: ", "No library cause explains it: ")
-    also = f", beside {_join([_brief(row.words) for row in beside[:MAX_NAMES]])}" if beside else ""
-    return [f"{n}{text}{also}" for text in said for n in none] + [
-        capital(f"{text}{end}") for end in dict.fromkeys((also, "")) for text in said
+    marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in beside[:MAX_NAMES]]
+    names = join_words([f"{m}{_brief(r.words)}" for m, r in zip(marks, beside, strict=False)])
+    also = [f", beside {names}", f", beside {_count(len(beside))} more"] if beside else [""]
+    return [f"{n}{text}{also[0]}" for text in said for n in none] + [
+        capital(f"{text}{end}") for end in dict.fromkeys((*also, "")) for text in said
     ]
 
 
@@ -376,7 +454,9 @@ def _num_small(effects: Sequence[CauseRow], total: float) -> int:
     return int(np.searchsorted(rest, SMALL * total))
 
 
-def _with_sizes(effects: Sequence[CauseRow], laws: Collection[str], verb: str) -> list[str]:
+def _with_sizes(
+    effects: Sequence[CauseRow], laws: Collection[str], how: Mapping[str, str]
+) -> list[str]:
     """Names with the sizes that their words do not say, the longest first; none of many causes."""
     sized = {row.name for row in effects if row.size and row.words == words_of(row.name)}
     if not sized - set(laws) or len(effects) > MAX_SIZED:
@@ -384,81 +464,83 @@ def _with_sizes(effects: Sequence[CauseRow], laws: Collection[str], verb: str) -
     out = []
     for brief in (False, True):
         sizes = {r.name: f" ({size_range(r, brief=brief)})" for r in effects if r.name in sized}
-        out.append(_say(effects, verb, sizes))
+        out.append(_say(effects, how, sizes))
     return list(dict.fromkeys(out))
 
 
-def _without_sizes(effects: Sequence[CauseRow], verb: str, *, is_set: bool) -> list[str]:
+def _without_sizes(
+    effects: Sequence[CauseRow], how: Mapping[str, str], *, is_set: bool
+) -> list[str]:
     """Names alone, the longest first; none of many causes.
 
     Args:
         effects: Causes in their order.
-        verb: Before "missing"; empty: as sure and as many as they are.
+        how: How sure each is, by name.
         is_set: Whether they remove little one by one.
     """
     if len(effects) > MAX_NAMES:
         return []
-    alone = _say(effects, verb, {}, together=" together" if is_set else "")
+    alone = _say(effects, how, {}, together=" together" if is_set else "")
     is_cut = len(effects) == 1 and effects[0].words != _brief(effects[0].words)
-    return [_say(effects, verb, {}, is_whole=True), alone] if is_cut else [alone]
+    return [_say(effects, how, {}, is_whole=True), alone] if is_cut else [alone]
 
 
-def _count_causes(effects: Sequence[CauseRow], verb: str, *, is_set: bool) -> list[str]:
+def _count_causes(
+    effects: Sequence[CauseRow], how: Mapping[str, str], *, is_set: bool
+) -> list[str]:
     """How many causes there are, and which one removes most."""
     if len(effects) < 2:
         return []
-    sure = [row for row in effects if verb or _sure(row) != PERHAPS]
+    sure = [row for row in effects if how.get(row.name, PERHAPS) != PERHAPS]
     up_to = "up to " if 0 < len(sure) < len(effects) else ""
     causes = f"{up_to}{_count(len(effects))} causes{' together' if is_set else ''}"
-    least = max(map(_sure, sure or effects), key=tuple(_VERBS).index)
-    is_missing = f"{verb or _VERBS[least].format('are')} missing"
+    least = max((how.get(r.name, PERHAPS) for r in sure or effects), key=tuple(_VERBS).index)
+    is_missing = f"{_VERBS[least].format('are')} missing"
     first = _brief((sure or effects)[0].words)
     return [f"{causes}, {first} first, {is_missing}", f"{causes} {is_missing}"]
 
 
-def _sure(row: CauseRow) -> str:
-    """How sure a cause is, as it stands before its name; nothing is probable that may be zero."""
+def _sure(row: CauseRow, singled_out: Collection[str]) -> str:
+    """How sure a cause is, as it stands before its name; nothing is probable that may be zero, or
+    in whose place another one may act."""
     if row.status == CERTAIN:
         return SURELY
-    return PERHAPS if MAY_BE_ZERO in row.doubts else PROBABLY
+    is_open = any(map(MAY_BE_ANOTHER.match, row.doubts)) or row.name not in singled_out
+    return PERHAPS if is_open else PROBABLY
 
 
 def _say(
     effects: Sequence[CauseRow],
-    verb: str,
+    how: Mapping[str, str],
     sizes: Mapping[str, str],
     *,
     is_whole: bool = False,
     together: str = "",
 ) -> str:
     """Causes in their order with how sure each is: "a and probably b are missing"."""
-    grouped = [(how, list(rows)) for how, rows in groupby(effects, key=_sure)]
-    order = () if verb else tuple(how for how, _ in grouped)
+    grouped = [(k, list(rows)) for k, rows in groupby(effects, key=lambda row: how[row.name])]
+    order = tuple(k for k, _ in grouped)
     # the verb says how sure the first ones are, but where it would be true of them alone
     by_verb = order[:1] if len(order) == 1 or order == (PROBABLY, PERHAPS) else ()
     words: list[str] = []
-    for how, rows in grouped:
-        mark = "" if verb or how in by_verb or (how == SURELY and not words) else f"{how} "
+    for k, rows in grouped:
+        mark = "" if k in by_verb or (k == SURELY and not words) else f"{k} "
         for row in rows:
             name = row.words if is_whole else _brief(row.words)
             words.append(f"{mark}{name}")
             mark = ""
     is_many = len(effects) > 1 or effects[0].words.startswith(_PLURALS)
     is_missing = "are" if is_many else "is"
-    is_missing = verb or _VERBS[by_verb[0] if by_verb else SURELY].format(is_missing)
+    is_missing = _VERBS[by_verb[0] if by_verb else SURELY].format(is_missing)
     end = sizes.get(effects[0].name, "") if len(effects) == 1 else ""
     if len(effects) > 1:
         words = [f"{w}{sizes.get(row.name, '')}" for w, row in zip(words, effects, strict=True)]
     comma = "," if is_whole else ""
-    return f"{_join(words)}{together}{comma} {is_missing} missing{end}"
+    return f"{join_words(words)}{together}{comma} {is_missing} missing{end}"
 
 
 def _count(number: int) -> str:
     return _COUNTS[number] if number < len(_COUNTS) else str(number)
-
-
-def _join(words: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _brief(words: str) -> str:
@@ -482,7 +564,7 @@ def _on_unseen(
         falls: Verb of an error that becomes smaller, with a blank.
         objects: What leads from the finding to an error that does not become smaller.
     """
-    row = _telling_kind(errors, changed, worst=gained is not None and gained.status == "withdrawn")
+    row = _quoted_kind(errors, changed, gained)
     where, short = (
         ("error on unseen runs", "unseen error")
         if row.use == "test"
@@ -492,7 +574,7 @@ def _on_unseen(
     besides = f", noise {noise}" if noise else ""
     if not changed:
         return [f"; the {where} is {before}{unit}{besides}", f"; {short} {before}{unit}{besides}"]
-    if row.after > 0.99 * row.before:
+    if row.after > STAYS * row.before:
         verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
         return [
             f"{objects} the {where} {verb} {after}{unit}{besides}",
@@ -520,10 +602,10 @@ def _numbers(row: ErrorRow) -> tuple[str, str, str, str]:
     return before, after, unit, f"{noise}{unit}"
 
 
-def _telling_kind(errors: Sequence[ErrorRow], changed: bool, *, worst: bool) -> ErrorRow:
+def _quoted_kind(errors: Sequence[ErrorRow], changed: bool, gained: Gain | None) -> ErrorRow:
     """All runs together, of the kind of channel whose error falls most, or is largest, over its
     noise; the one that rises most where the whole gets worse."""
-    sign = -1.0 if worst else 1.0
+    sign = -1.0 if gained is not None and gained.status == "withdrawn" else 1.0
     return max(
         _kinds(errors),
         key=lambda r: sign * (r.before - (r.after if changed else 0.0)) / r.noise,

@@ -22,7 +22,7 @@ from diffsim.identify import Fit
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.problem import PredictionError
 
-TELLING = 2.0 * ALONE_NATS  # expected chi2 from which on a set would be named alone
+TELLING = 2.0 * ALONE_NATS  # squared noise sd from which on a set would be named alone
 NARROWER = 0.95  # of an interval's width: what narrows less is not worth a run
 
 
@@ -42,16 +42,24 @@ class NextRun:
     over_median: float
 
     @property
+    def apart(self) -> dict[str, float]:
+        """How far the nearest pair of rivals differs [noise sd], by name of the run."""
+        return {name: float(np.sqrt(max(gain, 0.0))) for name, gain in self.chi2_gain.items()}
+
+    @property
     def words(self) -> str:
         """What to record, or that no run of the bank tells the rivals apart."""
-        most = self.chi2_gain[self.best]
-        if most < TELLING:
+        most, enough = self.apart[self.best], figure(TELLING**0.5, 2)
+        if most**2 < TELLING:
             return (
-                f"none of these runs tells them apart: expected chi2 {figure(most, 2)} at most, "
-                f"{TELLING:g} is needed; measure by other means what they differ in"
+                f"none of these runs tells them apart: {figure(most, 2)} noise sd at most, "
+                f"{enough} are needed; measure by other means what they differ in"
             )
-        times = f"{figure(self.over_median)} times the bank's median"
-        return f"record {self.best}: expected chi2 {figure(most, 4)}, {times}"
+        usual = figure(float(np.sqrt(most**2 / self.over_median)), 2)
+        return (
+            f"record {self.best}: it parts the nearest two by {figure(most, 2)} noise sd, where "
+            f"{enough} tell them apart; a usual run by {usual}"
+        )
 
 
 @dataclass(frozen=True)

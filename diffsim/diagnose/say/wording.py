@@ -349,7 +349,7 @@ def _say_doubts(answer: Answer) -> list[str]:
     for why, words in named.items():
         if why:
             verb = "are" if len(words) > 1 else "is"
-            out.append(f"{opened(_join_words(words))} {verb} likely, not certain: {why}.")
+            out.append(f"{opened(join_words(words))} {verb} likely, not certain: {why}.")
     return out
 
 
@@ -360,7 +360,7 @@ def _say_taken_back(answer: Answer) -> list[str]:
         return []
     words = [plain_name(answer, n).partition(",")[0] for n, s in before.statuses.items()]
     statuses = " or ".join(dict.fromkeys(before.statuses.values()))
-    of_causes = f", {_join_words(words)} {statuses}" if words else ""
+    of_causes = f", {join_words(words)} {statuses}" if words else ""
     return [f"Before the test runs were looked at, the verdict was {before.verdict}{of_causes}."]
 
 
@@ -371,11 +371,12 @@ def _say_unchecked(answer: Answer) -> list[str]:
     words = [row.words for row in certain if f"gradient:{row.name}" not in checked]
     if "gradient:not checked" not in checked or not words:
         return []
-    return [f"The gradient of {_join_words(words)} was not checked."]
+    return [f"The gradient of {join_words(words)} was not checked."]
 
 
-def _join_words(words: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+def join_words(words: Sequence[str]) -> str:
+    """Words as a list in a sentence: "a, b and c"; empty of none."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _data_sheets(answer: Answer) -> list[str]:
@@ -404,11 +405,11 @@ def twin_words(answer: Answer) -> str:
         return ""
     shown = [row.as_read() for row in rows[:MOST_LISTED]]
     if all(row.prior_value for row in shown):
-        times = _join_words([figure(row.value / row.prior_value) for row in shown])
+        times = join_words([figure(row.value / row.prior_value) for row in shown])
         sheets = "its data sheet" if len(shown) == 1 else "their data sheets"
-        said = f"{_join_words([row.words for row in shown])} at {times} times {sheets}"
+        said = f"{join_words([row.words for row in shown])} at {times} times {sheets}"
     else:
-        said = _join_words(
+        said = join_words(
             [f"{row.words} at {figure(row.value)}{after_number(row.unit)}" for row in shown]
         )
     return f"without it the model fits as well, with {said}"

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.core.figures import figure
 from diffsim.core.units import after_number
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect, Locator
@@ -232,7 +233,7 @@ def _say_event(
     """In words: how large, where, of what form, from when to when."""
     ways = [(way.name, way.unit, 1.0), *way.alike]
     much = " or ".join(
-        f"{size * factor:.4g}{after_number(u)} at {name}" for name, u, factor in ways
+        f"{figure(size * factor)}{after_number(u)} at {name}" for name, u, factor in ways
     )
     at = {timing: values.get(name, math.nan) for timing, name in names.items()}
     since = f"from {at[ONSET]:.3f} s"
@@ -240,7 +241,7 @@ def _say_event(
         return f"a step of {much} {since}"
     until = f"{since} to {at[ONSET] + at[WIDTH]:.3f} s"
     if form == "train":
-        return f"pulses of {much}, {at[WIDTH]:.3g} s each {at[PERIOD]:.4g} s, {since}"
+        return f"pulses of {much}, {at[WIDTH]:.3g} s each {at[PERIOD]:.3g} s, {since}"
     if form == "burst":
         return f"a sine of {much} and {at[PERIOD]:.3g} s {until}"
     return f"a {form.replace('_', ' ')} of {much} {until}"

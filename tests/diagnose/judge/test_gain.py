@@ -162,9 +162,9 @@ def test_a_gain_that_own_values_pay_for_is_not_confirmed():
     sure = Gain(0.8, 0.7, 0.9, 3.0, 20, farthest=(2.9, "zero closing"))
     bought = replace(sure, farthest=(5.0, "zero closing"))
     assert (sure.status, bought.status) == ("confirmed", "not confirmed")
-    assert bought.words.endswith("zero closing of them is 5 sd off what the study states.")
+    assert bought.words.endswith("zero closing of them is 5 standard deviations off.")
     row = ErrorRow("a", "position", "mm", 2.0, 1.1, 1.0, 100, 1)
-    assert "with zero closing 5 sd off what the study states no gain" in judged_headline(
+    assert "with zero closing 5 standard deviations off, no gain" in judged_headline(
         [row], bought, extended=True
     )
     assert "Not certain" not in judged_headline([row], sure, extended=True)
