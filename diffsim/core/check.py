@@ -70,7 +70,7 @@ def require_shape(
         ValueError: wrong shape.
     """
     require_tensor(name, value, dtype)
-    if not has_shape(value.shape, shape):
+    if not _fits(value.shape, shape):
         expected = ", ".join(str(s) for s in shape)
         raise ValueError(f"{name} must have shape ({expected}), got {tuple(value.shape)}")
 
@@ -149,7 +149,7 @@ def require_constants(hint: str, **given: Any) -> None:
         require_constants(hint, **{f"{name}.{field}": part for field, part in parts.items()})
 
 
-def has_shape(got: Sequence[int], want: Sequence[int | str]) -> bool:
+def _fits(got: Sequence[int], want: Sequence[int | str]) -> bool:
     """Whether a shape is as wanted; see ``require``."""
     if want and want[0] == "...":
         want = want[1:]

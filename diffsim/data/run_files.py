@@ -197,17 +197,17 @@ class RunReader:
         rows, recorded, clocks = self._mend_clocks(name, entry, tables, rows, clocks)
         samples = RunSamples(tables, clocks, rows, recorded)
         facts = facts_of(entry.setup, samples, words, f"{case.where}.setup")
-        whole = samples.with_facts(facts).at(recorded)
+        whole = replace(samples, facts=facts, time_s=recorded)
         made = {c.name: partial(self._values, c, entry, whole) for c in self.study.channels}
         zero = zero_of(entry, whole, labels, case.where, made)
-        samples = samples.with_facts(facts).at(recorded - zero if zero else recorded)
+        samples = replace(samples, facts=facts, time_s=recorded - zero if zero else recorded)
         keep = kept_rows(entry, samples, labels, f"{case.where}")
         if len(keep) < len(rows) and entry.every == 1:
             self.left_out.append(
                 f"run {name}: {len(rows) - len(keep)} of {len(rows)} samples, by its window"
             )
         facts = facts_of(entry.setup, samples.only(keep), words, f"{case.where}.setup")
-        samples = samples.with_facts(facts)
+        samples = replace(samples, facts=facts)
         raw: dict[str, tuple[str, Array]] = {}
         channels = [self._values(c, entry, samples, raw) for c in self.study.channels]
         measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))

@@ -57,14 +57,6 @@ class RunSamples:
         """The run's own file."""
         return self.tables[0]
 
-    def at(self, time_s: Array) -> RunSamples:
-        """The same rows on the clock of the run."""
-        return replace(self, time_s=time_s)
-
-    def with_facts(self, facts: Mapping[str, Any]) -> RunSamples:
-        """The same rows with facts that formulas may use."""
-        return replace(self, facts=facts)
-
     def holding(self) -> RunSamples:
         """The same, columns of further files held until their next sample."""
         return replace(self, holds=True)

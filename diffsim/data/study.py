@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from diffsim.core.arrays import Array
-from diffsim.core.check import has_shape, require_entries
 from diffsim.core.checked import checked
 from diffsim.data.fault_keys import FaultKeys
 
@@ -125,16 +124,29 @@ class Run:
     raw: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        time_s = self.time_s
-        _require_samples("time_s", time_s, "num_samples")
-        n = len(time_s)
-        _require_samples("measured", self.measured, n, "num_channels")
-        for field_name in ("command", "columns"):
-            for name, values in getattr(self, field_name).items():
-                _require_samples(f"{field_name}[{name!r}]", values, n)
-        for name, (_, values) in self.raw.items():
-            _require_samples(f"raw[{name!r}]", values, n)
-        _require_forward(f"time_s of run {self.name!r}", time_s, or_equal=True)
+        n = len(self.time_s) if np.ndim(self.time_s) == 1 else -1
+        given: list[tuple[str, Any, tuple[int | str, ...]]] = [
+            ("time_s", self.time_s, ("num_samples",)),
+            ("measured", self.measured, (n, "num_channels")),
+            *((f"command[{k!r}]", values, (n,)) for k, values in self.command.items()),
+            *((f"columns[{k!r}]", values, (n,)) for k, values in self.columns.items()),
+            *((f"raw[{k!r}]", values, (n,)) for k, (_, values) in self.raw.items()),
+        ]
+        for name, values, shape in given:
+            is_array = isinstance(values, np.ndarray) and values.dtype.kind in "fiu"
+            if not (is_array or (isinstance(values, Tensor) and values.is_floating_point())):
+                got = getattr(values, "dtype", type(values).__name__)
+                raise TypeError(f"{name} must be an array of real numbers, got {got}")
+            if len(values.shape) != len(shape) or shape[0] not in (len(values), "num_samples"):
+                wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
+                raise ValueError(f"{name} must have shape {wanted}, got {tuple(values.shape)}")
+        bad = ~np.isfinite(self.time_s)
+        bad[1:] |= ~(np.diff(self.time_s) >= 0.0)
+        if bad.any():
+            raise ValueError(
+                f"time_s of run {self.name!r} must be finite and increase, got "
+                f"{self.time_s[bad][0]:g} at sample {int(np.argmax(bad))}"
+            )
 
     @checked
     def part(self, keep: slice | NDArray[Any]) -> Run:
@@ -160,44 +172,6 @@ class Run:
             columns={name: change(values) for name, values in self.columns.items()},
             raw={name: (header, change(values)) for name, (header, values) in self.raw.items()},
         )
-
-
-def _require_different(name: str, names: Sequence[str]) -> None:
-    """Raises ValueError where two entries have one name."""
-    if len(set(names)) < len(names):
-        twice = next(one for one in names if names.count(one) > 1)
-        raise ValueError(f"{name} must have different names, got {twice!r} more than once")
-
-
-def _require_samples(name: str, values: Any, *shape: int | str) -> None:
-    """Real numbers in an array of a shape, where a text stands for any size; NaN may be among them.
-
-    Raises:
-        TypeError: not an array of real numbers.
-        ValueError: another shape.
-    """
-    is_array = isinstance(values, np.ndarray) and values.dtype.kind in "fiu"
-    is_followed = isinstance(values, Tensor) and values.is_floating_point()  # of a planned command
-    if not (is_array or is_followed):
-        got = getattr(values, "dtype", type(values).__name__)
-        raise TypeError(f"{name} must be an array of real numbers, got {got}")
-    if not has_shape(values.shape, shape):
-        wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
-        raise ValueError(f"{name} must have shape {wanted}, got {values.shape}")
-
-
-def _require_forward(name: str, time_s: Array, *, or_equal: bool = False) -> None:
-    """Finite stamps, each later than the one before, or as late."""
-    steps = np.diff(time_s)
-    if np.isfinite(time_s).all() and (steps >= 0.0 if or_equal else steps > 0.0).all():
-        return
-    bad = ~np.isfinite(time_s)
-    bad[1:] |= ~(steps >= 0.0 if or_equal else steps > 0.0)
-    first = int(np.argmax(bad))
-    before = f" after {time_s[first - 1]:g}" if first else ""
-    raise ValueError(
-        f"{name} must be finite and increase, got {time_s[first]:g}{before} at sample {first}"
-    )
 
 
 @checked(kinds_only=True)
@@ -249,16 +223,27 @@ class Study:
     def __post_init__(self) -> None:
         entries = (("channels", Channel), ("runs", Run), ("commands", Command), ("columns", Column))
         for name, kind in entries:
-            require_entries(name, getattr(self, name), kind)
-        for name in ("channels", "runs", "commands", "columns"):
-            _require_different(name, [entry.name for entry in getattr(self, name)])
+            held = getattr(self, name)
+            for k, entry in enumerate(held):
+                if not isinstance(entry, kind):
+                    got = type(entry).__name__
+                    raise TypeError(f"{name}[{k}] must be a {kind.__name__}, got {got}")
+            names = [entry.name for entry in held]
+            if len(set(names)) < len(names):
+                twice = next(one for one in names if names.count(one) > 1)
+                raise ValueError(f"{name} must have different names, got {twice!r} more than once")
         for run in self.runs:
             if run.measured.shape[1] != len(self.channels):
                 raise ValueError(
                     f"measured of run {run.name!r} must have a column for each of "
                     f"{len(self.channels)} channels, got shape {run.measured.shape}"
                 )
-            _require_forward(f"time_s of run {run.name!r}", run.time_s)
+            if not (np.diff(run.time_s) > 0.0).all():
+                at = int(np.argmax(~(np.diff(run.time_s) > 0.0))) + 1
+                raise ValueError(
+                    f"time_s of run {run.name!r} must increase, got {run.time_s[at]:g} twice, "
+                    f"at sample {at}"
+                )
 
     @property
     def fit_runs(self) -> tuple[Run, ...]:

@@ -44,7 +44,7 @@ from diffsim.core.units import to_si
 from diffsim.core.yaml_text import read_yaml_file
 from diffsim.data.formats import split_part
 from diffsim.data.run_files import RunReader
-from diffsim.data.study import Channel, Command, Run, Study
+from diffsim.data.study import Channel, Command, Study
 from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
 
 STUDY_FILE = "study.yaml"
@@ -107,36 +107,30 @@ def load_study(
     if reader.problems:
         raise Mistakes(_prefix_path(path, reader.problems), MAX_LINES)
     try:
-        return _study(path, stated, root, reader, runs)
+        return Study(
+            name=stated.name,
+            system=str((stated.model or {}).get("system") or stated.system),
+            channels=tuple(_channel(c) for c in stated.channels),
+            runs=runs,
+            metadata=stated.metadata,
+            model=stated.model,
+            folder=root if stated.model_folder is None else path.parent / stated.model_folder,
+            commands=tuple(_command(c) for c in stated.commands),
+            file=path,
+            left_out=_left_out(reader, stated, root),
+            todo=stated.todo,
+            allows=stated.allows,
+            export=stated.export,
+            faults=stated.faults,
+            columns=reader.columns,
+            mended=tuple(
+                f"{said} ({list_first([f'run {name}' for name in names])})"
+                for said, names in reader.mended.items()
+            ),
+            stamps=tuple(reader.stamps),
+        )
     except ValueError as error:  # names that stand twice
         raise ValueError(f"{path}: {error}") from error
-
-
-def _study(
-    path: Path, stated: StudyFile, root: Path, reader: RunReader, runs: tuple[Run, ...]
-) -> Study:
-    return Study(
-        name=stated.name,
-        system=str((stated.model or {}).get("system") or stated.system),
-        channels=tuple(_channel(c) for c in stated.channels),
-        runs=runs,
-        metadata=stated.metadata,
-        model=stated.model,
-        folder=root if stated.model_folder is None else path.parent / stated.model_folder,
-        commands=tuple(_command(c) for c in stated.commands),
-        file=path,
-        left_out=_left_out(reader, stated, root),
-        todo=stated.todo,
-        allows=stated.allows,
-        export=stated.export,
-        faults=stated.faults,
-        columns=reader.columns,
-        mended=tuple(
-            f"{said} ({list_first([f'run {name}' for name in names])})"
-            for said, names in reader.mended.items()
-        ),
-        stamps=tuple(reader.stamps),
-    )
 
 
 def _parse_study(path: Path, content: Any) -> StudyFile:

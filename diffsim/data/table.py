@@ -210,17 +210,6 @@ def time_column(path: Path, header: list[str]) -> int:
     return header.index("time_s")
 
 
-def number_of(text: str) -> float:
-    """What a cell says; Python alone takes 1_000 for a thousand.
-
-    Raises:
-        ValueError: no number.
-    """
-    if "_" in text:
-        raise ValueError(f"{text!r} is not a number")
-    return float(text)
-
-
 def parse_number(
     path: Path, line: int, column: str, cell: str, *, missing: str = "nothing was measured"
 ) -> float:
@@ -229,7 +218,7 @@ def parse_number(
     if text == "" or text.lower() in MISSING:
         return math.nan
     try:
-        value = number_of(text)
+        value = float("" if "_" in text else text)  # Python alone takes 1_000
     except ValueError:
         comma = "; use a decimal point" if re.fullmatch(r"-?\d+,\d+", text) else ""
         raise ValueError(
@@ -353,7 +342,7 @@ class Table:
         if name not in self._numbers:
             cells = self.texts(name)
             try:
-                values = np.array([number_of(c) if c else math.nan for c in cells])
+                values = np.array([float("" if "_" in c else c) if c else math.nan for c in cells])
             except ValueError:
                 values = np.array([math.inf])
             if np.isinf(values).any():  # the slow way finds the row
@@ -381,15 +370,19 @@ class Table:
     @cached_property
     def is_number(self) -> dict[str, bool]:
         """Whether a column holds numbers, by name; one without any cell does not."""
-        return {name: self._holds_numbers(name) for name in self.header}
-
-    def _holds_numbers(self, name: str) -> bool:
-        if self._is_array(name):
-            values = self._arrays[name]
-            return values.dtype.kind != "f" or not np.isnan(values).all()
-        if name in self._numbers:
-            return not np.isnan(self._numbers[name]).all()
-        return _all_numbers(self._cells[name])
+        found = dict[str, bool]()
+        for name in self.header:
+            if self._is_array(name) or name in self._numbers:
+                values = self._arrays[name] if self._is_array(name) else self._numbers[name]
+                found[name] = values.dtype.kind != "f" or not np.isnan(values).all()
+                continue
+            filled = [c for c in self._cells[name] if c and c.lower() not in MISSING]
+            try:
+                numbers = [float("" if "_" in c else c) for c in filled]
+            except ValueError:
+                numbers = []
+            found[name] = bool(numbers) and all(map(math.isfinite, numbers))
+        return found
 
     def _is_array(self, name: str) -> bool:
         return name in self._arrays and self._arrays[name].dtype.kind in "biuf"
@@ -436,7 +429,7 @@ class Table:
 def as_label(cell: str) -> float | int | str:
     """A cell as the number that it holds, a whole one where it is whole, or as text."""
     try:
-        value = number_of(cell)
+        value = float("" if "_" in cell else cell)
     except ValueError:
         return cell
     return int(value) if math.isfinite(value) and value == int(value) else value
@@ -542,18 +535,10 @@ def _spread_arrays(path: Path, columns: Columns) -> Columns:
 
 def _is_number(text: str) -> bool:
     try:
-        number_of(text)
+        float("" if "_" in text else text)
     except ValueError:
         return False
     return True
-
-
-def _all_numbers(cells: Sequence[str]) -> bool:
-    filled = [c for c in cells if c and c.lower() not in MISSING]
-    try:
-        return bool(filled) and all(math.isfinite(number_of(c)) for c in filled)
-    except ValueError:
-        return False
 
 
 def _dates(path: Path, lines: list[int], column: str, cells: list[str]) -> Array:

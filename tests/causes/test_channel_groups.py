@@ -141,8 +141,8 @@ def test_a_late_record_is_a_cause_where_runs_begin_in_motion():
         return {e.name for e in setup_of(study).effects}
 
     model = MODEL | {"readings": {"motor": "x"}}
-    study = Study("one", "ode", CHANNELS[:1], runs(), model=model)
-    study = replace(study, runs=tuple(replace(r, measured=r.measured[:, :1]) for r in study.runs))
+    one = tuple(replace(r, measured=r.measured[:, :1]) for r in runs())
+    study = Study("one", "ode", CHANNELS[:1], one, model=model)
     assert "sensor_delay" not in causes(study)  # a late input, exactly
     jumps = [replace(r, command={"speed": 0.1 + r.command["speed"]}) for r in study.runs]
     assert "sensor_delay" not in causes(replace(study, runs=tuple(jumps)))  # from rest

@@ -175,8 +175,8 @@ TIMES = make_study().runs[0].time_s
 SPOILED = {
     "time_s of two dimensions": ({"time_s": TIMES[:, None]}, "time_s must have shape"),
     "no stamp": ({"time_s": np.where(TIMES > 0.5, np.nan, TIMES)}, "time_s of run 'b' must be fin"),
-    "an infinite stamp": ({"time_s": np.append(TIMES[:-1], np.inf)}, "got inf after .* at sample"),
-    "time runs back": ({"time_s": TIMES[::-1]}, "increase, got 0.766667 after 0.8 at sample 1"),
+    "an infinite stamp": ({"time_s": np.append(TIMES[:-1], np.inf)}, "got inf at sample 24"),
+    "time runs back": ({"time_s": TIMES[::-1]}, "increase, got 0.766667 at sample 1"),
     "time in words": ({"time_s": TIMES.astype(str)}, "time_s must be an array of real numbers"),
     "complex time": ({"time_s": 1j * TIMES}, "time_s must be .*, got complex128"),
     "one sample less": ({"measured": np.zeros((24, 2))}, r"measured must have shape \(25, num_ch"),
@@ -214,7 +214,5 @@ def test_a_study_made_by_hand_is_refused_by_the_name_of_what_is_wrong(changes, s
 
 def test_equal_stamps_are_of_no_study():
     run = replace(make_study().runs[1], time_s=np.maximum(TIMES, 0.1))
-    with pytest.raises(
-        ValueError, match=r"time_s of run 'b' must be finite and increase, got 0\.1"
-    ):
+    with pytest.raises(ValueError, match=r"time_s of run 'b' must increase, got 0\.1 twice"):
         replace(make_study(), runs=(run,))
