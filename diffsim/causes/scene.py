@@ -11,7 +11,8 @@ A kind of system adds what its simulator needs beside, and ``simulate``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
@@ -24,7 +25,7 @@ from diffsim.causes.channel_groups import delays_of
 from diffsim.causes.signals import (
     Grid,
     SignalMap,
-    after_zero,
+    after,
     change_rows,
     smoothly_delayed,
 )
@@ -32,7 +33,7 @@ from diffsim.core.check import require_choice
 from diffsim.core.checked import checked
 from diffsim.core.numbers import values_of
 from diffsim.core.torch_names import on_constants
-from diffsim.data.study import Run
+from diffsim.data.study import Command, Run
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -152,14 +153,13 @@ class Commands:
         values: As recorded, (..., width, num_times), in the unit of each command.
         rows: Rows of ``values`` that a name stands for.
         changes: Rows and the maps that change them, in the order in which they act.
-        are_from_zero: Whether all were zero before the run, for ``act`` and ``each_heard``; else
-            they had their first values.
+        before: Values before the run, (width,), NaN where a row had its first one; None: all had.
     """
 
     values: Tensor
     rows: Mapping[str, tuple[int, ...]]
     changes: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
-    are_from_zero: bool = False
+    before: Tensor | None = None
 
     @classmethod
     def named(cls, names: Sequence[str], values: Tensor) -> Commands:
@@ -209,20 +209,25 @@ class Commands:
             parts = [places] if getattr(change, "is_joint", False) else [(k,) for k in places]
             for part in parts:
                 given = torch.stack(torch.broadcast_tensors(*(rows[k] for k in part)), -2)
-                changed = self.act(change, given, grid)
+                changed = self.act(change, given, grid, part)
                 for k, row in zip(part, changed.unbind(-2), strict=True):
                     rows[k] = row
         return rows
 
-    def act(self, change: SignalMap, u: Tensor, grid: Grid) -> Tensor:
+    def act(self, change: SignalMap, u: Tensor, grid: Grid, rows: tuple[int, ...]) -> Tensor:
         """What a change makes of commands, with what they were before the run.
 
         Args:
             change: Function of them and of the grid.
-            u: Commands, (..., num_times).
+            u: Commands, (..., len(rows), num_times).
             grid: Their times.
+            rows: Which they are.
         """
-        return after_zero(u, grid, change) if self.are_from_zero else change(u, grid)
+        return (
+            change(u, grid)
+            if self.before is None
+            else after(u, grid, change, self.before[list(rows)])
+        )
 
     def pass_through(self, values: Tensor, grid: Grid) -> Tensor:
         """What becomes of other values of the commands, such as those of a part of the run.
@@ -232,8 +237,27 @@ class Commands:
             grid: Their times.
         """
         for rows, change in self.changes:
-            values = change_rows(values, rows, change, grid)
+            acting = partial(self._act_on, change, rows)
+            values = change_rows(values, rows, acting, grid)
         return values
+
+    def _act_on(self, change: SignalMap, rows: tuple[int, ...], u: Tensor, grid: Grid) -> Tensor:
+        return self.act(change, u, grid, rows)
+
+
+def before_of(
+    known: Iterable[Command], names: Iterable[str], default: float = math.nan
+) -> Tensor | None:
+    """What commands were before a run, as ``Commands`` has it.
+
+    Args:
+        known: What the study says of its commands.
+        names: Names of the rows.
+        default: Of those of which it says nothing.
+    """
+    stated = {c.name: c.before for c in known if c.before is not None}
+    values = [stated.get(name, default) for name in names]
+    return None if all(map(math.isnan, values)) else torch.tensor(values, dtype=torch.float64)
 
 
 _ZERO = torch.zeros((), dtype=torch.float64)

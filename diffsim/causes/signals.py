@@ -148,18 +148,21 @@ def _alone(u: Tensor, size: Tensor) -> Tensor:
     return u + torch.zeros_like(size)[..., None]
 
 
-def after_zero(u: Tensor, grid: Grid, change: SignalMap) -> Tensor:
-    """A change of signals that were zero until a step before their first time.
+def after(u: Tensor, grid: Grid, change: SignalMap, before: Tensor) -> Tensor:
+    """A change of signals that had other values until a step before their first time.
 
     Args:
         u: Signals, (..., num_times).
         grid: Times of the signals.
         change: What happens to them on their way; alone it takes them to have had their first
             values before.
+        before: These values, (...) or fewer axes that broadcast; NaN: the first one.
     """
     if _is_alone(grid):
         return change(u, grid)
-    longer = torch.cat([torch.zeros_like(u[..., :1]), u], -1)
+    first = u[..., :1]
+    earlier = torch.where(before.isnan()[..., None], first, before[..., None])
+    longer = torch.cat([earlier.expand(first.shape), u], -1)
     return change(longer, grid.begun_earlier)[..., 1:]
 
 

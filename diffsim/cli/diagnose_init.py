@@ -280,6 +280,7 @@ def _command(c: GuessedColumn, guess: Guess) -> dict[str, Any]:
     if c.is_measured:
         return _quantity(c, guess) | filled | {"is_measured": True}
     ends = {"lower": c.lower, "upper": c.upper} if c.lower != c.upper else {}
+    ends["before"] = c.before
     seen = {key: float(f"{v:.4g}") for key, v in ends.items() if v is not None}
     return _quantity(c, guess) | filled | seen
 

@@ -35,6 +35,7 @@ class GuessedColumn:
         sd: Noise of a channel; None: none was seen.
         lower, upper: Ends of what was seen of a command.
         is_measured: Whether a controller gave it out.
+        before: What was commanded before runs begin; None: nothing tells it.
         fill: How a command goes on between samples of its own file.
     """
 
@@ -49,6 +50,7 @@ class GuessedColumn:
     lower: float | None = None
     upper: float | None = None
     is_measured: bool = False
+    before: float | None = None
     fill: str = ""
 
 

@@ -64,6 +64,7 @@ class Command:
         is_measured: Whether it was measured, as the output of a controller is: it differs between
             repeats, and cannot be commanded.
         shown_unit: Unit in which a user reads it, such as "mbar"; None: ``unit``.
+        before: What was commanded before a run begins [unit]; None: its first value.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Command:
     rate: float | None = None
     is_measured: bool = False
     shown_unit: str | None = None
+    before: float | None = None
 
 
 @dataclass(frozen=True)

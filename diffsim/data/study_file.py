@@ -190,14 +190,16 @@ def _choose_shown_unit(entry: ChannelEntry | CommandEntry) -> str | None:
 
 def _command(entry: CommandEntry) -> Command:
     if entry.unit is None:
-        return Command(entry.name, None, entry.lower, entry.upper, entry.rate, entry.is_measured)
+        own = (entry.lower, entry.upper, entry.rate, entry.is_measured)
+        return Command(entry.name, None, *own, before=entry.before)
     si = to_si(entry.unit)
     shown = _choose_shown_unit(entry)
-    lower, upper = (
-        None if v is None else si.factor * v + si.offset for v in (entry.lower, entry.upper)
+    lower, upper, before = (
+        None if v is None else si.factor * v + si.offset
+        for v in (entry.lower, entry.upper, entry.before)
     )
     rate = None if entry.rate is None else si.factor * entry.rate
-    return Command(entry.name, si.unit, lower, upper, rate, entry.is_measured, shown)
+    return Command(entry.name, si.unit, lower, upper, rate, entry.is_measured, shown, before)
 
 
 def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ...]:

@@ -118,7 +118,7 @@ def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
 
 
 def _command(command: Command) -> dict[str, Any]:
-    keys = ("unit", "lower", "upper", "rate", "shown_unit")
+    keys = ("unit", "lower", "upper", "rate", "shown_unit", "before")
     measured = {"is_measured": True} if command.is_measured else {}
     return _collect_given(command, *keys, name=command.name) | measured
 

@@ -226,6 +226,11 @@ class CommandEntry(BoundedSource):
     )
     upper: Number | None = Field(None, description="Largest value that can be commanded, in `unit`")
     rate: Positive | None = Field(None, description="Fastest change, in `unit` per second")
+    before: Number | None = Field(
+        None,
+        description="What was commanded before a run begins, in `unit`: a delay or a limit sees a "
+        "step at its first row; default: a run's first value",
+    )
     fill: FillValue | None = Field(
         None,
         description="Value where a cell is empty: hold (the last one; before the first, the "
@@ -244,7 +249,7 @@ class CommandEntry(BoundedSource):
     @model_validator(mode="before")
     @classmethod
     def _with_units(cls, given: Any) -> Any:
-        values = {"lower": "value", "upper": "value", "fill": "value"}
+        values = dict.fromkeys(("lower", "upper", "fill", "before"), "value")
         return in_own_unit(given, {**values, "offset": "difference", "rate": "rate"})
 
 

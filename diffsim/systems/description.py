@@ -249,12 +249,14 @@ class Description(Part):
     Attributes:
         commands_have_gradients: Whether commands of a run may be tensors, with gradients.
         starts_as_shown: Whether a run without further readings starts as its first one shows.
+        takes_before: Whether commands may say what they were before a run.
         advised: Effort that suits the kind of system.
     """
 
     names_differ: ClassVar[bool] = True
     commands_have_gradients: ClassVar[bool] = False
     starts_as_shown: ClassVar[bool] = False
+    takes_before: ClassVar[bool] = False
     advised: ClassVar[DiagnosisSettings] = DiagnosisSettings()
 
     system: str = Field(description="Kind of system")

@@ -128,6 +128,12 @@ def _setup_without_tests(described: Description, study: Study) -> DiagnosisSetup
 
 def _make(described: Description, study: Study) -> DiagnosisSetup:
     """A setup with laws that were found, those of the study's frame, among the causes."""
+    stated = [c.name for c in study.commands if c.before is not None]
+    if stated and not described.takes_before:
+        raise ValueError(
+            f"commands: before of {', '.join(stated)}: system {described.system} takes the first "
+            "value of a run for what was commanded before; leave it out"
+        )
     found = study.frame.get(LAWS)
     if found and not described.effects.holds(found):
         described = described.model_copy(update={"effects": described.effects.joined(found)})

@@ -8,7 +8,7 @@ import torch
 
 from diffsim.causes.commands import CommandGroup, command_cause
 from diffsim.causes.needs import needs_fine_command
-from diffsim.causes.signals import Grid, after_zero, held_in_steps, in_steps, with_play
+from diffsim.causes.signals import Grid, after, held_in_steps, in_steps, with_play
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
@@ -149,7 +149,9 @@ PLAY = partial(with_play, half_gap=number(0.3))
 LOOK_ALIKES = {
     "dead_band": lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.4, 0.0),
     "saturation": lambda u: np.clip(u, -0.7 * 6.9, 0.7 * 6.9),
-    "backlash": lambda u: after_zero(torch.from_numpy(u), Grid.even(300, DT), PLAY).numpy(),
+    "backlash": lambda u: after(
+        torch.from_numpy(u), Grid.even(300, DT), PLAY, torch.tensor(0.0)
+    ).numpy(),
 }
 
 

@@ -286,3 +286,36 @@ def test_dry_friction_that_the_file_states_is_a_number_of_the_model(tmp_path):
     numbers = yaml.safe_load((folder / "study.yaml").read_text())["model"]["parameters"]
     assert numbers["joint.shoulder.frictionloss"] == {"value": 0.2, "percent": 50}
     assert "joint.elbow.frictionloss" not in numbers
+
+
+@pytest.mark.parametrize("first", [0.4, 0.0])
+def test_what_a_servo_was_told_before_is_where_its_joint_rests(tmp_path, first):
+    """Logs begin with their step: of a delay or a speed limit nothing is seen without what was
+    commanded before."""
+    (tmp_path / "arm.xml").write_text(ARM.format(one="shoulder", two="elbow", more=""))
+    time = 0.02 * np.arange(60)
+    for k, sign in enumerate((1.0, -1.0, 1.5)):
+        late = np.clip(time - 0.06, 0.0, None)
+        moved = sign * 0.4 * (1.0 - np.exp(-late / 0.1))
+        goal = np.full(60, sign * 0.4)
+        if not first:
+            goal = sign * 0.4 * np.sin(4.0 * time)
+        table = np.c_[time, goal, moved]
+        header = "time_s,goal_shoulder_rad,shoulder_rad"
+        np.savetxt(tmp_path / f"step_{k}.csv", table, delimiter=",", header=header, comments="")
+    init(tmp_path)
+    (command,) = yaml.safe_load((tmp_path / "study.yaml").read_text())["commands"]
+    assert command.get("before") == (0.0 if first else None)
+    if not first:
+        return
+    study = load_study(tmp_path / "study.yaml", strict=False)
+    assert study.commands[0].before == 0.0
+    setup = setup_of(study)
+    (late,) = (e for e in setup.effects if e.name == "delay_of_m1")
+    run = study.runs[0]
+    problem = Problem(setup.model, (run,), WhiteNoise(study.channels), (late,))
+    x = np.zeros(len(problem.names))
+    still = problem.record(x)
+    x[-1] = 1.0
+    moved = problem.record(x)
+    assert np.abs(moved - still).max() > 0.01  # a delay of the step with the first row shows

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
 import diffsim.data.study_save as study_save
-from diffsim.data import Channel, Run, Study, load_study, save_study
+from diffsim.data import Channel, Command, Run, Study, load_study, save_study
 from diffsim.data.study_schema import ChannelEntry, CommandEntry
 from diffsim.systems.description import quantity
+from diffsim.systems.registry import setup_of
 
 
 def make_study() -> Study:
@@ -51,6 +53,28 @@ def test_round_trip_is_exact(folder):
         np.testing.assert_array_equal(a.time_s, b.time_s)
         np.testing.assert_array_equal(a.measured, b.measured)  # NaN included
         np.testing.assert_array_equal(a.command["tendon_N"], b.command["tendon_N"])
+
+
+def test_what_was_commanded_before_is_kept_and_only_where_it_acts(tmp_path):
+    text = """
+name: rig
+model: {system: SYSTEM}
+channels: [{name: x, unit: mm}]
+commands: [{name: u, unit: mV, before: -250}]
+runs: [{name: a, file: a.csv}]
+time: {column: t}
+"""
+    (tmp_path / "a.csv").write_text("t,x,u\n0,0,1\n1,1,1\n2,1,1\n")
+    (tmp_path / "study.yaml").write_text(text.replace("SYSTEM", "ode"))
+    study = load_study(tmp_path / "study.yaml", strict=False)
+    assert study.commands[0].before == -0.25
+    again = load_study(save_study(study, tmp_path / "saved"), strict=False)
+    assert again.commands[0].before == -0.25
+    rod = load_study(Path(__file__).parents[1] / "studies" / "rod_in_time")
+    name = next(iter(rod.runs[0].command))
+    stated = replace(rod, commands=(Command(name, before=1.0),))
+    with pytest.raises(ValueError, match=f"before of {name}: system rod takes the first value"):
+        setup_of(stated)
 
 
 def test_a_missing_value_is_an_empty_cell(folder):

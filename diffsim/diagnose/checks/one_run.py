@@ -32,18 +32,18 @@ MOST_RUNS = 12  # that are looked at
 MOST_STEPS = 1e6  # weighted: a sixteenth of a first answer, some four seconds
 STEPS = 5  # of the fit
 NUDGE = 0.01  # sd of a number, for slopes
-FAR = 9.0  # times the squares that the others leave: three times as far
+FAR_SQUARES = 9.0  # times the squares that the others leave: three times as far
 TOLD_SHARE = 0.25  # of a channel's squares, at most, that the others leave
 FAR_SHARE = 0.02  # of a channel's squares: less is no slip
-NEAR = 2.0  # times the squares that the others leave, with the slip mended
+NEAR_SQUARES = 2.0  # times the squares that the others leave, with the slip mended
 CURED = 1e3  # times less squares than with the slip: near, if not as near as others
 FREE = 1e-9  # precision of a run's own numbers
-TWIN = 2.0  # times what the best change leaves: another one explains as much
+TWIN_SQUARES = 2.0  # times what the best change leaves: another one explains as much
 LATEST = 0.25  # of a run: how far a clock may be off
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _RunAsTold:
     """A run as the plain model tells it.
 
     Attributes:
@@ -138,7 +138,7 @@ class _Others:
 
     study: Study
     model: SimModel
-    runs: tuple[_Seen, ...]
+    runs: tuple[_RunAsTold, ...]
     q: Array
     floor: Array
 
@@ -163,7 +163,7 @@ class _Others:
 
     def moved(self, runs: Sequence[Run], q: Array) -> _Others:
         """The same at other numbers."""
-        return replace(self, q=q, runs=tuple(_seen(self.model, run, q) for run in runs))
+        return replace(self, q=q, runs=tuple(_run_as_told(self.model, run, q) for run in runs))
 
     @property
     def left(self) -> Array:
@@ -206,12 +206,12 @@ class _Others:
         if not np.isfinite(level).all():
             return False
         usual = np.array([_usual(self.runs, i) for i in range(len(level))])
-        far = np.fmax(FAR * level, FAR_SHARE * usual)
+        far = np.fmax(FAR_SQUARES * level, FAR_SHARE * usual)
         is_told = level < TOLD_SHARE * usual  # by the others; else nothing is known of it
         left = self.beside(k, seen, level) * level
         return bool(((left > far) & is_told).any())
 
-    def beside(self, k: int, seen: _Seen, level: Array) -> Array:
+    def beside(self, k: int, seen: _RunAsTold, level: Array) -> Array:
         """Squares over the usual ones that a record leaves beside what the other runs tell.
 
         Args:
@@ -241,7 +241,7 @@ class _Others:
         for change in _changes(self, k):
             after = self.after(k, change, level)
             most = float(np.nanmax(before))
-            if after <= max(min(NEAR, most / FAR), most / CURED):
+            if after <= max(min(NEAR_SQUARES, most / FAR_SQUARES), most / CURED):
                 # of a record that is a thousand times too small nothing is left with no command
                 size = np.nanvar(change.measured(seen.run.measured))
                 share = after * float(np.nanmax(level / np.maximum(size, 1e-300)))
@@ -251,7 +251,7 @@ class _Others:
             return None
         found.sort(key=lambda pair: pair[0])
         least, first = found[0]
-        twins = [c.says for a, c in found[1:] if a <= TWIN * least]
+        twins = [c.says for a, c in found[1:] if a <= TWIN_SQUARES * least]
         beside = f" (as well: {'; '.join(twins[:2])})" if twins else ""
         times = float(np.sqrt(np.nanmax(before)))
         return (
@@ -264,9 +264,9 @@ class _Others:
         seen = self.runs[k]
         run = change.of(seen.run)
         if change.commands:
-            seen = _seen(self.model, run, self.q)
+            seen = _run_as_told(self.model, run, self.q)
         else:  # a model may begin where the record does
-            told = _told(self.model, run, torch.from_numpy(self.q)[None])[0]
+            told = _told_by_model(self.model, run, torch.from_numpy(self.q)[None])[0]
             seen = replace(seen, run=run, told=told)
         left = self.beside(k, seen, level)
         return float(np.nanmax(left)) if np.isfinite(left).any() else np.inf
@@ -279,15 +279,15 @@ class _Others:
             if j == k or np.isinf(self.left[j]).any():
                 continue
             before = float(np.nanmax(self.beside(j, seen, level)))
-            if before > FAR:
+            if before > FAR_SQUARES:
                 continue  # at fault itself
             if (now := self.after(j, change, level)) < before:
                 return False
             changed.append(now)
-        return bool(changed) and float(np.mean(changed)) > FAR
+        return bool(changed) and float(np.mean(changed)) > FAR_SQUARES
 
 
-def _seen(model: SimModel, run: Run, q: Array) -> _Seen:
+def _run_as_told(model: SimModel, run: Run, q: Array) -> _RunAsTold:
     """A run at numbers, with slopes along those that act in it."""
     base = model.base
     acting = [i for i, p in enumerate(base) if not p.of_effect and touches(p.name, run)]
@@ -295,14 +295,14 @@ def _seen(model: SimModel, run: Run, q: Array) -> _Seen:
     points = at.repeat(len(acting) + 1, 1)
     for row, i in enumerate(acting):
         points[row + 1, i] += NUDGE
-    slopes, told = np.zeros((*run.measured.shape, len(base))), _told(model, run, points)
+    slopes, told = np.zeros((*run.measured.shape, len(base))), _told_by_model(model, run, points)
     if np.isfinite(told).all():
         slopes[..., acting] = np.moveaxis(told[1:] - told[0], 0, -1) / NUDGE
-        return _Seen(run, told[0], slopes)
-    return _Seen(run, np.full_like(run.measured, np.nan), slopes)
+        return _RunAsTold(run, told[0], slopes)
+    return _RunAsTold(run, np.full_like(run.measured, np.nan), slopes)
 
 
-def _told(model: SimModel, run: Run, points: torch.Tensor) -> Array:
+def _told_by_model(model: SimModel, run: Run, points: torch.Tensor) -> Array:
     """Predictions at points, (num_points, num_samples, num_channels); NaN where there are none."""
     try:
         with torch.no_grad():
@@ -318,7 +318,7 @@ def _noise(runs: Sequence[Run], i: int) -> float:
     return float(np.median(found)) if found else 0.0
 
 
-def _usual(runs: Sequence[_Seen], i: int) -> float:
+def _usual(runs: Sequence[_RunAsTold], i: int) -> float:
     """Mean square of a channel about its mean, in the usual run [unit of the channel, squared]."""
     seen = [seen.run.measured[:, i] for seen in runs]
     found = [float(np.nanvar(x)) for x in seen if np.isfinite(x).any()]

@@ -262,14 +262,14 @@ def factor_of(parts: Sequence[Part], noise: Array) -> tuple[BandVariance, float]
     scores = [own for own in scores if len(own)]
     # of a part, over the factor that the others alone would have given it
     needed = [
-        own / (_held([*scores[:k], *scores[k + 1 :]]) + TINY)
+        own / (_width_held([*scores[:k], *scores[k + 1 :]]) + TINY)
         for k, own in enumerate(scores)
         if len(scores) > 1
     ]
-    return together, _held(scores) * (_held(needed) if needed else 1.0)
+    return together, _width_held(scores) * (_width_held(needed) if needed else 1.0)
 
 
-def _held(scores: Sequence[Array]) -> float:
+def _width_held(scores: Sequence[Array]) -> float:
     """What the wanted share of the scores is at most, each part weighing the same.
 
     Args:

@@ -140,17 +140,17 @@ def _fit_shift(fit: Fit, record: Array, shift: Array) -> tuple[Array, Array]:
         shift: First guess, (num_base,).
     """
     problem = replace(fit.problem, correction=None)
-    left = record - problem.record(_shifted(fit.x, shift))
+    left = record - problem.record(_point_shifted(fit.x, shift))
     for _ in range(SHIFTS):
         moved = shift + _shift(fit, left)
-        after = record - problem.record(_shifted(fit.x, moved))
+        after = record - problem.record(_point_shifted(fit.x, moved))
         if np.linalg.norm(problem.whiten_all(after)) >= np.linalg.norm(problem.whiten_all(left)):
             break
         shift, left = moved, after
     return shift, left
 
 
-def _shifted(x: Array, shift: Array) -> Array:
+def _point_shifted(x: Array, shift: Array) -> Array:
     """A point, (n,), with its base parameters shifted, (num_base,)."""
     return x + np.pad(shift, (0, len(x) - len(shift)))
 
@@ -234,7 +234,7 @@ def carried(
         runs: Runs of its record.
     """
     base = old.problem.model.values
-    x = _shifted(at.x, (old.shift - new.shift).numpy())
+    x = _point_shifted(at.x, (old.shift - new.shift).numpy())
     x[: len(base.low)] = np.clip(x[: len(base.low)], base.low, base.high)
     return replace(at, x=x, record=at.record + new.over(runs) - old.over(runs))
 

@@ -50,7 +50,9 @@ Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
 MAX_MENDED = 3  # fits of the best set, each with better slopes along weak directions
-MOST = 0.5  # of the plain model's misfit, that a cause takes by its slopes to be fitted alone
+MOST_OF_PLAIN = (
+    0.5  # of the plain model's misfit, that a cause takes by its slopes to be fitted alone
+)
 MAX_ALONE = 8  # of these
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 
@@ -156,7 +158,7 @@ def _refit_alone(search: Search, until: float) -> Search:
     several is the best one. Several find their size step by step, each a little: where the misfit
     is large, slopes rank one that does it all behind them, though its own fit would lead there."""
     fit = search.fit_of(NONE)
-    enough = search.nats(Hypothesis()) + MOST * 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
+    enough = search.nats(Hypothesis()) + MOST_OF_PLAIN * 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
     alone = [frozenset({i}) for i in range(len(search.wide.effects))]
     nats = {s: round(search.plain.weigh(s).nats, TIE_DIGITS) for s in alone}
     ranked = sorted((s for s in alone if nats[s] > enough), key=lambda s: -nats[s])

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.readings import with_play_start
-from diffsim.causes.scene import PLAY_START, Commands
+from diffsim.causes.scene import PLAY_START, Commands, before_of
 from diffsim.causes.signals import Grid, late_by
 from diffsim.core.expression import Expression
 from diffsim.core.memo import Memo, memo_field
@@ -211,7 +211,8 @@ def _evaluate_inputs(
     lead = np.broadcast_shapes(*(u.shape for u in found)) if found else (len(grid.times),)
     none = torch.zeros(0, len(grid.times), dtype=torch.float64)
     stacked = torch.stack([u.expand(lead) for u in found], -2) if found else none
-    commands = replace(Commands.named(tuple(system.inputs), stacked), are_from_zero=is_from_zero)
+    stated = before_of(system.study.commands, system.inputs, 0.0 if is_from_zero else math.nan)
+    commands = replace(Commands.named(tuple(system.inputs), stacked), before=stated)
     for name in system.inputs:
         if (late := known.get(f"{name}_delay")) is not None:
             commands = commands.changed((name,), late_by(late[..., None], held=system.held[name]))

@@ -53,6 +53,7 @@ class OdeDescription(FormulaKeys):
     """States with rates, driven by inputs, read by formulas; everything in SI units."""
 
     commands_have_gradients = True
+    takes_before = True
 
     system: Literal["ode"] = Field("ode", description="Kind of system: `ode`")
     states: States = Field(

@@ -8,7 +8,7 @@ from functools import partial
 
 from torch import Tensor
 
-from diffsim.causes.signals import late_by
+from diffsim.causes.signals import SignalMap, late_by
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Channel
 from diffsim.identify.effect import Apply
@@ -167,9 +167,14 @@ def _come_late(
     names: Mapping[str, str], held: Mapping[str, bool], scene: OdeScene, size: Tensor
 ) -> dict[str, Tensor]:
     return {
-        late: scene.commands.act(late_by(size[..., 0], held=held[n]), scene.inputs[n], scene.grid)
+        late: _come_late_by(scene, n, late_by(size[..., 0], held=held[n]))
         for n, late in names.items()
     }
+
+
+def _come_late_by(scene: OdeScene, name: str, change: SignalMap) -> Tensor:
+    rows = scene.commands.rows[name]
+    return scene.commands.act(change, scene.inputs[name][..., None, :], scene.grid, rows)[..., 0, :]
 
 
 def closed_loops(network: Network) -> tuple[str, ...]:

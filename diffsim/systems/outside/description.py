@@ -113,6 +113,8 @@ class EnvironmentKeys(Part):
 class OutsideDescription(Description):
     """A simulator of the user's own: any function, class or Gymnasium environment."""
 
+    takes_before = True
+
     system: Literal["outside"] = Field(description="outside")
     simulator: Annotated[str, PathWords("text", CODE)] = Field(
         description="FILE.py:NAME beside study.yaml, MODULE:NAME, or gym:ID. NAME is a function "

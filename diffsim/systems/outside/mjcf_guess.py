@@ -20,6 +20,8 @@ from diffsim.systems.outside.mjcf import JOINT, JOINT_SENSORS, Mjcf
 
 MAX_FILES = 50  # of the folders beside recordings, that are looked into
 MAX_XML_BYTES = 5_000_000  # of a file that is looked into
+AT_REST = 2  # rows of a run, in which a joint has not moved yet
+STILL = 0.05  # of the way that a joint makes: less is rest
 MASS_PERCENT, DAMPING_PERCENT, GAIN_PERCENT = 10, 50, 20  # of a file that nobody measured
 SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no surprise
 SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same without a drive
@@ -99,6 +101,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     _command_drives(simulator, guess, made)
     channels = _name_channels(simulator, guess, made)
     commands = _name_commands(simulator, guess, made)
+    made.said += _find_before(simulator, channels, commands, guess)
     options = {"model": stated, "held": True, "channels": channels, "commands": commands}
     made.keys = {
         "system": "outside",
@@ -362,6 +365,35 @@ def _places(
             key: float(f"{value:.2g}") for key, value in sizes.items() if value > 0.0
         }
     return out
+
+
+def _find_before(
+    simulator: Any, channels: Mapping[str, str], commands: Mapping[str, str], guess: Guess
+) -> Iterator[str]:
+    """What servos were told before the runs, where their joints begin at rest in one place and the
+    first goals lie elsewhere: that place. A sentence for each."""
+    plain, columns = simulator.plain, {c.name: c for c in guess.those("command")}
+    courses = {name: found for name, found, _, _ in _positions(channels, guess)}
+    for command, actuator in commands.items():
+        i, column = simulator.numbers.find("actuator", actuator, ""), columns[command]
+        joint = _joint_of(plain, i)
+        if plain.actuator_biasprm[i, 1] == 0.0 or joint not in courses:
+            continue
+        times = to_si(column.unit).factor
+        goals = np.array([times * values[0] for values in guess.pieces(column)])
+        seen = [course[np.isfinite(course)] for course in courses[joint]]
+        first = np.array([course[0] for course in seen])
+        moved = max(float(np.abs(course[:AT_REST] - course[0]).max()) for course in seen)
+        reach = max(float(np.ptp(course)) for course in seen)
+        at_rest = max(moved, float(np.ptp(first))) < STILL * reach
+        if at_rest and np.mean(np.abs(goals - first) > STILL * reach) >= 0.5:
+            column.before = float(f"{first.mean() / times:.4g}")
+            if abs(first.mean()) < STILL * reach:
+                column.before = 0.0
+            yield (
+                f"command {command} before the runs: {column.before:g}, where the joint rests "
+                "while first goals lie elsewhere"
+            )
 
 
 def _usual_speed(course: Array, clock: Array) -> float:

@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.ports import SignalChange
-from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
+from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene, before_of
 from diffsim.causes.signals import Grid, SignalMap
 from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
 from diffsim.core.runs import run_each
 from diffsim.core.workers import Processes
-from diffsim.data.study import Run
+from diffsim.data.study import Command, Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import PredictionError
@@ -219,6 +219,7 @@ class OutsideModel(SimModel):
         in_run: Function (values of the base parameters, run) -> values that the simulator gets.
         channels: Names of the channels.
         commands: Names of the commands; a run need not have all of them.
+        known: What is known of commands beyond their samples.
         places: Usual speed of each place where the simulator can add forces, by name.
         clocks: Indices of the channels that are late by a base parameter of that name.
         workers: Processes that simulate side by side; each makes a simulator of its own.
@@ -233,6 +234,7 @@ class OutsideModel(SimModel):
         *,
         channels: Sequence[str],
         commands: Sequence[str] = (),
+        known: Sequence[Command] = (),
         places: Mapping[str, float] | None = None,
         clocks: Mapping[str, tuple[int, ...]] | None = None,
         workers: int = 1,
@@ -243,7 +245,7 @@ class OutsideModel(SimModel):
         self.clocks, self.made = dict(clocks or {}), Records()
         self.source, self.in_run = source, in_run
         self.channels, self.commands, self.workers = tuple(channels), tuple(commands), workers
-        self.places = dict(places or {})
+        self.known, self.places = tuple(known), dict(places or {})
         self.predict_run, self.one_at_a_time = source.make(), Lock()
         if places and "force" not in offers_of(self.predict_run):
             raise ValueError(
@@ -332,7 +334,9 @@ class OutsideModel(SimModel):
             grid=Grid.of(np.asarray(run.time_s, dtype=np.float64), np.inf),
             numbers=self.in_run(values, run),
             zeros=self.zeros,
-            commands=Commands(torch.from_numpy(stacked), rows),
+            commands=Commands(
+                torch.from_numpy(stacked), rows, before=before_of(self.known, run.command)
+            ),
             model=self,
             run=run,
             numerics=numerics,

@@ -91,6 +91,7 @@ def outside_setup(
         in_run,
         channels=names,
         commands=tuple(plant.commands),
+        known=study.commands,
         places={p.name: 1.0 if p.speed is None else p.speed for p in places},
         clocks={key: tuple(names.index(c) for c in own) for key, own in late.items()},
         workers=workers,

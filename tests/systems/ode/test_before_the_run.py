@@ -13,7 +13,7 @@ TIME = STEP * np.arange(200.0)
 LATE = 0.07
 
 
-def shown(command, *, start="0", model=None, **sizes):
+def shown(command, *, start="0", model=None, before=None, **sizes):
     """What x' = (u - x)/tau shows, or another model, with causes of these sizes, (num_samples,)."""
     model = model or {
         "parameters": {"tau": {"value": TAU, "percent": 5}},
@@ -28,7 +28,14 @@ def shown(command, *, start="0", model=None, **sizes):
     )
     values = np.broadcast_to(np.asarray(command, dtype=np.float64), TIME.shape)
     run = Run("a", TIME, np.zeros((len(TIME), len(channels))), {"u": values}, "a")
-    study = Study("steps", "ode", channels, (run,), commands=(Command("u", unit="V"),), model=model)
+    study = Study(
+        "steps",
+        "ode",
+        channels,
+        (run,),
+        commands=(Command("u", unit="V", before=before),),
+        model=model,
+    )
     setup = setup_of(study)
     effects = tuple(e for e in setup.effects if e.name in sizes)
     assert len(effects) == len(sizes)
@@ -61,6 +68,20 @@ def test_what_does_not_rest_at_zero_had_its_first_value(start):
     """At rest with the first value, or in motion with both: late is what it was."""
     steady = shown(1.0, start=start)
     assert shown(1.0, start=start, delay=LATE) == pytest.approx(steady, abs=1e-12)
+
+
+@pytest.mark.parametrize("before", [0.0, -0.5])
+def test_what_was_commanded_before_is_what_comes_late(before):
+    """In motion with both, until what the study states gives way to the step."""
+    late = TIME < LATE
+    held = before + (0.5 - before) * np.exp(-TIME / TAU)
+    at_step = before + (0.5 - before) * np.exp(-LATE / TAU)
+    exact = np.where(late, held, 1.0 + (at_step - 1.0) * np.exp(-(TIME - LATE) / TAU))
+    found = shown(1.0, start="0.5", before=before, delay=LATE)
+    assert found == pytest.approx(exact, abs=1e-6)
+    assert shown(1.0, start="0.5", before=before) == pytest.approx(
+        1.0 - 0.5 * np.exp(-TIME / TAU), abs=1e-6
+    )
 
 
 def test_a_stated_delay_is_one_of_causes():
