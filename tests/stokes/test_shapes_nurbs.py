@@ -163,7 +163,7 @@ def test_distance_is_that_of_dense_sampling(rational):
 def test_between_two_sheets_the_nearer_one_is_found():
     # a flat tunnel, coarsely sampled: the nearest sample is often on the farther sheet
     points = tunnel_points(14) * tensor([1.0, 0.3, 1.0])
-    surface = BSplineSurface(points, ends="stop", samples=(6, 12))
+    surface = BSplineSurface(points, ends="stop", samples=(4, 24))
     p = tensor([0.3, 0.006, 0.5]) * random(15, 150, 3) + tensor([0.35, 0.147, 0.0])
     want = sampled_distance(surface, p, 0.0, 1.0)
     torch.testing.assert_close(surface(p), want, atol=1e-8, rtol=0)
@@ -177,6 +177,32 @@ def test_tangent_ends_against_dense_sampling():
     torch.testing.assert_close(surface(p).abs(), want, atol=1e-8, rtol=0)
     polygon = surface(tensor([[0.5, 0.5, 0.0], [0.5, 0.5, 0.5], [0.95, 0.5, 0.2]]))
     assert (polygon.sign() == tensor([1, 1, -1])).all()
+
+
+@pytest.mark.parametrize(
+    ("samples", "message"),
+    [
+        ((2, 24), r"at least 3 per span along u, which has 8, got \(2, 24\)"),
+        ((3, 6), r"at least 24 per span along v, which has 1, got \(3, 6\)"),
+    ],
+)
+def test_too_few_samples_are_refused(samples, message):
+    """A plate of one span sampled by 2 and 6 was off by 9 % of its size, without a word."""
+    with pytest.raises(ValueError, match=message):
+        BSplineSurface(tunnel_points(3), samples=samples)
+    assert BSplineSurface(tunnel_points(3), samples=(3, 24)).samples == (3, 24)
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("seed", range(4))
+def test_the_fewest_samples_find_what_many_find(seed):
+    line = torch.linspace(0, 1, 4, dtype=F64)
+    x, y = torch.meshgrid(line, line, indexing="ij")
+    plate = torch.stack([x, y, 0.8 * random(60 + seed, 4, 4)], 2)
+    options = {"periodic": (False, False), "fluid": "front", "ends": "stop"}
+    p = random(70 + seed, 200, 3)
+    few, many = (BSplineSurface(plate, samples=(n, n), **options)(p).abs() for n in (24, 60))
+    torch.testing.assert_close(few, many, atol=1e-12, rtol=0)
 
 
 def test_band_changes_only_what_is_far():

@@ -17,6 +17,7 @@ from diffsim.core.yaml_text import load_yaml
 
 Number = float | Tensor
 SIGNAL_LOW, SIGNAL_HIGH = 1000.0, 2000.0  # [us]
+_ROUNDING = 1e-6  # [N], which optimizers leave below zero; the smallest rotors push 0.1 N
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +97,7 @@ class RotorModel:
 
     def speed(self, thrust: Number) -> Tensor:
         """Speed [rad/s] for a thrust [N], any shape; zero for none."""
-        thrust = amounts("thrust", thrust)
+        thrust = _pushing(thrust)
         lift = (thrust - self.thrust_offset) / self.thrust_coefficient
         turning = (thrust > 0.0) & (lift > 0.0)
         # a base of one where standing still: its power has a finite derivative
@@ -118,7 +119,7 @@ class RotorModel:
     @checked
     def current(self, thrust: Number, voltage: Number | None = None) -> Tensor:
         """Current [A] at a thrust [N]; at another voltage [V] the power stays the same."""
-        thrust = amounts("thrust", thrust)
+        thrust = _pushing(thrust)
         turning = thrust > 0.0
         drawn = torch.where(turning, thrust, 1.0) ** self.current_exponent
         current = self.current_coefficient * torch.where(turning, drawn, 0.0) + self.current_offset
@@ -191,6 +192,13 @@ def motor_lag(rotors: Sequence[RotorModel]) -> MotorLag:
     if unknown:
         raise ValueError(f"time_constant of {unknown[0]} is unknown; replace it by yours")
     return MotorLag(time_constants=torch.stack([_tensor(r.time_constant) for r in rotors]))
+
+
+def _pushing(thrust: Number) -> Tensor:
+    """A thrust [N]; a negative one, of a reversed rotor, is refused and does not pass for idle."""
+    return amounts(
+        "thrust", thrust, at_least=-_ROUNDING, hint="unit is N; rotors do not turn backward here"
+    )
 
 
 def _tensor(value: Any) -> Tensor:

@@ -204,6 +204,16 @@ def test_standstill():
     assert float(model.speed(0.0)) == 0.0
 
 
+@pytest.mark.parametrize("name", ["speed", "current", "power", "signal"])
+def test_a_negative_thrust_is_refused(name):
+    """It passed for idle, without a word."""
+    of = getattr(rotor_model("kde2814_10in"), name)
+    with pytest.raises(ValueError, match=r"thrust must lie in .*got -0\.5; .*do not turn backward"):
+        of(torch.tensor([1.0, -0.5], dtype=torch.float64))
+    # what an optimizer leaves below zero is none
+    assert float(of(-1e-9)) == float(of(0.0))
+
+
 def test_effects_of_models():
     rotors = [rotor_model("kde2814_10in"), rotor_model("kde2814_14in")]
     assert motor_lag(rotors).time_constants.tolist() == [0.05, 0.05]
