@@ -26,7 +26,7 @@ from diffsim.mesh.core import HexMesh, TetMesh
 from diffsim.mesh.reference import VTK_FROM_HEX
 from diffsim.mesh.repair import remove_unreferenced_nodes
 from diffsim.mesh.surface import to_trimesh
-from diffsim.mesh.surface_check import check_file, check_indices
+from diffsim.mesh.surface_check import check_file, check_finite, check_indices
 from diffsim.mesh.volume_files import MESHIO_FORMATS, USD_FORMATS, VolumeFile, read_meshio
 
 if TYPE_CHECKING:
@@ -122,11 +122,16 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     import trimesh
 
     check_file(path)
+    content, kind = path.read_bytes(), path.suffix[1:].lower()
     try:
         # of bytes, so that no other file is looked for: buffers, materials, pictures
-        surface = trimesh.load_mesh(
-            io.BytesIO(path.read_bytes()), file_type=path.suffix[1:].lower()
-        )
+        as_it_is = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
+        if isinstance(as_it_is, trimesh.Trimesh):  # NaN is dropped below, -1 counts from the end
+            check_indices(np.asarray(as_it_is.faces, np.int64), np.asarray(as_it_is.vertices))
+            check_finite(np.asarray(as_it_is.vertices))
+        surface = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
+    except MeshError as error:
+        raise MeshError(f"{path}: {error}", error.indices) from None
     except IndexError as error:
         raise MeshError(
             f"{path} could not be read: a face has a vertex that there is not ({error}), or the "
@@ -140,10 +145,6 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
         surface = surface.to_mesh()
     if not isinstance(surface, trimesh.Trimesh) or len(surface.faces) == 0:
         raise MeshError(f"{path} holds no triangles")
-    try:
-        check_indices(np.asarray(surface.faces, np.int64), np.asarray(surface.vertices))
-    except MeshError as error:
-        raise MeshError(f"{path}: {error}", error.indices) from None
     surface.apply_scale(scale)
     return surface
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import MeshError
+from diffsim.mesh.surface_text import check_obj, check_off, check_ply
 
 _STL_HEADER, _STL_TRIANGLE = 84, 50  # bytes of a binary STL
-_ZERO_INDEX = re.compile(rb"^f\b[^\n]*[ \t]0+(?=[/\s]|$)", re.MULTILINE)
+_TEXTS = {".obj": check_obj, ".off": check_off, ".ply": check_ply}
 _AGAIN = "copy or export the file again"
 
 
@@ -22,7 +22,7 @@ def check_file(path: Path) -> None:
         path: An existing file of a surface.
 
     Raises:
-        MeshError: empty, cut off, or with a face index that the format does not know.
+        MeshError: empty, cut off, or wrong in a line, which is named.
     """
     content = path.read_bytes()
     if not content:
@@ -30,11 +30,10 @@ def check_file(path: Path) -> None:
     suffix = path.suffix.lower()
     if suffix == ".stl":
         _check_stl(path, content)
-    elif suffix == ".off":
-        _check_off(path, content)
-    elif suffix == ".obj" and (zero := _ZERO_INDEX.search(content)):
-        line = content[: zero.start()].count(b"\n") + 1
-        raise MeshError(f"{path}, line {line}: a face has vertex 0, but OBJ counts from 1")
+    elif suffix in _TEXTS:
+        if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise MeshError(f"{path} is text in UTF-16; save it in UTF-8")
+        _TEXTS[suffix](path, content)
 
 
 def check_indices(faces: IntArray, x: Array) -> None:
@@ -49,6 +48,21 @@ def check_indices(faces: IntArray, x: Array) -> None:
         raise MeshError(
             f"faces must hold indices of the {len(x)} vertices in [0, {len(x)}), but "
             f"{len(bad)} of {len(faces)} do not: face {bad[0]} is {worst}",
+            tuple(int(i) for i in bad[:1000]),
+        )
+
+
+def check_finite(x: Array) -> None:
+    """Refuse vertices that are no numbers, which a reader drops with their faces.
+
+    Raises:
+        MeshError: such a vertex; ``indices`` holds them.
+    """
+    bad = np.flatnonzero(~np.isfinite(x).all(axis=1))
+    if len(bad):
+        raise MeshError(
+            f"{len(bad)} of {len(x)} vertices are not finite: vertex {bad[0]} is "
+            f"{x[bad[0]].tolist()}",
             tuple(int(i) for i in bad[:1000]),
         )
 
@@ -70,20 +84,4 @@ def _check_stl(path: Path, content: bytes) -> None:
         raise MeshError(
             f"{path} is cut off: its header says {count} triangles, {size} bytes, but there are "
             f"{there}, {len(content)} bytes; {_AGAIN}"
-        )
-
-
-def _check_off(path: Path, content: bytes) -> None:
-    """The counts of the header against the lines that follow."""
-    lines = [line.split(b"#")[0].split() for line in content.splitlines()]
-    words = [line for line in lines if line]
-    head = words[0][1:] if len(words[0]) > 1 else (words[1] if len(words) > 1 else [])
-    if len(head) < 2 or not (head[0].isdigit() and head[1].isdigit()):
-        return  # a variant that only its reader knows
-    wanted = int(head[0]) + int(head[1])
-    there = len(words) - (1 if len(words[0]) > 1 else 2)
-    if there < wanted:
-        raise MeshError(
-            f"{path} is cut off: its header says {int(head[0])} vertices and {int(head[1])} faces, "
-            f"but {there} lines follow; {_AGAIN}"
         )

@@ -171,7 +171,9 @@ def test_edges():
 @pytest.mark.parametrize("make", [m.hex_box, m.tet_box])
 def test_meshes_whose_volume_has_no_room_are_refused(make):
     """Cubes of 1e-160 m had volumes of 0.0."""
-    for length in (1e-160, 1e-108, 1e-89, 1e101):
+    with pytest.raises(ValueError, match=r"size\[0\] must lie in \[1e-130, inf\), got 1e-160"):
+        make((2, 1, 1), (1e-160,) * 3)
+    for length in (1e-108, 1e-89, 1e101):
         with pytest.raises(MeshError, match="longest side must lie between 1e-88 and 1e\\+100"):
             make((2, 1, 1), (length, length, length))
     small = make((2, 1, 1), (1e-87,) * 3)
