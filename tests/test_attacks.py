@@ -2,7 +2,8 @@
 
 Others stand where they belong: keys that name files in tests/test_stated_paths.py, counts and
 widths in tests/test_hostile_counts.py, other files in tests/test_strangers_files.py and
-tests/data/test_hostile_recordings.py, pages in tests/viz/test_serve_attacks.py, derivatives in
+tests/data/test_hostile_recordings.py, meshes in tests/mesh/test_vtu_size.py and
+tests/mesh/test_surface_files.py, pages in tests/viz/test_serve_attacks.py, derivatives in
 tests/test_derivatives.py, spoiled arguments in tests/test_arguments.py, tests/test_fuzz.py and
 tests/test_signatures.py, units, formulas and Ctrl-C within kernels in tests/core; errors drawn at
 random are planted by benchmarks.planted_errors.

@@ -19,6 +19,7 @@ from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import MeshError
 from diffsim.core.xml_text import refuse_document_type
 from diffsim.mesh.reference import HEX_FROM_VTK
+from diffsim.mesh.vtu_size import require_unpacked
 
 MESHIO_FORMATS = {
     ".vtu": "vtu",
@@ -74,6 +75,7 @@ def read_meshio(path: Path, file_format: str) -> VolumeFile:
     try:
         if file_format == "vtu":
             refuse_document_type(path)
+            require_unpacked(path)
         # meshio.read itself prints what is wrong, and ends the program
         content = getattr(meshio, file_format).read(path)
     except (Exception, SystemExit) as error:
