@@ -158,9 +158,12 @@ def test_laws_that_share_a_budget_have_what_is_left_of_it():
 )
 def test_no_law_is_looked_for_in_what_the_study_says_to_be_noise(verdict, left, has_room):
     """A law took the place of a chamber's ballooning: 0.01 of the noise sd less was left by it."""
-    frozen = SimpleNamespace(verdict=verdict, left=left)
+    frozen = SimpleNamespace(verdict=verdict, left=left, gates=())
     answer = diagnosis._Answer(frozen, SimpleNamespace())  # type: ignore[arg-type]
     assert answer.lacks_something is has_room
+    # nor where fitted runs contradict each other
+    frozen.gates = (SimpleNamespace(name=diagnosis.CONTRADICTED),)
+    assert not answer.lacks_something
 
 
 def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
