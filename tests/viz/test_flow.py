@@ -57,6 +57,23 @@ def test_slices_and_view_of_three_dimensions(tmp_path):
     flow.save(flow.compare([("tube", field)], plane=("x", 1.0)), tmp_path / "plane.svg")
 
 
+@pytest.mark.parametrize("size", [0.02, 2.0])
+def test_short_sides_of_a_view_have_few_labels(size):
+    """At any size: a side of 0.2 of the longest has its ends alone, others more."""
+    grid = Grid((20, 10, 4), size=(size, 0.5 * size, 0.2 * size))
+    away = (grid.nodes[..., 1:] - grid.nodes.new_tensor([0.25, 0.1]) * size).norm(dim=-1)
+    velocity = torch.zeros(1, *grid.node_shape, 3, dtype=torch.float64)
+    velocity[..., 0] = 1.0
+    zero = torch.zeros(1, *grid.shape, dtype=torch.float64)
+    open_ = torch.ones(grid.shape, dtype=torch.float64)
+    field = FlowField(grid, 0.08 * size - away, velocity, zero, open_, {})
+    ax = flow.view([("tube", field)], lines=2).axes[0]
+    ticks = [
+        len(a.get_major_locator().tick_values(0.0, 1.0)) for a in (ax.xaxis, ax.yaxis, ax.zaxis)
+    ]
+    assert ticks[0] == ticks[1] > 2 == ticks[2]
+
+
 def test_wrong_arguments_say_what_to_do():
     with pytest.raises(ValueError, match="in 3D, got 2D"):
         flow.slices(channel(2))
