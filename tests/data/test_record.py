@@ -10,6 +10,7 @@ import yaml
 from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
 from diffsim.data.record.columns import find_units
+from diffsim.data.record.shapes import _flat_at
 from diffsim.data.record.signals import Record, Samples, Signal
 from diffsim.data.study import Study
 from diffsim.data.study_check import check_study
@@ -120,6 +121,15 @@ def test_the_range_of_a_flat_top_is_in_si_units_where_signs_are_turned(tmp_path,
     low, top = (float(end) for end in re.search(r": \[(\S+), (\S+)\]", said).groups())
     end = sign * np.deg2rad(high)
     assert (low, top) == pytest.approx((-1e9, end) if sign > 0.0 else (end, 1e9), rel=1e-4)
+
+
+@pytest.mark.parametrize(("longest", "is_flat"), [(7, False), (8, True)])
+def test_a_flat_top_of_one_stretch_has_eight_samples(longest, is_flat):
+    rng, time = np.random.default_rng(6), 0.01 * np.arange(300.0)
+    values = 0.9 * np.sin(4.0 * time) + rng.normal(0.0, 0.01, len(time))
+    values[100 : 100 + longest] = values[[20, 200]] = 1.5
+    seen = Signal("q", "channel", "q", "m", (Samples("a", np.arange(300), time, values),))
+    assert (_flat_at(seen, 1.5) is not None) is is_flat
 
 
 def test_a_folded_angle_gets_its_sign_back(tmp_path):
