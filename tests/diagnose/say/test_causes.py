@@ -18,7 +18,7 @@ from diffsim.diagnose.judge.left_out import folds_of
 from diffsim.diagnose.judge.preconditions import singled_out
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
-from diffsim.diagnose.say.causes import CauseEvidence, _is_hollow, _rise_without
+from diffsim.diagnose.say.causes import CauseEvidence, _finding_row, _is_hollow, _rise_without
 from diffsim.diagnose.say.headline import _on_unseen, first_of, headline
 from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
@@ -454,6 +454,21 @@ def test_what_is_left_is_the_noise_that_sizes_must_show_above():
     least = found["push"].smallest_visible["size"]  # a fit's prior narrows it by a third of 1 %
     assert least == pytest.approx(report.left * screened["push"], rel=0.01)
     assert f"Of what is left, {report.left:.2g} times the noise." in found["push"].note
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("sd", "doubts", "status"),
+    [(0.4, (), "certain"), (0.8, (), "likely"), (0.4, ("few runs",), "likely")],
+)
+def test_a_data_sheet_is_certain_where_its_whole_interval_is_beyond_the_limit(
+    sign, sd, doubts, status
+):
+    """At 4 of its sd, where 3 are the limit: 1.645 * 0.4 less is beyond it, 1.645 * 0.8 is not."""
+    row = BaseRow("m", "mass", "kg", 1 + 0.4 * sign, 0.1 * sd, 0.0, 2.0, 1.0, 0.1, 4.0 * sign, 3.0)
+    judgment = SimpleNamespace(decision=SimpleNamespace(verdict="none", forms={}))
+    known = CauseEvidence(judgment, None, None, (), frozenset(), {}, doubts_of_names=doubts)
+    assert _finding_row(known, row).status == status
 
 
 @pytest.mark.parametrize(("left", "fits"), [(1.0, ()), (3.0, ()), (3.0, ({1},))])
