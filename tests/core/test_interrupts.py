@@ -98,7 +98,14 @@ def fly_long():
     return lambda: fly(vehicle, start, commands, dt=1.0, substeps=50_000_000)
 
 
-@pytest.mark.parametrize("prepare", [solve, gradient_of_solve, fly_long])
+def fly_many():
+    vehicle = load_design("quadcopter").multicopter()
+    commands = torch.full((16, 2, vehicle.num_rotors), 1.0, dtype=torch.float64)
+    start = FlightState.at_rest(torch.zeros(16, 3, dtype=torch.float64))
+    return lambda: fly(vehicle, start, commands, dt=1.0, substeps=50_000_000, num_threads=2)
+
+
+@pytest.mark.parametrize("prepare", [solve, gradient_of_solve, fly_long, fly_many])
 def test_ctrl_c_is_heard_within_a_long_kernel(prepare):
     """A flight of 10^8 steps was interrupted when it had ended, after minutes."""
     call = prepare()
