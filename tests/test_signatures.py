@@ -32,6 +32,7 @@ from tests.test_arguments import CHECKED, RAW, Thing
 
 ELSEWHERE = {
     "made and called by a model, at each run that it simulates": [
+        r"^identify\.Effect\.act$",
         r"^(causes|systems\.\w+)\.\w*Scene\.(?!with_[acfhpns]|find|deliv|simulate)",
         r"^systems\.outside\.PlaceForces\.",
         r"^causes\.(OwnRow|Plant)\.",
@@ -66,7 +67,7 @@ ANYTHING = {
     *(f"{name}.run" for name in ("cost", "scene", "shape_at", "shape_of", "num_fitted_inside")),
     *(f"{name}.run" for name in ("predict", "predict_many", "simulate_many", "tangents")),
     *("note_derivatives.run", "note_simulations.run"),  # a model's own kind of run
-    *("act.scene", "tangents.at", "find_file.stated"),
+    *("tangents.at", "find_file.stated"),
 }
 """Arguments of any kind, or of classes that are known to a type checker alone."""
 

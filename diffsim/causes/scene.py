@@ -162,16 +162,28 @@ class Commands:
     before: Tensor | None = None
 
     @classmethod
-    def named(cls, names: Sequence[str], values: Tensor) -> Commands:
+    def named(
+        cls,
+        names: Sequence[str],
+        values: Tensor,
+        known: Iterable[Command] = (),
+        default: float = math.nan,
+    ) -> Commands:
         """A name for each row of the values; a name may stand for several, "" is no name.
 
         Args:
             names: Name of each row.
             values: (..., width, num_times).
+            known: What the study says of its commands: their values before the run.
+            default: Of those of which it says nothing; NaN: the first one.
         """
-        known = dict.fromkeys(name for name in names if name)
-        found = {name: tuple(i for i, own in enumerate(names) if own == name) for name in known}
-        return cls(values, found)
+        rows = dict.fromkeys(name for name in names if name)
+        found = {name: tuple(i for i, own in enumerate(names) if own == name) for name in rows}
+        stated = {c.name: c.before for c in known if c.before is not None}
+        earlier = [stated.get(name, default) for name in names]
+        if all(map(math.isnan, earlier)):
+            return cls(values, found)
+        return cls(values, found, before=torch.tensor(earlier, dtype=torch.float64))
 
     def changed(self, names: Sequence[str], change: SignalMap) -> Commands:
         """The commands with one more map on their way.
@@ -243,21 +255,6 @@ class Commands:
 
     def _act_on(self, change: SignalMap, rows: tuple[int, ...], u: Tensor, grid: Grid) -> Tensor:
         return self.act(change, u, grid, rows)
-
-
-def before_of(
-    known: Iterable[Command], names: Iterable[str], default: float = math.nan
-) -> Tensor | None:
-    """What commands were before a run, as ``Commands`` has it.
-
-    Args:
-        known: What the study says of its commands.
-        names: Names of the rows.
-        default: Of those of which it says nothing.
-    """
-    stated = {c.name: c.before for c in known if c.before is not None}
-    values = [stated.get(name, default) for name in names]
-    return None if all(map(math.isnan, values)) else torch.tensor(values, dtype=torch.float64)
 
 
 _ZERO = torch.zeros((), dtype=torch.float64)

@@ -235,7 +235,7 @@ class Study:
                 twice = next(one for one in names if names.count(one) > 1)
                 raise ValueError(f"{name} must have different names, got {twice!r} more than once")
         for run in self.runs:
-            if run.measured.shape[1] != len(self.channels):
+            if self.channels and run.measured.shape[1] != len(self.channels):
                 raise ValueError(
                     f"measured of run {run.name!r} must have a column for each of "
                     f"{len(self.channels)} channels, got shape {run.measured.shape}"

@@ -18,7 +18,6 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice
-from diffsim.core.checked import checked
 from diffsim.data.study import Run, Study
 from diffsim.identify.law import Shape
 from diffsim.identify.locate import Course, Proposal
@@ -133,7 +132,6 @@ class Effect:
         if not self.typical > 0.0:
             raise ValueError(f"effect {self.name}: typical must be above 0, got {self.typical:g}")
 
-    @checked(kinds_only=True)
     def act(self, scene: Any, size: Tensor, run: Run, values: Mapping[str, Tensor]) -> Any:
         """The scene with the effect at a size.
 

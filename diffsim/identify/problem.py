@@ -256,24 +256,23 @@ class Problem(Coordinates, WhitenedRuns):
         """Weighted steps of one simulation of all runs."""
         return sum(self.model.cost(run, self.numerics) for run in self.runs)
 
-    def num_columns(self) -> float:
-        """Number of coordinates that move the record: one of a single run counts by its share of
-        the cost."""
+    @checked(kinds_only=True)
+    def cost_of_table(self, more: float = 0.0, *, each: float | None = None) -> float:
+        """Weighted steps of simulations along all coordinates that move a run, and of one more.
+
+        Args:
+            more: Further points of all runs.
+            each: Whole simulations along each coordinate; None: one, in a batch where there are.
+        """
         there = {name for e in self.effects for name in e.shapes}
         idle = {p.name for p in self.model.base if p.of_effect} - there
         moving = [name for name in self.names if name not in idle]
-        costs = {run.name: self.model.cost(run, self.numerics) for run in self.runs}
-        felt = sum(costs[run.name] * sum(touches(n, run) for n in moving) for run in self.runs)
-        return felt / sum(costs.values())
-
-    @checked(kinds_only=True)
-    def cost_of_many(self, number: float) -> float:
-        """Weighted steps of simulations at a number of points and of one more, of all runs."""
-        return self.cost() * (1.0 + number * (TOGETHER if self.model.batched else 1.0))
-
-    def cost_of_slopes(self) -> float:
-        """Weighted steps of central differences along all coordinates that move a run."""
-        return self.cost() * (1.0 + 2.0 * self.num_columns())
+        times = (TOGETHER if self.model.batched else 1.0) if each is None else each
+        return sum(
+            self.model.cost(run, self.numerics)
+            * (1.0 + times * (more + sum(touches(name, run) for name in moving)))
+            for run in self.runs
+        )
 
     @checked(kinds_only=True)
     def records(self, points: Array) -> Array:

@@ -53,7 +53,7 @@ def check_obj(path: Path, content: bytes) -> None:
     for what, wrong in _OBJ_WRONG.items():
         if found := wrong.search(content):
             line = content[: found.start()].count(b"\n") + 1
-            raise MeshError(f"{path}, line {line}: {what}, got {_shown(found[0])}")
+            raise MeshError(f"{path}, line {line}: {what}, got {_line_shown(found[0])}")
 
 
 def check_off(path: Path, content: bytes) -> None:
@@ -65,7 +65,7 @@ def check_off(path: Path, content: bytes) -> None:
     rows = _rows(content.splitlines(), 1)
     first = rows[0][1] if rows else [b""]
     if not first[0].upper().endswith(b"OFF"):
-        raise MeshError(f"{path}, line 1: OFF files begin with 'OFF', got {_shown(first[0])}")
+        raise MeshError(f"{path}, line 1: OFF files begin with 'OFF', got {_line_shown(first[0])}")
     if b"BINARY" in first:
         return  # only its reader knows it
     start = 1 if len(first) > 1 else 2
@@ -74,7 +74,7 @@ def check_off(path: Path, content: bytes) -> None:
     if len(counts) < 2 or min(counts) < 0:
         raise MeshError(
             f"{path}: its header must give the counts of vertices and faces as whole numbers, got "
-            f"{_shown(b' '.join(head))}"
+            f"{_line_shown(b' '.join(head))}"
         )
     vertices, faces = counts
     _check_room(path, rows[start:], {"vertices": vertices, "faces": faces})
@@ -115,7 +115,9 @@ def check_ply(path: Path, content: bytes) -> None:
     """
     end = re.search(rb"^end_header[ \t]*(?:\r\n|\n|\r)", content, re.MULTILINE)
     if content[:3] != b"ply":
-        raise MeshError(f"{path}, line 1: PLY files begin with 'ply', got {_shown(content[:20])}")
+        raise MeshError(
+            f"{path}, line 1: PLY files begin with 'ply', got {_line_shown(content[:20])}"
+        )
     if end is None:
         raise MeshError(f"{path} is cut off: its header has no 'end_header'; {_AGAIN}")
     lines = content[: end.end()].splitlines()
@@ -166,7 +168,7 @@ def _ply_header(path: Path, lines: Sequence[bytes]) -> tuple[list[_Element], byt
                 name = words[-1].decode("latin-1")
                 elements[-1].sizes[name] = tuple(_SIZES[k] for k in kinds)
         if wrong:
-            raise MeshError(f"{path}, line {number}: {wrong}, got {_shown(b' '.join(words))}")
+            raise MeshError(f"{path}, line {number}: {wrong}, got {_line_shown(b' '.join(words))}")
     if not kind:
         raise MeshError(f"{path}: its header has no line 'format'")
     return elements, kind
@@ -192,7 +194,7 @@ def _check_vertices(path: Path, rows: Sequence[Row], places: Sequence[int]) -> N
         if len(row) <= last or not all(_IS_NUMBER(row[place]) for place in places):
             raise MeshError(
                 f"{path}, line {number}: a vertex needs three finite numbers, got "
-                f"{_shown(b' '.join(row))}"
+                f"{_line_shown(b' '.join(row))}"
             )
 
 
@@ -204,7 +206,7 @@ def _check_faces(path: Path, rows: Sequence[Row], num_vertices: int) -> None:
         if count < 3 or len(indices) < count or min(indices) < 0:
             raise MeshError(
                 f"{path}, line {number}: a face needs a count of at least 3 and as many whole "
-                f"numbers of vertices, got {_shown(b' '.join(row))}"
+                f"numbers of vertices, got {_line_shown(b' '.join(row))}"
             )
         if (worst := max(indices)) >= num_vertices:
             raise MeshError(
@@ -218,7 +220,7 @@ def _whole(word: bytes) -> int:
     return int(word) if word.isdigit() and len(word) <= _MOST_DIGITS else -1
 
 
-def _shown(text: bytes) -> str:
+def _line_shown(text: bytes) -> str:
     return repr(text[:_MOST_SHOWN].decode("latin-1").strip())
 
 

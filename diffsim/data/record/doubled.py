@@ -19,6 +19,8 @@ def find_doubled(record: Record) -> Iterator[Finding]:
     """Runs with rows that stand twice, in all of their columns."""
     for run in record.study.runs:
         columns = [*run.measured.T, *(v for v in run.command.values() if len(v) == len(run.time_s))]
+        if not columns:
+            continue
         rows = np.column_stack(columns)
         if len(rows) < 4 * STRETCH:
             continue

@@ -371,7 +371,7 @@ def check_numerics(null: Null) -> RefinedNull | None:
         )
         if names_of_failed(found) and not could_be_misfit(null.fit, gates):
             break
-        table = replace(null.wide, numerics=numerics).cost_of_many(null.wide.num_columns())
+        table = replace(null.wide, numerics=numerics).cost_of_table()
         if table > TABLE_SHARE * settings.search.refit_steps:
             return None
         changes, gates = finer, found

@@ -45,14 +45,14 @@ def is_prior_too_dear(
         with_scans: Whether they with all scans would take what is for both and fits from there.
     """
     wide, spent = simulations.wide, simulations.scan_steps
-    count, share = wide.num_columns(), FROM_PRIOR if with_scans else 1.0
+    points, share = 0, FROM_PRIOR if with_scans else 1.0
     left = min(settings.scan_steps - spent, share * settings.refit_steps)
     if with_scans:
         tried = groups(wide.effects, NONE, settings.max_effects)
         points = sum(num_points([wide.effects[i] for i in group]) for group in tried)
-        count += min(points, settings.scan_points)
+        points = min(points, settings.scan_points)
     is_made = bool(simulations.prior_scans) if with_scans else simulations.at_prior is not None
-    return not is_made and wide.cost_of_many(count) > left
+    return not is_made and wide.cost_of_table(points) > left
 
 
 def center_at_prior(

@@ -201,7 +201,7 @@ def iterated(
     ended: Ended = "budget"
     evaluations, message = 0, f"no end after {MAX_STEPS} steps"
     # steps by the slopes that are there are cheap where slopes are not: as many as new ones cost
-    last = until + (problem.cost_of_slopes() if slopes_are_simulated(model) else 0.0)
+    last = until + (problem.cost_of_table(each=2.0) if slopes_are_simulated(model) else 0.0)
     for _ in range(MAX_STEPS):
         is_spent = model.simulations.steps > until
         if model.simulations.steps > last:

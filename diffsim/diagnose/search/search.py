@@ -219,7 +219,7 @@ def refit(
     most = max(turn, LEAST_RECORDS * search.wide.cost())
     narrow = search.simulations.narrow(members)
     if slopes_are_simulated(narrow.model):
-        most = max(most, LEAST_SLOPES * narrow.cost_of_slopes())
+        most = max(most, LEAST_SLOPES * narrow.cost_of_table(each=2.0))
     most = min(search.null.case.settings.plain_steps, most)
     for center in starts if begin is None else starts[:1]:
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.readings import with_play_start
-from diffsim.causes.scene import PLAY_START, Commands, before_of
+from diffsim.causes.scene import PLAY_START, Commands
 from diffsim.causes.signals import Grid, late_by
 from diffsim.core.expression import Expression
 from diffsim.core.memo import Memo, memo_field
@@ -211,8 +211,8 @@ def _evaluate_inputs(
     lead = np.broadcast_shapes(*(u.shape for u in found)) if found else (len(grid.times),)
     none = torch.zeros(0, len(grid.times), dtype=torch.float64)
     stacked = torch.stack([u.expand(lead) for u in found], -2) if found else none
-    stated = before_of(system.study.commands, system.inputs, 0.0 if is_from_zero else math.nan)
-    commands = replace(Commands.named(tuple(system.inputs), stacked), before=stated)
+    names, default = tuple(system.inputs), 0.0 if is_from_zero else math.nan
+    commands = Commands.named(names, stacked, system.study.commands, default)
     for name in system.inputs:
         if (late := known.get(f"{name}_delay")) is not None:
             commands = commands.changed((name,), late_by(late[..., None], held=system.held[name]))

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.ports import SignalChange
-from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene, before_of
+from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import Grid, SignalMap
 from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
@@ -326,17 +326,15 @@ class OutsideModel(SimModel):
     def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics
     ) -> OutsideScene:
-        rows: dict[str, tuple[int, ...]] = dict.fromkeys(self.commands, ())
-        rows |= {name: (i,) for i, name in enumerate(run.command)}
         columns = [np.asarray(v, dtype=np.float64) for v in run.command.values()]
         stacked = np.stack(columns) if columns else np.zeros((0, len(run.time_s)))
+        heard = Commands.named(tuple(run.command), torch.from_numpy(stacked), self.known)
+        none: dict[str, tuple[int, ...]] = dict.fromkeys(self.commands, ())
         return OutsideScene(
             grid=Grid.of(np.asarray(run.time_s, dtype=np.float64), np.inf),
             numbers=self.in_run(values, run),
             zeros=self.zeros,
-            commands=Commands(
-                torch.from_numpy(stacked), rows, before=before_of(self.known, run.command)
-            ),
+            commands=replace(heard, rows={**none, **heard.rows}),
             model=self,
             run=run,
             numerics=numerics,

@@ -47,7 +47,7 @@ def test_a_coarse_time_step_is_refined_until_it_passes():
 def test_settings_whose_slopes_would_take_a_search_are_not_used():
     """Then finer simulations correct the coarse ones instead."""
     null = null_fit(case())
-    table = null.wide.cost_of_many(len(null.wide.names))
+    table = null.wide.cost_of_table()
     search = replace(QUICK.search, refit_steps=5.0 * table)  # refined by two: half of it
     settings = replace(QUICK, search=search)
     assert check_numerics(replace(null, case=replace(null.case, settings=settings))) is None

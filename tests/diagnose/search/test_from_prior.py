@@ -116,7 +116,7 @@ def table_of(search: Search) -> float:
     """Weighted steps that slopes of all causes are taken to cost; half of a budget is for them and
     for the fits from there."""
     wide = search.wide
-    return wide.cost_of_many(len(wide.names))
+    return wide.cost_of_table()
 
 
 def test_a_single_cause_that_takes_most_is_fitted_before_several_are_the_answer(monkeypatch):

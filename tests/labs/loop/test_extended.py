@@ -25,7 +25,11 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("starfish")
     study = fitted_starfish(folder)
     model = Starfish(rtol=1e-8).extended(folder, study)
-    return model, {p.name: p.value for p in model.parameters}, Twin.read(folder, study, PULL).saved
+    return (
+        model,
+        {p.name: p.value for p in model.parameters},
+        Twin.read(folder, study, 0.01 * np.arange(len(PULL))).saved,
+    )
 
 
 def test_causes_become_parameters_with_the_files_posterior(made):
