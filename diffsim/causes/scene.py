@@ -221,25 +221,23 @@ class Commands:
             parts = [places] if getattr(change, "is_joint", False) else [(k,) for k in places]
             for part in parts:
                 given = torch.stack(torch.broadcast_tensors(*(rows[k] for k in part)), -2)
-                changed = self.act(change, given, grid, part)
+                changed = self.act(change, part, given, grid)
                 for k, row in zip(part, changed.unbind(-2), strict=True):
                     rows[k] = row
         return rows
 
-    def act(self, change: SignalMap, u: Tensor, grid: Grid, rows: tuple[int, ...]) -> Tensor:
+    def act(self, change: SignalMap, rows: tuple[int, ...], u: Tensor, grid: Grid) -> Tensor:
         """What a change makes of commands, with what they were before the run.
 
         Args:
             change: Function of them and of the grid.
+            rows: Which they are.
             u: Commands, (..., len(rows), num_times).
             grid: Their times.
-            rows: Which they are.
         """
-        return (
-            change(u, grid)
-            if self.before is None
-            else after(u, grid, change, self.before[list(rows)])
-        )
+        if self.before is None:
+            return change(u, grid)
+        return after(u, grid, change, self.before[list(rows)])
 
     def pass_through(self, values: Tensor, grid: Grid) -> Tensor:
         """What becomes of other values of the commands, such as those of a part of the run.
@@ -249,12 +247,8 @@ class Commands:
             grid: Their times.
         """
         for rows, change in self.changes:
-            acting = partial(self._act_on, change, rows)
-            values = change_rows(values, rows, acting, grid)
+            values = change_rows(values, rows, partial(self.act, change, rows), grid)
         return values
-
-    def _act_on(self, change: SignalMap, rows: tuple[int, ...], u: Tensor, grid: Grid) -> Tensor:
-        return self.act(change, u, grid, rows)
 
 
 _ZERO = torch.zeros((), dtype=torch.float64)

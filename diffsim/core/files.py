@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+_MOST_TIMES = 50  # the bytes of a packed file; indices of a regular grid pack 10 to 20 times
+
 
 @contextmanager
 def replacing(path: str | Path, suffix: str = ".tmp") -> Iterator[Path]:
@@ -101,6 +103,17 @@ def read_kept(path: Path) -> dict[str, Any] | None:
     except (FileNotFoundError, json.JSONDecodeError):
         return None
     return kept
+
+
+def most_unpacked(path: Path, least: int) -> int:
+    """Bytes that the content of a packed file may take: a constant of any length takes it none.
+
+    Args:
+        path: The file.
+        least: Of a file however small; of a larger one it is fifty times its own bytes, as what is
+            recorded or meshed is not compressed as far.
+    """
+    return max(least, _MOST_TIMES * path.stat().st_size)
 
 
 def digest_of(value: Any) -> str:

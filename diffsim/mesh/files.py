@@ -125,11 +125,13 @@ def load_surface(path: str | Path, scale: float = 1.0) -> trimesh.Trimesh:
     content, kind = path.read_bytes(), path.suffix[1:].lower()
     try:
         # of bytes, so that no other file is looked for: buffers, materials, pictures
-        as_it_is = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
-        if isinstance(as_it_is, trimesh.Trimesh):  # NaN is dropped below, -1 counts from the end
-            check_indices(np.asarray(as_it_is.faces, np.int64), np.asarray(as_it_is.vertices))
-            check_finite(np.asarray(as_it_is.vertices))
-        surface = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
+        surface = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
+        if isinstance(surface, trimesh.Trimesh):  # NaN is dropped below, -1 counts from the end
+            check_indices(np.asarray(surface.faces, np.int64), np.asarray(surface.vertices))
+            check_finite(np.asarray(surface.vertices))
+            surface.process()
+        else:
+            surface = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
     except MeshError as error:
         raise MeshError(f"{path}: {error}", error.indices) from None
     except IndexError as error:

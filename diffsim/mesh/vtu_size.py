@@ -14,8 +14,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from diffsim.core.files import most_unpacked
+
 MOST_UNPACKED = 100_000_000  # bytes, of a small file: a million hexahedra
-_MOST_TIMES = 50  # the bytes of a larger file: indices of a regular grid pack 10 to 20 times
 _MOST_MEMORY = 100_000_000  # bytes, of LZMA's dictionary
 _STEP = 1_000_000  # bytes that are unpacked at once
 _SIZES = {"UInt32": "u4", "UInt64": "u8"}  # of the numbers in front of an array's blocks
@@ -50,7 +51,7 @@ def require_unpacked(path: Path) -> None:
     unpacker = _UNPACKERS.get(root.get("compressor", ""))
     if unpacker is None:
         return  # nothing is packed, or by what is unknown to the reader too
-    left = most = max(MOST_UNPACKED, _MOST_TIMES * path.stat().st_size)
+    left = most = most_unpacked(path, MOST_UNPACKED)
     for block in _packed_blocks(path):
         for length in _lengths(block, unpacker):
             left -= length

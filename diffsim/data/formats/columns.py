@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diffsim.core import files
 from diffsim.core.checked import checked
 
 #: Columns by name, all of one length: float64, integers or text.
@@ -17,7 +18,6 @@ Columns = dict[str, NDArray[Any]]
 
 MAX_COLUMNS = 10_000  # of a table
 MOST_UNPACKED = 1_000_000_000  # bytes of the numbers of a file, however small it is
-_MOST_TIMES = 50  # the bytes of a larger file: what is recorded is not compressed as far
 LETTER = 4  # bytes, in NumPy's text
 _BLOCK = 10_000  # messages that become numbers at once
 MOST_ENTRIES = 64  # of a list in a message: clouds and pictures are no columns
@@ -35,8 +35,8 @@ def require_few(count: int, what: str = "columns") -> None:
 
 
 def most_unpacked(path: Path) -> int:
-    """Bytes that the numbers of a file may take: a constant of any length takes it none."""
-    return max(MOST_UNPACKED, _MOST_TIMES * path.stat().st_size)
+    """Bytes that the numbers of a file may take."""
+    return files.most_unpacked(path, MOST_UNPACKED)
 
 
 def require_room(path: Path, unpacked: int) -> None:

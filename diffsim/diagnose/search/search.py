@@ -50,9 +50,8 @@ Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
 MAX_MENDED = 3  # fits of the best set, each with better slopes along weak directions
-MOST_OF_PLAIN = (
-    0.5  # of the plain model's misfit, that a cause takes by its slopes to be fitted alone
-)
+# of the plain model's misfit, that a cause takes by its slopes to be fitted alone
+MOST_OF_PLAIN = 0.5
 MAX_ALONE = 8  # of these
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 

@@ -174,7 +174,7 @@ def _come_late(
 
 def _come_late_by(scene: OdeScene, name: str, change: SignalMap) -> Tensor:
     rows = scene.commands.rows[name]
-    return scene.commands.act(change, scene.inputs[name][..., None, :], scene.grid, rows)[..., 0, :]
+    return scene.commands.act(change, rows, scene.inputs[name][..., None, :], scene.grid)[..., 0, :]
 
 
 def closed_loops(network: Network) -> tuple[str, ...]:
