@@ -221,3 +221,23 @@ def test_a_step_out_of_the_range_of_numbers_is_a_failed_step(far):
     problem = Problem(model, tuple(decay_runs()), WhiteNoise(CHANNEL))
     with pytest.raises(PredictionError, match="left the range"):
         problem.residual(np.array([0.0, 0.0, far, 0.0]))
+
+
+@pytest.mark.parametrize("batched", [True, False])
+def test_a_table_costs_what_its_simulations_were_counted_as(batched):
+    """Of four coordinates a run feels three: the other's offset costs it nothing."""
+    runs = decay_runs()
+    runs[1] = runs[1].part(slice(20))
+    model = decay_model()
+    model.batched = batched
+    problem = Problem(model, tuple(runs), WhiteNoise(CHANNEL))
+    points = 3.0
+    each = 0.25 if batched else 1.0
+    alone = problem.cost()
+    assert problem.cost_of_table() == alone * (1.0 + each * 3.0)
+    assert problem.cost_of_table(points) == alone * (1.0 + each * (points + 3.0))
+    before = model.simulations.steps
+    problem.linearize_record(np.zeros(4))  # central differences: two along each coordinate
+    counted = model.simulations.steps - before
+    wanted = problem.cost_of_table(each=2.0 * each)
+    assert abs(counted - wanted) <= 2 * len(runs)  # each is rounded to whole steps
