@@ -589,7 +589,7 @@ def test_steps_that_shrink_slowly_are_made_longer_by_what_they_have_shown():
     windows = Windows(tensor([[0.3] * 12]), tensor([[[0.02], [0.12]]]), tensor([0.01]))
     alone, change = [], torch.zeros(1, 12, dtype=torch.float64)
     for _ in range(MAX_STEPS):
-        step = windows._find_step(bent, change)[1]
+        step = windows._find_tangents(bent, change).step
         alone.append(float(step.abs().max()))
         change = change + step
     assert alone[-1] > 3e-5 * SPREAD[0]

@@ -184,5 +184,5 @@ def test_parts_end_where_the_whole_window_does():
         parts = Flyer(scene, 1)
         thrusts = scene.delivered(start[:, 0, 12:]).clamp(min=0.0)[:, None]
         for end in (5, 10, 15, 20):
-            record = parts._settle(start[..., :12], thrusts, end)
+            record = parts._settle(flying.flight_state(start[0, :, :12]), thrusts, end)
     torch.testing.assert_close(flying.read(scene, record), expected, rtol=1e-7, atol=1e-9)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from diffsim.causes.scene import ForceLaw
 from diffsim.causes.signals import Grid
-from diffsim.copter import FlightEffects, FlightError, prepare_flight
+from diffsim.copter import FlightEffects, FlightError, FlightState, prepare_flight
 from diffsim.copter.vehicle.effects import BodyDrag, RotorDrag
 from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.core.checked import checked
@@ -266,26 +266,28 @@ class Flyer:
                 [N].
         """
         scene, length = self.scene, thrusts.shape[2]
+        state = flight_state(start.reshape(-1, RIGID))
         if not (scene.schedules or scene.air or scene.forces):
-            return read(scene, self._fly(start, thrusts, None))
+            return read(scene, self._fly(state, thrusts, None))
         try:
-            return read(scene, self._settle(start, thrusts, length))
+            return read(scene, self._settle(state, thrusts, length))
         except (ConvergenceError, FlightError):
             if torch.is_grad_enabled():
                 raise
         self._last = None  # forces that ran away are no first guess
         for end in range(_PART, length, _PART):
-            self._settle(start, thrusts, end)
-        return read(scene, self._settle(start, thrusts, length))
+            self._settle(state, thrusts, end)
+        return read(scene, self._settle(state, thrusts, length))
 
-    def _settle(self, start: Tensor, thrusts: Tensor, end: int) -> SensedRecord:
+    def _settle(self, start: FlightState, thrusts: Tensor, end: int) -> SensedRecord:
         """Flights whose forces follow from the motion in the first steps; later ones keep the last.
 
         Where forces are strong, those of late steps run away before early ones have settled: then
         they are settled part by part.
 
         Args:
-            start, thrusts: As of ``fly_thrusts``.
+            start: States of all windows, (points * num_windows, ...).
+            thrusts: As of ``fly_thrusts``.
             end: Number of these steps.
         """
         scene = self.scene
@@ -326,7 +328,7 @@ class Flyer:
             total = total + _push_along(place, law, motion, self.scene.frames)
         return total
 
-    def _fly(self, start: Tensor, thrusts: Tensor, air: Tensor | None) -> SensedRecord:
+    def _fly(self, start: FlightState, thrusts: Tensor, air: Tensor | None) -> SensedRecord:
         """Flights under thrusts, and forces ``air`` in the world, (points, ..., 3) [N]."""
         scene, points = self.scene, self.points
         _, windows, length, rotors = thrusts.shape
@@ -335,7 +337,7 @@ class Flyer:
         pull = force / scene.vehicle.mass[:, None, None, None]
         frame = _Frame.of(pull, scene.dt)
         flight = self._prepared.fly(
-            flight_state(start.reshape(-1, RIGID)),
+            start,
             thrusts.expand(points, -1, -1, -1).reshape(-1, length, rotors).contiguous(),
             wind=self._sum_wind(windows, length, frame),
         )

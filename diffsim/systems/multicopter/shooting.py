@@ -202,7 +202,8 @@ class Windows:
         windows, secants, last = self, Secants.none(len(self.guess), self.spread), None
         for _ in range(max_steps):
             change = states - windows.guess
-            shooting, step = windows._find_step(predict, change)
+            shooting = windows._find_tangents(predict, change)
+            step = shooting.step
             if last is not None:
                 secants = secants.learned(change - last[0], last[1], step)
             size = windows._measure_step(step)
@@ -210,7 +211,7 @@ class Windows:
                 break
             last = change, step
             if max_steps >= MAX_STEPS:
-                step = windows._shorten_step(predict, change, secants.ahead(step))
+                step = windows._shorten_step(predict, shooting, secants.ahead(step))
             else:
                 step = step / max(1.0, size)
             states = states + step
@@ -237,12 +238,14 @@ class Windows:
         """The same windows with the thrusts before the record as guessed."""
         return replace(self, held=torch.ones_like(self.held), is_at_zero=False)
 
-    def _shorten_step(self, predict: Predict, change: Tensor, step: Tensor) -> Tensor:
+    def _shorten_step(self, predict: Predict, at: FlightShooting, step: Tensor) -> Tensor:
         """A step as long as it may be: beyond the spread only in windows that it makes better."""
         sizes = (step / self.spread).abs().amax(1)
         if float(sizes.max()) <= 1.0:
             return step
-        better = self._compute_costs(predict, change + step) < self._compute_costs(predict, change)
+        change = at.change[..., 0]
+        there = predict((self.guess + change + step)[None])[0]
+        better = self._costs_of(there, change + step) < self._costs_of(at.predicted, change)
         return step / torch.where(better, 1.0, sizes.clamp(min=1.0))[:, None]
 
     def _wants_thrust(self, predict: Predict, states: Tensor) -> Tensor:
@@ -266,13 +269,15 @@ class Windows:
             Tangents at the best states found, and the step that was wanted there, over the spread.
         """
         for _ in range(40):
-            shooting, step = self._find_step(predict, change)
-            size = float((step / self.spread).abs().max())
+            shooting = self._find_tangents(predict, change)
+            size = self._measure_step(step := shooting.step)
             if size < _SETTLED:
                 break
-            here, share = self._compute_costs(predict, change).sum(), 1.0 / max(1.0, size)
+            here = self._costs_of(shooting.predicted, change).sum()
+            share = 1.0 / max(1.0, size)
             while share > _LEAST_SHARE:
-                if self._compute_costs(predict, change + share * step).sum() <= here:
+                tried = change + share * step
+                if self._costs_of(predict((self.guess + tried)[None])[0], tried).sum() <= here:
                     break
                 share *= 0.5
             if share <= _LEAST_SHARE:
@@ -290,21 +295,24 @@ class Windows:
             windows = replace(self, guess=guess).with_thrusts_held()
         return windows.find_starts(predict, near=states), 0.0
 
-    def _compute_costs(self, predict: Predict, change: Tensor) -> Tensor:
-        """Misfit and departure from the guess over their spreads, squared, (num_windows,)."""
-        off = (predict((self.guess + change)[None])[0] - self.measured) / self.sd
+    def _costs_of(self, predicted: Tensor, change: Tensor) -> Tensor:
+        """Misfit and departure from the guess over their spreads, squared, (num_windows,).
+
+        Args:
+            predicted: Channels, (num_windows, length, num_channels).
+            change: Of the initial states from the guess, (num_windows, m).
+        """
+        off = (predicted - self.measured) / self.sd
         off = off.where(torch.isfinite(self.measured), 0.0)
         return off.square().sum((1, 2)) + (change @ self.precision * change).sum(1)
 
-    def _find_step(
-        self, predict: Callable[[Tensor], Tensor], change: Tensor
-    ) -> tuple[FlightShooting, Tensor]:
-        """Tangents by central differences, and the step to be taken, (num_windows, m)."""
+    def _find_tangents(self, predict: Predict, change: Tensor) -> FlightShooting:
+        """Tangents by central differences at changes from the guess, (num_windows, m)."""
         windows, length, channels = self.measured.shape
         spread = self.spread
-        start = self.guess + change
         nudges = torch.diag(_NUDGE * spread)
-        moved = torch.stack([start, *(start + s * n for n in nudges for s in (1.0, -1.0))])
+        offsets = torch.stack([nudges, -nudges], 1).flatten(0, 1)
+        moved = self.guess + change + torch.cat([torch.zeros_like(nudges[:1]), offsets])[:, None]
         there = predict(moved).reshape(-1, windows, length * channels)
         tangent = (there[1::2] - there[2::2]) / (2.0 * _NUDGE * spread[:, None, None])
         tangent = tangent.permute(1, 2, 0).contiguous()
@@ -313,18 +321,15 @@ class Windows:
         tangent[1:, :, RIGID:] = 0.0
         tangent[:, :, RIGID:] *= ~self.held
         weight = (torch.isfinite(self.measured) / self.sd**2).reshape(windows, -1, 1)
-        normal = tangent.mT @ (weight * tangent) + self.precision
-        gain = torch.linalg.solve(normal, (weight * tangent).mT)
-        measured = self.measured.nan_to_num(0.0).reshape(windows, -1, 1)
-        shooting = FlightShooting(
+        weighted = (weight * tangent).mT
+        return FlightShooting(
             self,
-            measured,
+            self.measured.nan_to_num(0.0).reshape(windows, -1, 1),
             change[..., None],
             tangent,
-            gain,
+            torch.linalg.solve(weighted @ tangent + self.precision, weighted),
             there[0][..., None],
         )
-        return shooting, (shooting.better(there[0][..., None], change[..., None]))[..., 0] - change
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,6 +368,16 @@ class FlightShooting:
         change = torch.zeros_like(windows.guess)[..., None]
         still = here.new_zeros(*here.shape[:2], change.shape[1])
         return cls(windows, torch.zeros_like(here), change, still, still.mT, here)
+
+    @property
+    def predicted(self) -> Tensor:
+        """Prediction of that model at d, (num_windows, length, num_channels)."""
+        return self.here.reshape_as(self.windows.measured)
+
+    @property
+    def step(self) -> Tensor:
+        """From d to the best one by these tangents, (num_windows, 12 + n_rotors)."""
+        return (self.better(self.here, self.change) - self.change)[..., 0]
 
     @property
     def states(self) -> Tensor:
