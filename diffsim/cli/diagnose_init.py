@@ -203,6 +203,8 @@ def _runs(guess: Guess) -> Iterator[str]:
     stated = [c.column for c in guess.those("fact")]
     facts = {c.base: _fact(c.name, c.base, c.unit) for c in stated}
     shared: dict[str, Any] = {"setup": facts} if facts else {}
+    if guess.stamps:
+        shared["stamps"] = guess.stamps
     if guess.every > 1:
         shared["every"] = guess.every
     if guess.is_late:

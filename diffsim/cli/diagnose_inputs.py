@@ -7,6 +7,7 @@ import importlib.util
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,6 +22,7 @@ from diffsim.data.bank import generated_bank
 from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.inputs import Inputs
+from diffsim.identify import Problem, WhiteNoise
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
@@ -33,6 +35,8 @@ FIRST_STEPS = 16e6  # weighted, of a first answer
 SEARCH: dict[str, Any] = {"scan_steps": FIRST_STEPS, "refit_steps": FIRST_STEPS, "law_steps": None}
 FULL_TIMES = 5.0  # a full answer may cost as many first ones
 PLAIN_SHARE = 0.5  # of the steps of an answer, that the plain model's fit may take
+TABLE_SHARE = 1.0 / 16.0  # of a first answer, that slopes along all causes may cost, of many runs
+LEAST_RUNS = 8  # that it is fitted to
 FIRST: dict[str, Any] = {
     "first_mesh": 2.0,
     "dear_steps": 0.3e6,
@@ -148,7 +152,10 @@ def inputs_of(
     Raises:
         ValueError: no setup, or names that it does not have.
     """
-    setup = setup_of(study) if setup_file is None else own_setup(setup_file, study)
+    make = setup_of if setup_file is None else partial(own_setup, setup_file)
+    setup = make(study)
+    if budget == QUICK and (fewer := _fewer_runs(study, setup)) is not None:
+        study, setup = fewer, make(fewer)
     if with_bank and not setup.bank:
         setup = _with_bank(setup, setup.study or study, {run.name for run in study.runs})
     study = setup.study or study
@@ -160,6 +167,36 @@ def inputs_of(
     settings = _with_budget(settings, budget)
     setup = replace(setup, effects=choose(setup.effects, only, without), settings=settings)
     return Inputs(study, setup, seed, _fingerprint(study, setup, setup_file, seed))
+
+
+def _fewer_runs(study: Study, setup: DiagnosisSetup) -> Study | None:
+    """The study of a first answer, where many short runs would cost most of it: some of them, from
+    all kinds alike and with their repeats, are fitted. None: all can be.
+
+    Args:
+        study: Study as it was read.
+        setup: Of all its runs.
+    """
+    used = setup.study or study
+    runs, noise = used.fit_runs, WhiteNoise([replace(c, sd=c.sd or 1.0) for c in used.channels])
+    table = Problem(setup.model, runs, noise, setup.effects).cost_of_table()
+    share = max(TABLE_SHARE * FIRST_STEPS / max(table, 1.0), LEAST_RUNS / max(len(runs), 1))
+    groups: dict[tuple[tuple[str, ...], str], list[str]] = {}
+    for run in runs:
+        labels = tuple(str(v) for _, v in sorted(run.setup.items()) if isinstance(v, str))
+        groups.setdefault((labels, run.group), []).append(run.name)
+    order = sorted(groups, key=lambda key: key[0])  # runs of a kind as they were recorded
+    count = max(round(share * len(order)), 1)
+    if share >= 1.0 or count >= len(order):
+        return None
+    chosen = {order[int((k + 0.5) * len(order) / count)] for k in range(count)}
+    dropped = {name for key in groups.keys() - chosen for name in groups[key]}
+    said = (
+        f"{len(dropped)} of {len(runs)} runs to be fitted, in a first answer: slopes along all "
+        "causes would cost too much of it; --budget full fits all"
+    )
+    kept = tuple(run for run in study.runs if run.name not in dropped)
+    return replace(study, runs=kept, left_out=(*study.left_out, said))
 
 
 def _with_budget(settings: DiagnosisSettings, budget: str | float) -> DiagnosisSettings:

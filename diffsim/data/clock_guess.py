@@ -162,7 +162,11 @@ def _numeric_time(
         else:
             # recordings step by 0.1 ms to some seconds, and nobody counts seconds in thousands
             unit = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
-            todo = [f"time.unit: column {column.name} states none; {unit} is a guess by its steps"]
+            last = float(now[-1] - now[0]) if len(now) else 0.0
+            todo = [
+                f"time.unit: column {column.name} states none; {unit} is a guess by its steps: "
+                f"{tables[0].path.name} would take {last * to_si(unit).factor:.3g} s"
+            ]
     said.append(f"clock: column {column.name} in {unit}{how}, steps of {step:.4g} {unit}")
     return {"column": column.name, "unit": unit}, column, todo
 

@@ -256,17 +256,21 @@ def _of_no_motion(guess: Guess) -> list[GuessedColumn]:
 def _rests_or_sweeps(guess: Guess, c: GuessedColumn) -> bool:
     """Whether a column rests in some run, and changes by more than a coarse sensor; where it does
     not rest it has no noise but that of rounding."""
-    sweeps, num_held = [], 0
+    sweeps: list[Array] = []
+    held: list[Array] = []
     for v in guess.samples(c):
         steps = np.abs(np.diff(v[np.isfinite(v)]))
         changes = steps[steps > 0.0]
         if len(changes) >= (1.0 - _HELD) * len(steps):
             sweeps.append(v)
         elif len(changes):
-            num_held += 1
-            if float(np.median(changes)) <= _LARGE * _range(guess.samples(c)):
-                return False
-    return num_held > 0 and (not sweeps or _is_smooth(sweeps))
+            held.append(changes)
+    if not held:
+        return False
+    # of all runs together: one of few changes may have small ones
+    usual = float(np.median(np.concatenate(held)))
+    is_large = usual > _LARGE * _range(guess.samples(c))
+    return is_large and (not sweeps or _is_smooth(sweeps))
 
 
 def _decide(c: GuessedColumn, why: str) -> None:

@@ -15,13 +15,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from diffsim.core.check import did_you_mean
-from diffsim.data.clock_guess import guess_clock, guess_split, is_late
+from diffsim.data.clock_guess import guess_clock, guess_split, is_late, seconds_of
 from diffsim.data.column_rules import COLUMN_RULES
 from diffsim.data.folder_tables import FoundTable, find_tables
 from diffsim.data.formats import SUFFIXES
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
 from diffsim.data.joined_files import Kind, join_files
 from diffsim.data.names import BESIDE, DRIVES, STATE, is_asked, log_column
+from diffsim.data.stamps import stamp_fault
 from diffsim.data.table import MAKER, Table
 
 Rule: TypeAlias = Callable[[Guess], Iterable[str] | None]
@@ -37,7 +38,12 @@ _COUNTED = re.compile(
     r"|messung|versuch|lauf|nr|no)\d*",
     re.IGNORECASE,
 )
+#: Words by which people keep runs apart, for a fit and for what judges it.
+_FITTED = re.compile(r"train(ing)?|fit(ted|ting)?|ident(ification)?|estimation", re.IGNORECASE)
+_CHOOSES = re.compile(r"val|valid(ation)?|dev", re.IGNORECASE)
+_JUDGES = re.compile(r"test(ing)?|hold_?out|unseen|eval(uation)?|verif(ication)?", re.IGNORECASE)
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
+_MIXED = 0.01  # of the rows, that are out of order
 _SAME = 0.02  # rms over range: commands of repeats agree to this
 
 
@@ -215,6 +221,22 @@ def runs(guess: Guess) -> Iterable[str]:
         yield f"runs: one for each of {count} {what}" if count > 1 else "runs: one"
 
 
+def order(guess: Guess) -> Iterable[str]:
+    """Rows that a logger wrote out of order, a few in each file: they are sorted."""
+    if guess.split or len(guess.kinds) != 1 or not guess.those("clock"):
+        return
+    mixed = []
+    for run in guess.runs:
+        now = seconds_of(run.tables[0], guess.time[0])
+        back = int((np.diff(now) < 0.0).sum())
+        fault = stamp_fault(now)
+        if back > _MIXED * len(now) or (fault is not None and "sort" not in fault[2]):
+            return
+        mixed += [f"{run.name} ({back})"] if back else []
+    guess.stamps = {"backward": "sort"} if mixed else {}
+    yield from listed("rows out of order, sorted by their stamps", mixed)
+
+
 def lists_of_runs(guess: Guess) -> Iterable[str]:
     """Tables that have a row for each run, such as labels: what they know of it may be facts."""
     names = {run.name for run in guess.runs}
@@ -280,7 +302,12 @@ def repeats(guess: Guess) -> Iterable[str]:
 
 
 def uses(guess: Guess) -> Iterable[str]:
-    """Test runs: those of the last command; select runs where there are plenty."""
+    """Test runs: those that names keep back, else those of the last command; select runs where
+    there are plenty."""
+    if _set_named_uses(guess):
+        named = (f"{run.name} is {run.use}" for run in guess.runs if run.use != "fit")
+        yield from listed("uses, by words of names", named)
+        return
     groups = Counter(run.repeat_of or run.name for run in guess.runs)
     names = list(groups)
     if len(names) < 3:
@@ -300,6 +327,23 @@ def uses(guess: Guess) -> Iterable[str]:
         run.use = chosen.get(run.repeat_of or run.name, "fit")
     others = (f"{run.name} is {run.use}" for run in guess.runs if run.use != "fit")
     yield f"uses: {', '.join(others)}"
+
+
+def _set_named_uses(guess: Guess) -> bool:
+    """Give runs the uses of their names, where some are called fitted and others kept back; whether
+    these are."""
+    patterns = {"fit": _FITTED, "select": _CHOOSES, "test": _JUDGES}
+    named: list[str] = []
+    for run in guess.runs:
+        words = _words_of(run).values()
+        found = [use for use, one in patterns.items() if any(one.fullmatch(w) for w in words)]
+        named.append(found[0] if len(found) == 1 else "")
+    if "fit" not in named or not {"select", "test"} & set(named):
+        return False
+    for run, use in zip(guess.runs, named, strict=True):
+        # what chooses is what judges where nothing else does
+        run.use = "test" if use == "select" and "test" not in named else use or "fit"
+    return True
 
 
 def size(guess: Guess) -> Iterable[str]:
@@ -324,6 +368,7 @@ RULES: tuple[Rule, ...] = (
     clock,
     splits,
     runs,
+    order,
     *COLUMN_RULES,
     lists_of_runs,
     numbers_in_names,

@@ -44,6 +44,7 @@ class Parameter:
             move with the value; not where ``log``.
         of_effect: Whether it is a number of an effect's formula (``Effect.shapes``) and does
             nothing without it.
+        is_usual: Whether nobody stated it: a usual value, which no data sheet says.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Parameter:
     upper: float = math.inf
     step: float = math.inf
     of_effect: bool = False
+    is_usual: bool = False
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value) or not self.lower <= self.value <= self.upper:
@@ -284,7 +286,16 @@ class SimModel:
         if not shapes:
             return self
         more = [
-            Parameter(name, s.value, s.sd, s.unit, lower=s.lower, upper=s.upper, of_effect=True)
+            Parameter(
+                name,
+                s.value,
+                s.sd,
+                s.unit,
+                lower=s.lower,
+                upper=s.upper,
+                of_effect=True,
+                is_usual=True,
+            )
             for name, s in shapes.items()
         ]
         return self.with_base((*self.base, *more))

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import torch
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
 from torch import Tensor
 
 from diffsim.causes.listing import list_causes
@@ -62,6 +62,8 @@ class Quantity(Part):
         "that move with it",
     )
 
+    _is_usual: bool = PrivateAttr(False)
+
     at_most_one: ClassVar = ("sd", "percent")
 
     @model_validator(mode="after")
@@ -88,7 +90,15 @@ class Quantity(Part):
         else:
             assert self.sd is not None
             sd, is_log = self.sd, False
-        return Parameter(name, self.value, sd, self.unit, is_log, self.lower, self.upper, self.step)
+        ends = (self.lower, self.upper, self.step)
+        is_usual = self._is_usual
+        return Parameter(name, self.value, sd, self.unit, is_log, *ends, is_usual=is_usual)
+
+    def as_usual(self) -> Quantity:
+        """The same as nobody stated it: no data sheet can be wrong about it."""
+        usual = self.model_copy()
+        usual._is_usual = True
+        return usual
 
 
 IN_UNIT = ("value", "sd", "lower", "upper")

@@ -662,3 +662,65 @@ def test_what_was_set_has_no_flat_top_and_headers_without_units_no_slip(tmp_path
     assert "record:" not in capsys.readouterr().out
     commands = [c.name for c in load_study(tmp_path).commands]
     assert commands == ([] if scatter else ["push"])
+
+
+@pytest.mark.parametrize(
+    ("names", "uses"),
+    [
+        (("train_a", "train_b", "test_a"), {"test_a": "test"}),
+        (("ident_1", "val_1", "Testing_1"), {"val_1": "select", "Testing_1": "test"}),
+        (("training_1", "validation_2"), {"validation_2": "test"}),
+        (("test_1", "test_2", "test_3"), {"test_3": "test"}),  # they number runs
+    ],
+)
+def test_runs_that_are_called_kept_back_are(tmp_path, names, uses):
+    """Of train and test, test was fitted, and train was the test."""
+    for k, name in enumerate(names):
+        force = np.where(100.0 + 50.0 * k < T, 1.0 + k, 0.0)
+        write(tmp_path / f"{name}.csv", "t (ms),x (mm),force_N", [T, noisy(k), force])
+    assert init(tmp_path) == 0
+    found = {run.name: run.use for run in load_study(tmp_path).runs}
+    assert found == {name: uses.get(name, "fit") for name in names}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_set_points_that_rest_are_commands_though_one_run_has_small_steps(tmp_path, seed, capsys):
+    """They were channels, and each step of theirs a marker that slipped."""
+    rng = np.random.default_rng(seed)
+    for k, size in enumerate((0.4, 14.0, 11.0, 18.0)):
+        levels = 40.0 + np.array([0.0, size, -size * rng.uniform(0.2, 0.8)])
+        aim = np.repeat(np.round(levels, 2), 20)
+        heat = np.repeat(np.where(rng.uniform(size=15) > 0.5, 100.0, 0.0), 4)
+        is_aim = [T, aim + noisy(k), heat, aim]
+        write(tmp_path / f"r{k}.csv", "t (ms),temp,Q1,aim", is_aim)
+    assert init(tmp_path) == 0
+    assert {c.name for c in load_study(tmp_path).commands} == {"Q1", "aim"}
+    assert "slipped" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("rows", "are_sorted"), [((7,), True), ((5, 20, 40), False)])
+def test_a_row_out_of_order_is_sorted_and_told(tmp_path, rows, are_sorted, capsys):
+    """A thrust stand wrote its first row twice; the study that was guessed could not be read."""
+    for k in range(2):
+        time = np.arange(150) * 10.0
+        for row in rows if k else ():
+            time[row] -= 14.0
+        x = noisy(k, num=150)
+        write(tmp_path / f"r{k}.csv", "t (ms),x (mm),force_N", [time, x, np.sign(x)])
+    assert init(tmp_path) == (0 if are_sorted else 2)
+    assert ("rows out of order, sorted by their stamps: r1 (1)" in capsys.readouterr().out) == (
+        are_sorted
+    )
+    if are_sorted:
+        assert all((np.diff(run.time_s) > 0.0).all() for run in load_study(tmp_path).runs)
+
+
+def test_a_unit_of_the_clock_that_is_guessed_says_how_long_runs_would_be(tmp_path):
+    """Whole seconds of a heater, taken for milliseconds: 1.2 s for 20 minutes."""
+    for k in range(2):
+        write(tmp_path / f"r{k}.csv", "Time,x (mm),force_N", [T, noisy(k), np.where(T > 200, k, 1)])
+    assert init(tmp_path) == 0
+    said = next(one for one in load_study(tmp_path).todo if one.startswith("time.unit"))
+    assert said == (
+        "time.unit: column Time states none; ms is a guess by its steps: r0.csv would take 0.59 s"
+    )

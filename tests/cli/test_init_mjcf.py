@@ -288,6 +288,22 @@ def test_dry_friction_that_the_file_states_is_a_number_of_the_model(tmp_path):
     assert "joint.elbow.frictionloss" not in numbers
 
 
+def test_what_a_drive_can_do_at_most_is_a_number_of_the_model(tmp_path):
+    """A servo kept its speed by its largest torque and its damping: neither was in the model."""
+    folder = arm_folder(tmp_path)
+    text = (folder / "arm.xml").read_text()
+    text = text.replace('damping="0.6"', 'damping="0.6" armature="0.02"')
+    text = text.replace('kp="60"', 'kp="60" kv="4" forcerange="-2.5 2.5"')
+    (folder / "arm.xml").write_text(text)
+    init(folder)
+    numbers = yaml.safe_load((folder / "study.yaml").read_text())["model"]["parameters"]
+    assert numbers["joint.shoulder.armature"] == {"value": 0.02, "percent": 50}
+    assert numbers["actuator.m1.kv"] == {"value": 4.0, "percent": 50}
+    assert numbers["actuator.m1.forcerange"] == {"value": 2.5, "percent": 20}
+    assert "actuator.m2.forcerange" not in numbers
+    assert load_study(folder).model is not None
+
+
 @pytest.mark.parametrize("first", [0.4, 0.0])
 def test_what_a_servo_was_told_before_is_where_its_joint_rests(tmp_path, first):
     """Logs begin with their step: of a delay or a speed limit nothing is seen without what was

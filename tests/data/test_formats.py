@@ -49,6 +49,28 @@ def test_mat_files_by_scipy(tmp_path):
         read_columns(tmp_path / "log.mat#run3")
 
 
+def _element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
+
+
+def test_objects_of_matlab_are_told_with_a_way_out(tmp_path, recwarn):
+    """Tables of MATLAB are no arrays: "variable None: no table", below two warnings of SciPy."""
+    from scipy.io import savemat
+
+    savemat(tmp_path / "log.mat", {"inner": TIME})
+    whole = (tmp_path / "log.mat").read_bytes()
+    flags = _element(6, struct.pack("<II", 17, 0))
+    words = b"".join(_element(1, word) for word in (b"T", b"MCOS", b"table"))
+    opaque = _element(14, flags + words + whole[128:])
+    (tmp_path / "log.mat").write_bytes(whole[:128] + opaque + opaque)
+    with pytest.raises(ValueError, match=r"objects of MATLAB \(a table, .*writetable"):
+        read_columns(tmp_path / "log.mat")
+    (tmp_path / "log.mat").write_bytes(whole + opaque)
+    assert set(read_columns(tmp_path / "log.mat")) == {"inner"}
+    assert any("writetable" in said for said in left_out_of(tmp_path / "log.mat"))
+    assert not recwarn.list
+
+
 def test_hdf5_groups_and_wide_arrays(tmp_path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "log.h5", "w") as file:

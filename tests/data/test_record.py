@@ -10,9 +10,10 @@ import yaml
 from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
 from diffsim.data.record.columns import find_units
-from diffsim.data.record.shapes import _flat_at
+from diffsim.data.record.encodings import find_codes
+from diffsim.data.record.shapes import _flat_at, find_flat
 from diffsim.data.record.signals import Record, Samples, Signal
-from diffsim.data.study import Study
+from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import check_study
 from diffsim.data.study_file import load_study
 from labs.records import blame
@@ -130,6 +131,40 @@ def test_a_flat_top_of_one_stretch_has_eight_samples(longest, is_flat):
     values[100 : 100 + longest] = values[[20, 200]] = 1.5
     seen = Signal("q", "channel", "q", "m", (Samples("a", np.arange(300), time, values),))
     assert (_flat_at(seen, 1.5) is not None) is is_flat
+
+
+@pytest.mark.parametrize("levels", [(-255.0, 0.0, 255.0), (0.0, 255.0), (0.0, 100.0, 255.0)])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_level_of_a_switch_is_no_code(levels, seed):
+    """A pulsed bridge: 255 was "a number for nothing measured" in 2 % of a record."""
+    rng, time = np.random.default_rng(seed), 0.01 * np.arange(2000.0)
+    values = np.zeros(len(time))
+    values[600:760] = np.repeat(rng.choice(levels, 40), 4)
+    seen = Signal("u", "command", "u", None, (Samples("a", np.arange(2000), time, values),))
+    assert not list(find_codes(Record(Study("rig", "ode", (), ()), (), (seen,))))
+    swept = values + np.where(values < 250.0, rng.normal(0.0, 5.0, len(time)), 0.0)
+    swept = Signal("u", "command", "u", None, (Samples("a", np.arange(2000), time, swept),))
+    found = list(find_codes(Record(Study("rig", "ode", (), ()), (), (swept,))))
+    assert len(found) == (levels[0] == 0.0)  # beyond all others alone
+
+
+@pytest.mark.parametrize(("goal", "is_flat"), [(-0.6, False), (1.4, True)])
+def test_a_servo_that_rests_at_its_goal_shows_more(goal, is_flat):
+    """It rested within one count of a goal that no other run went to: "it shows no more"."""
+    time, rng = 0.02 * np.arange(50.0), np.random.default_rng(3)
+    rest = np.where(rng.uniform(size=26) > 0.3, -0.6, -0.5995)
+    rest[8:16] = -0.6
+    stops = Samples("a", np.arange(50), time, np.append(np.linspace(0.0, -0.59, 24), rest))
+    wave = 0.3 * np.sin(9.0 * time)
+    moves = Samples("b", np.arange(50), time, wave)
+    seen = Signal("angle", "channel", "angle", "rad", (stops, moves))
+    told = [Samples("a", np.arange(50), time, np.full(50, goal))]
+    told += [Samples("b", np.arange(50), time, -np.sign(np.cos(40.0 * time)))]
+    asked = Signal("u", "command", "u", "rad", tuple(told))
+    pairs = zip(seen.runs, told, strict=True)
+    run = [Run(s.run, time, s.values[:, None], {"u": c.values}, s.run) for s, c in pairs]
+    study = Study("rig", "ode", (Channel("angle", "rad", "angle", 0.001),), run)
+    assert bool(list(find_flat(Record(study, (seen,), (asked,))))) is is_flat
 
 
 def test_a_folded_angle_gets_its_sign_back(tmp_path):

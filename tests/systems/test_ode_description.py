@@ -277,6 +277,24 @@ def test_a_place_that_states_no_units_turns_where_a_channel_reads_it_as_an_angle
     assert units == [("N/m", "m"), turns, turns, ("N m/deg", "deg")]
 
 
+@pytest.mark.parametrize(
+    ("read", "unit", "friction", "stop"),
+    [
+        ("v", "rad/s", "N m s/rad", "rad"),  # a motor of which the speed is measured
+        ("x", "rad/s", "N m s/rad/s", "rad/s"),  # its speed stands as the position
+        ("v", "m/s", "N s/m", "m"),
+    ],
+)
+def test_a_place_turns_where_its_speed_is_read_as_an_angle_s(read, unit, friction, stop):
+    """Of a motor's speed it said "stop above at 1 m"."""
+    channels = (Channel("position_m", unit, "speed", 1e-3),)
+    plain = plain_study()
+    model = {**plain.model, "readings": {"position_m": read}}
+    found = setup_of(replace(plain, channels=channels, model=model))
+    units = {e.name.partition("_at_")[0]: e.unit for e in found.effects}
+    assert (units["viscous_friction"], units["stop_above"]) == (friction, stop)
+
+
 def test_equations_too_fast_for_the_samples_are_stepped_more_often():
     study = winding()
     (note,) = description_of(study).problems(study)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,6 +23,10 @@ from diffsim.data.formats import hdf5
 from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, most_unpacked
 
 _HDF5 = b"\x89HDF"
+_OBJECTS = (
+    "objects of MATLAB (a table, timetable, timeseries or string), which it alone reads: there, "
+    "`writetable(T, 'run.csv')` or `save` of their columns makes files that can be read"
+)
 
 
 def parts(path: Path) -> list[str]:
@@ -63,7 +68,9 @@ def _is_hdf5(path: Path) -> bool:
 
 def _tables(path: Path) -> dict[str, dict[str, Any]]:
     check_elements(path)
-    content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
+    with warnings.catch_warnings():  # objects share the name None, where SciPy tells them
+        warnings.simplefilter("ignore", scipy.io.matlab.MatReadWarning)
+        content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
     variables = {k: v for k, v in content.items() if not k.startswith("__")}
     structs = {
         name: {field: getattr(value, field) for field in value._fieldnames}
@@ -88,7 +95,8 @@ def _sorted_out(members: Mapping[str, Any]) -> tuple[dict[str, NDArray[Any]], li
             arrays[name] = values.T if wide else values
         elif not hasattr(values, "_fieldnames"):
             what = "a single value" if np.ndim(values) == 0 else "no table"
-            others.append(f"variable {name}: {what}")
+            is_object = isinstance(values, scipy.io.matlab.MatlabOpaque)
+            others.append(_OBJECTS if is_object else f"variable {name}: {what}")
     used, left = arrays_of_a_table({n: v.shape for n, v in arrays.items()}, "variable")
     return {name: arrays[name] for name in used}, [*left, *others]
 

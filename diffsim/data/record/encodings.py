@@ -263,6 +263,8 @@ def _code(signal: Signal, code: float) -> Finding | None:
     share = count / len(values)
     if signal.role == "command" and (off < size or code not in SURE_CODES or share > 0.2):
         return None
+    if signal.role == "command" and len(np.unique(others)) < DISTINCT:
+        return None  # one of the few levels of a switch
     if share > 0.5:
         return None
     is_inside = code == 0.0 and off <= 0.0

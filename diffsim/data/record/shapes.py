@@ -243,7 +243,8 @@ def find_flat(record: Record) -> Iterator[Finding]:
                 continue
             count, stretches, is_noisy = found
             told = record.command_of(signal)
-            if told is not None and _are_rests(told, stretches):
+            goals = [c for c in record.commands if c is told or _is_goal(c, signal, stretches)]
+            if any(_are_rests(command, stretches) for command in goals):
                 continue
             times = [float(samples.times[first]) for samples, first, _ in stretches]
             scale = signal.scale or 1.0
@@ -361,6 +362,23 @@ def _are_rests(command: Signal, stretches: Sequence[tuple[Samples, int, int]]) -
     """Whether all stops are rests at goals, but for one: at a goal that was missed."""
     others = [stretch for stretch in stretches if not _rests(command, *stretch)]
     return len(others) <= 1 and all(_is_held(command, samples.run) for samples, _, _ in others)
+
+
+def _is_goal(
+    command: Signal, signal: Signal, stretches: Sequence[tuple[Samples, int, int]]
+) -> bool:
+    """Whether a command of a channel's unit asks for what the channel shows as it rests."""
+    if command.unit != signal.unit or None in (command.unit, command.scale, signal.scale):
+        return False
+    scale = (signal.scale or 1.0) / (command.scale or 1.0)
+    for samples, first, _ in stretches:
+        told = command.of_run(samples.run)
+        if told is None or not len(told):
+            return False
+        asked = told.values[np.searchsorted(told.times, samples.times[first], "right") - 1]
+        if abs(scale * samples.values[first] - asked) > SMALL * command.range:
+            return False
+    return True
 
 
 def _is_held(command: Signal, run: str) -> bool:

@@ -114,10 +114,11 @@ def base_rows(
         rows.append(row)
     if not judged:
         return tuple(rows)
-    # far off, and the interval does not hold the value of the data sheet
+    # far off, and the interval does not hold the value of the data sheet, if there is one
+    usual = {p.name for p in base if p.is_usual}
     alone = (
         replace(r, finding=abs(r.pull) > r.limit and not r.low <= r.prior_value <= r.high)
-        if r.run is None
+        if r.run is None and r.name not in usual
         else r
         for r in rows
     )

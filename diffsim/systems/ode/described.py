@@ -52,16 +52,18 @@ class DescribedMotion:
     @classmethod
     def of(cls, description: Any, study: Study) -> DescribedMotion:
         """What moves in a description that has these keys; a place that does not state its units
-        turns where a channel reads its position as an angle."""
+        turns where a channel reads its position, or how fast that changes, as an angle's."""
         read = {c.name: c.unit for c in study.channels}
-        turning = {
-            text.strip() for name, text in description.readings.items() if read.get(name) == "rad"
-        }
+        read_as = {text.strip(): read.get(name) for name, text in description.readings.items()}
         given = {key.name: getattr(description, key.name) for key in fields(cls)}
         places = []
         for place in description.places:
-            force, position = ("N m", "rad") if place.position in turning else ("N", "m")
-            units = {"unit": place.unit or force, "position_unit": place.position_unit or position}
+            position, velocity = read_as.get(place.position), read_as.get(place.velocity)
+            turns = position in ("rad", "rad/s") or (position is None and velocity == "rad/s")
+            # a speed may stand as the position: of a motor of which no more was measured
+            usual = "m" if not turns else "rad/s" if position == "rad/s" else "rad"
+            force = place.unit or ("N m" if turns else "N")
+            units = {"unit": force, "position_unit": place.position_unit or usual}
             places.append(place.model_copy(update=units))
         given["places"] = tuple(places)
         return cls(**given)

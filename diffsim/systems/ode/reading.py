@@ -213,7 +213,7 @@ def _list_quantities(
     if motion.states and (inputs or motion.places):
         value = _SLOW_SHARE * (study.frame.get(LONGEST) or longest(study.runs))
         usual = Quantity(value=value, percent=100.0, unit="s")
-        given.setdefault("slow_time", motion.slow_time or usual)
+        given.setdefault("slow_time", motion.slow_time or usual.as_usual())
     return given
 
 

@@ -118,8 +118,8 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     made.keys = {key: value for key, value in made.keys.items() if value}
     made.todo.append(
         f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass), "
-        f"{DAMPING_PERCENT} % (damping, friction), {GAIN_PERCENT} % (gain): state what you know of "
-        "them"
+        f"{DAMPING_PERCENT} % (damping, friction, armature), {GAIN_PERCENT} % (gain, force): state "
+        "what you know of them"
     )
     return made
 
@@ -259,7 +259,8 @@ def _joint_of(plain: Any, actuator: int) -> str:
 
 
 def _parameters(simulator: Any) -> dict[str, Any]:
-    """Masses of what moves, damping and dry friction that are stated, gains of servos."""
+    """Masses of what moves; damping, dry friction and armature that are stated; gains of servos and
+    largest forces, which with damping make the speed that a drive keeps."""
     plain = simulator.plain
     out: dict[str, Any] = {}
     for i in range(1, plain.nbody):
@@ -269,7 +270,11 @@ def _parameters(simulator: Any) -> dict[str, Any]:
     for i in range(plain.njnt):
         name = plain.joint(i).name
         first = int(plain.jnt_dofadr[i])
-        stated = {"damping": plain.dof_damping, "frictionloss": plain.dof_frictionloss}
+        stated = {
+            "damping": plain.dof_damping,
+            "frictionloss": plain.dof_frictionloss,
+            "armature": plain.dof_armature,
+        }
         for number, values in stated.items():
             if name and values[first] > 0.0:
                 out[f"joint.{name}.{number}"] = _quantity(float(values[first]), DAMPING_PERCENT)
@@ -278,8 +283,13 @@ def _parameters(simulator: Any) -> dict[str, Any]:
         name = plain.actuator(i).name
         if name and gain[0] > 0.0 and bias[1] == -gain[0]:
             out[f"actuator.{name}.kp"] = _quantity(float(gain[0]), GAIN_PERCENT)
+            if bias[2] < 0.0:  # above, a damping ratio is
+                out[f"actuator.{name}.kv"] = _quantity(-float(bias[2]), DAMPING_PERCENT)
         elif name and gain[0] > 0.0 and bias[1] == 0.0 and bias[2] == -gain[0]:
             out[f"actuator.{name}.kv"] = _quantity(float(gain[0]), GAIN_PERCENT)
+        low, high = plain.actuator_forcerange[i]
+        if name and plain.actuator_forcelimited[i] and 0.0 < high == -low:
+            out[f"actuator.{name}.forcerange"] = _quantity(float(high), GAIN_PERCENT)
     return out
 
 

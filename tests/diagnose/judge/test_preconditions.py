@@ -30,6 +30,7 @@ from diffsim.diagnose.say import assemble
 from diffsim.diagnose.say.causes import _why_not_refuted
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
 from diffsim.diagnose.search.search import fitted_exactly
+from diffsim.diagnose.search.simulations import Simulations
 from diffsim.identify import DiagnosisSettings
 from tests.diagnose import linear
 from tests.diagnose.say.test_causes import OTHER, PUSH, QUICK, causes, diagnosed, recorded
@@ -172,6 +173,31 @@ def test_a_best_set_that_was_far_behind_another_one_is_fitted_to_its_end(grounds
     assert ended.simulations.fitted[PUSHED].slope_error == 0.0
     np.testing.assert_allclose(ended.fit_of(PUSHED).x, fit.x, atol=1e-3)
     assert fitted_exactly(grounds.search, PUSHED) is grounds.search
+
+
+def test_fits_of_the_best_set_to_its_end_share_one_budget(grounds, monkeypatch):
+    """Each had one: with slopes mended twice, a first answer took three times its steps."""
+    given: list[float] = []
+    short = with_slope_error(grounds, 0.2).search
+    case = short.null.case
+    search = replace(case.settings.search, refit_steps=1000.0)
+    case = replace(case, settings=replace(case.settings, search=search))
+    short = replace(short, null=replace(short.null, case=case))
+    tally = short.wide.model.simulations
+
+    def spends(made, members, start, best_cost, begin=None, most=np.inf):
+        given.append(most)
+        tally.steps += int(0.6 * most)
+        own = made.coordinates(members)
+        at = replace(start, x=start.x[own], idx=tuple(range(len(own))))
+        return short.fit_of(members), at
+
+    monkeypatch.setattr(Simulations, "fitted_from", spends)
+    monkeypatch.setattr(
+        Simulations, "with_weak_slopes", lambda made, members: replace(made.fitted[members])
+    )
+    fitted_exactly(short, PUSHED)
+    assert given == [1000.0, 400.0, 160.0]
 
 
 def test_what_is_within_the_limits_is_no_doubt(grounds):

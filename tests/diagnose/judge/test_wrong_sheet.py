@@ -97,6 +97,18 @@ def test_a_wrong_data_sheet_does_not_narrow_its_neighbors():
     assert min(held.values()) >= 0.85 * 60
 
 
+def test_a_usual_value_that_nobody_stated_is_no_data_sheet():
+    """ "Slow time is 0.4 s, the data sheet says 120 s" of a study that stated none."""
+    truth, rng = {"front": 0.0, "rear": 9.0}, np.random.default_rng(0)
+    runs = [pair_run(f"r{k}", truth, rng) for k in range(2)]
+    whitener = linear.problem(runs=runs).whitener
+    for is_usual in (False, True):
+        model = PAIR.with_base((PAIR.base[0], replace(PAIR.base[1], is_usual=is_usual)))
+        found = fit(model, runs, linear.CHANNELS, whitener=whitener)
+        rows = base_rows(found, runs, Widening(), judged=True)
+        assert [row.name for row in rows if row.finding] == ([] if is_usual else ["rear"])
+
+
 def pair_record(values, run):
     """(T, 2) of two stiffnesses that do nearly the same."""
     both, rear = linear.shapes("both", run)[..., 0], linear.shapes("rear", run)[..., 0]
