@@ -3,8 +3,6 @@
 The right arguments are those of ``tests.derivatives``; ``tests.fuzz_entries`` has more.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

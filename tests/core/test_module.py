@@ -1,7 +1,5 @@
 """PyTorch's own tools on our classes: converted modules, other devices, files of records."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

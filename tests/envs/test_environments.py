@@ -1,7 +1,5 @@
 """Every registered environment keeps gymnasium's contracts."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

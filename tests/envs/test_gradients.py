@@ -1,7 +1,5 @@
 """What ``differentiable_step`` and whole episodes return has the right gradients."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

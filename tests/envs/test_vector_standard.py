@@ -1,7 +1,5 @@
 """The native batch as gymnasium's own vector environments: autoreset modes, seeds, masks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Populations of what is shown: pages of every kind, figures, the index of runs, films."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace

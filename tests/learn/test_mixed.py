@@ -1,7 +1,5 @@
 """The mix of first- and zeroth-order gradients, on tasks small enough to know the answer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """One set of parameters for each member of a batch: a loop over members, in one call."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Density per element: mass, weight and frequencies of composite bars, and exact gradients."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

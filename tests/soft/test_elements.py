@@ -1,7 +1,5 @@
 """Elements by what they must do whatever their inside: rigid motions, patches, beams and rings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -4,8 +4,6 @@ differences; members, threads and copies change no bit; all methods agree.
 A body with something new gets a row in ``BODIES``.
 """
 
-from __future__ import annotations
-
 import itertools
 import pickle
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Linearly implicit steps: one Newton step from the old positions, and its exact adjoint."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Bodies of several materials: stiffness, Poisson's ratio and density per element."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

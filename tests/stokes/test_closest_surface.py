@@ -1,7 +1,5 @@
 """The kernels of spline surfaces against scipy: its splines, its minimizer, and plain sorting."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Spline surfaces against spheres, tori, dense sampling, and finite differences."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
