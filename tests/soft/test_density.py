@@ -49,14 +49,6 @@ def test_an_element_gives_its_mass_to_its_own_nodes(kind):
         assert bool((mass[own] > 1e-2 * volume[e]).all()) and bool((mass[~own] < 1e-8).all())
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_equal_densities_are_the_scalar(kind):
-    body = soft_body(irregular_mesh(kind, (3, 2, 1)))
-    same = torch.full((body.mesh.num_elements,), 1.5, dtype=torch.float64)
-    close = {"rtol": 1e-14, "atol": 0.0}
-    torch.testing.assert_close(body.physics(density=same).mass, body.physics().mass, **close)
-
-
 def end_shares(m) -> torch.Tensor:
     """Share of each node in a uniform traction on the end at x = l, (num_nodes,) [-]."""
     faces = mesh.surface_triangles(m).faces
