@@ -51,13 +51,6 @@ def test_step_of_the_reacher() -> None:
     check_step(task, task.start(1, np.random.default_rng(1)), ("x", "v", "goal"))
 
 
-@pytest.mark.parametrize("name", ["CopterHover", "CopterTrack"])
-def test_step_of_a_copter(name: str) -> None:
-    task = envs.make_task(name)
-    state = task.start(1, np.random.default_rng(2))
-    check_step(task, state, ("position", "velocity", "body_rates", "thrusts"))
-
-
 @pytest.mark.parametrize(
     ("name", "steps", "options", "tolerance"),
     [
