@@ -1,7 +1,5 @@
 """What every run of the tests does: threads, how workers share the files, CPU seconds counted."""
 
-from __future__ import annotations
-
 import gc
 import os
 import time

@@ -4,8 +4,6 @@ What goes wrong depends on one value or on two together far more often than on t
 matrix of 5 x 2 x 2 cases becomes 10, one of 4 x 3 x 3 x 2 becomes 12.
 """
 
-from __future__ import annotations
-
 from itertools import combinations, product
 from typing import Any
 

@@ -6,8 +6,6 @@ that `REFERENCE_S` was measured on; a slower or busier one has as much more as i
 yardstick, which is run beside each test that would fail.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections import defaultdict

@@ -3,8 +3,6 @@
 All else: ``tests.derivatives``, spoiled by ``tests/test_arguments.py``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache

@@ -5,8 +5,6 @@ happens to gradients that are not there: that is a question to the ops, and
 `tests.helpers.check_layer` asks it of each. Here only numbers are compared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 import torch

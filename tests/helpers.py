@@ -1,7 +1,5 @@
 """The contract that every differentiable layer keeps; called once for each. Numbers of tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A benchmark whose parts are slow and always the same, to be killed by tests."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Processes that die while they write files: at a certain rename, before or after it."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from typing import Any

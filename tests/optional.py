@@ -1,7 +1,5 @@
 """Packages that tests may lack, or that cost seconds: asked for without loading them."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import pytest

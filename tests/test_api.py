@@ -1,7 +1,5 @@
 """What is public: rooms resolve, imports are light, the page is complete, examples obey."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import pkgutil

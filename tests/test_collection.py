@@ -1,7 +1,5 @@
 """Collecting all tests is paid by every run, each worker and each ``-k``: it stays cheap."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable
 from math import inf

@@ -4,8 +4,6 @@ What is public is found, not listed. A function that is new and takes tensors fa
 has an example in ``tests.derivatives``.
 """
 
-from __future__ import annotations
-
 import gc
 import re
 

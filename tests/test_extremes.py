@@ -1,7 +1,5 @@
 """Numbers of any size: the right answer, or an error that says what is wrong, never another one."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

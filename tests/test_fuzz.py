@@ -1,7 +1,5 @@
 """Spoiled arguments of public functions end in an error that names the argument, or right."""
 
-from __future__ import annotations
-
 import math
 import re
 import time

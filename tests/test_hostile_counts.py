@@ -4,8 +4,6 @@ Each of these took minutes, or all of the memory. What is refused costs a test n
 makes what it is asked for does not end.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import time

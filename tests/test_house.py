@@ -1,7 +1,5 @@
 """The house is as its map draws it: the tree, the paths that it names, no circle among files."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

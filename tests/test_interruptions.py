@@ -1,7 +1,5 @@
 """Killed at random moments, by SIGKILL and SIGTERM, then run again: the results are the same."""
 
-from __future__ import annotations
-
 import json
 import random
 import re

@@ -3,8 +3,6 @@
 Neither is a bare participle; a constant says of what it is, a docstring more than a unit.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Callable

@@ -5,8 +5,6 @@ arguments are those of ``tests.derivatives``, or the defaults. What refusals say
 arguments is a known number (``tests.known``).
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import math

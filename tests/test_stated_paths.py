@@ -3,8 +3,6 @@
 A new key that says it names a file, or whose meaning mentions one, fails here until it has a case.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Transformations of torch.func on every layer: right, or refused (docs/transformations.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -4,8 +4,6 @@ Kernels release Python's lock, so both threads are inside them at once: prepared
 inverses, memories handed from step to step and analyses made on first use are shared.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable

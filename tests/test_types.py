@@ -1,7 +1,5 @@
 """What a type checker of a user's program sees: the types of diffsim, not Any."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

@@ -9,8 +9,6 @@ Not for what is read while modules load: what a program imports, Ctrl-C in the m
 threads from the environment, the compiled core that ``DIFFSIM_ISA`` chooses.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import gc

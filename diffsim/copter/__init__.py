@@ -13,7 +13,6 @@ from diffsim.copter.design.spec_file import shipped_designs
 from diffsim.copter.dynamics.control_metrics import (
     control_authority,
     controllability,
-    hover_map_singular_value,
     max_hover_weight,
     response_time,
     rotor_out_margins,
@@ -27,7 +26,7 @@ from diffsim.copter.dynamics.flight import (
     prepare_flight,
 )
 from diffsim.copter.dynamics.flight_state import FlightState
-from diffsim.copter.dynamics.hover import Hover, hover, hover_thrusts
+from diffsim.copter.dynamics.hover import hover, hover_thrusts
 from diffsim.copter.dynamics.hover_result import HoverError, HoverResult, HoverWarning
 from diffsim.copter.dynamics.linearize import LinearModel, linearize, state_rate
 from diffsim.copter.dynamics.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
@@ -56,7 +55,6 @@ __all__ = [
     "FlightError",
     "FlightState",
     "FlyingVehicle",
-    "Hover",
     "HoverError",
     "HoverResult",
     "HoverWarning",
@@ -76,7 +74,6 @@ __all__ = [
     "disc_clearances",
     "fly",
     "hover",
-    "hover_map_singular_value",
     "hover_thrusts",
     "import_xml",
     "linearize",

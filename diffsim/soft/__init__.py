@@ -4,8 +4,6 @@ from diffsim.soft._solves import SolveStats
 from diffsim.soft.actuators import (
     ActuatorDynamics,
     ActuatorState,
-    FirstOrderLag,
-    RateLimit,
 )
 from diffsim.soft.body import SoftBody
 from diffsim.soft.chambers import PressureChamber, sealed_pressure
@@ -34,7 +32,6 @@ __all__ = [
     "ContactOptions",
     "Damping",
     "Directions",
-    "FirstOrderLag",
     "HydroForces",
     "Hydrodynamics",
     "Masses",
@@ -42,7 +39,6 @@ __all__ = [
     "Muscle",
     "Physics",
     "PressureChamber",
-    "RateLimit",
     "SoftBody",
     "SolveStats",
     "SolverOptions",

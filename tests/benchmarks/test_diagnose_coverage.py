@@ -1,7 +1,5 @@
 """Sizes from disjoint parts: how studies are cut, and when two sizes agree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rules of the benchmarks of flights: by hand, by published controls, on another simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

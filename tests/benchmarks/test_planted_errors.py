@@ -1,7 +1,5 @@
 """benchmarks/planted_errors.py: the plan fits the tree; what is planted is seen, or said."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A period of commands for the soft jumper: it gets better, and leaves its ratings and commands."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

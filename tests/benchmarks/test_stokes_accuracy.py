@@ -1,7 +1,5 @@
 """benchmarks/stokes_accuracy.py at tiny size: its exact flows are exact, and its tables right."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """benchmarks/stokes.py at tiny size: it runs, is kept, resumed and reported, whatever the times."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

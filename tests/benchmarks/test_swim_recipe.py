@@ -1,7 +1,5 @@
 """The benchmark of the swimmers' recipe: each variant leaves out what it says, and no more."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("gymnasium", reason="learning needs the extra 'rl'")

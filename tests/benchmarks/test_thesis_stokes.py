@@ -1,7 +1,5 @@
 """The published formulation: errors on exact flows, compressibility, locking, gradients."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

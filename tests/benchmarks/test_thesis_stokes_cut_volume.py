@@ -1,7 +1,5 @@
 """Half spaces in boxes: exact volume and area, zero components, gradients."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

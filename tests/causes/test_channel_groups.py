@@ -1,7 +1,5 @@
 """Instruments: which channels are late, lagged or behind a play together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

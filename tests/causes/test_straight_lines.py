@@ -1,7 +1,5 @@
 """Whatever is read between uneven samples is what numpy.interp reads, or the sample before."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``diffsim diagnose`` from the command line, on the toy; steps read what other steps wrote."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager

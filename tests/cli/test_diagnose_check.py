@@ -1,7 +1,5 @@
 """``diffsim diagnose check`` in a user's folder: what is there, what is wrong, before any run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 The recordings are made here by Euler steps of 0.5 ms that share nothing with diffsim.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``diffsim diagnose init``: a stranger's folder becomes a study that is read at once."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

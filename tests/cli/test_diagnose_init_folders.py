@@ -4,8 +4,6 @@ The small folders have the layouts of published ones; the published ones are ope
 they are on this machine.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

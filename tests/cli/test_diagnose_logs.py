@@ -1,7 +1,5 @@
 """From a log of a flight to an answer, by commands and a text editor alone."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

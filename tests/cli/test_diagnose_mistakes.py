@@ -1,7 +1,5 @@
 """Mistakes that strangers made in their first study, each of which `check` once let through."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

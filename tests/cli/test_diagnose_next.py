@@ -1,7 +1,5 @@
 """``diffsim diagnose next`` of a described system: its bank is made from the study's commands."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

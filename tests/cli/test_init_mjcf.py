@@ -1,7 +1,5 @@
 """``diffsim diagnose init`` in a folder that holds an MJCF beside its recordings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Shapes of every kind with points around them, and helpers for contact tests."""
 
-from __future__ import annotations
-
 import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor

@@ -4,8 +4,6 @@
 integrator's own formula and the body's elastic force, the slip from velocities.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

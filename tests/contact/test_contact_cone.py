@@ -1,7 +1,5 @@
 """Coulomb forces of a few contacts (contact_cone.cpp), against closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A step in contact: the same bits whatever the threads, and how many iterations it costs."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

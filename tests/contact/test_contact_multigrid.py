@@ -1,7 +1,5 @@
 """Multigrid in contact: the answers of a factor of the tangent, by few iterations."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,6 +1,5 @@
 """Poses, motion and coefficients of obstacles."""
 
-import dataclasses
 import math
 
 import pytest
@@ -76,17 +75,6 @@ def test_small_displacements_do_not_cancel():
     box = contact.box((1, 1, 1), angular_velocity=(1e-9, 0.0, 2e-9))
     exact = torch.linalg.cross(tensor((1e-9, 0.0, 2e-9)), far) * 1e-3
     torch.testing.assert_close(box.displacement(far, 1e-3), exact, rtol=1e-11, atol=0)
-
-
-def test_obstacles_do_not_change_but_can_be_replaced():
-    floor = contact.floor(0.1, friction=math.inf, restitution=0.5, name="table")
-    assert floor.distance_normal(tensor(0.0, 0.0, 0.4))[0].item() == pytest.approx(0.3)
-    assert math.isinf(floor.friction) and floor.after(0.1).name == "table"
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        floor.name = "ground"
-    rough = dataclasses.replace(floor, friction=0.3)
-    assert rough.friction.item() == 0.3 and rough.restitution.item() == 0.5
-    assert contact.plane((0, 1, 0), 0.5).shape.offset.item() == 0.5
 
 
 @pytest.mark.parametrize(

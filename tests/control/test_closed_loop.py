@@ -1,7 +1,5 @@
 """Networks of what is sensed: moments of observations, bounded commands, seeds."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Commands of time alone: signals in closed form, bounds, batches, gradients."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

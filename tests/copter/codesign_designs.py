@@ -1,7 +1,5 @@
 """Designs for the tests of co-design, made of point masses and rods that depend linearly on s."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Random multicopters for the tests of hover, linearization and control."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

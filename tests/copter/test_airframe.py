@@ -1,7 +1,5 @@
 """Mirrored airframes, agile flight with its gradient, and choices by branch and bound."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the tests of executors let workers do; importable there by name."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

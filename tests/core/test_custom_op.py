@@ -1,7 +1,5 @@
 """Ops of the kernels neither import torch's compiler nor stand in its way."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

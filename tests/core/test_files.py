@@ -1,7 +1,5 @@
 """Atomic writes: whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """What a first step imports, which costs seconds; private names of PyTorch are in one file."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

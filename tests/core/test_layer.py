@@ -1,7 +1,5 @@
 """A kernel as a layer: both modes, mapped axes, and refusals instead of silent zeros."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

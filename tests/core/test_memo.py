@@ -1,7 +1,5 @@
 """Values by key: computed once, the last ones kept, no copy shares them, large ones in files."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import pickle

@@ -1,7 +1,5 @@
 """Progress: bars on a terminal, few plain lines elsewhere, color only where it is wanted."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pty

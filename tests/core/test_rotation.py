@@ -1,7 +1,5 @@
 """All forms of a rotation agree with scipy's and with each other, and carry their gradients."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from scipy.spatial.transform import Rotation

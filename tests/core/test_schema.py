@@ -1,7 +1,5 @@
 """Blocks of YAML files: every mistake has a line with its path; YAML of strangers is bounded."""
 
-from __future__ import annotations
-
 import time
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Threads that the system refuses, too many of them, forks, and objects that threads share."""
 
-from __future__ import annotations
-
 import subprocess
 import threading
 

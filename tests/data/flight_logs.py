@@ -1,7 +1,5 @@
 """Flights as logs of robots, each written by its format's own library."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

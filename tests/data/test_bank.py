@@ -1,7 +1,5 @@
 """Runs that could be recorded next: within what commands can do, called so that one can do them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Columns that a study does not mention: what of the files reaches the diagnosis beside it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Formulas of columns: derivatives, and words in backquotes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

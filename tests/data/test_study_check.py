@@ -1,7 +1,5 @@
 """Gates on data: a good study passes, and each defect is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

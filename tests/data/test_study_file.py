@@ -1,7 +1,5 @@
 """Study files: round trip, and messages that name file, row and column."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

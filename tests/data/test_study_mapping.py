@@ -1,7 +1,5 @@
 """A stranger's files: any column, unit, delimiter and lay-out, mapped by ``study.yaml`` alone."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

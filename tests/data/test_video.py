@@ -1,7 +1,5 @@
 """A tracker against videos whose discs were drawn where we know."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ Both are asked of ``torch.autograd`` and of ``torch.func``, whose ``vmap`` must 
 does.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -233,7 +233,7 @@ def _raw() -> dict[str, Any]:
 
 CALL |= dict.fromkeys(
     (
-        *("cavities", "element_size", "element_volumes"),
+        *("cavities", "element_volumes"),
         *("quality", "shape_gradients", "surface_quads", "surface_triangles"),
         *("surface_vertices", "total_volume"),
     ),
@@ -258,8 +258,6 @@ CALL |= {
 # --- soft bodies
 
 MAKE |= {
-    soft.FirstOrderLag: lambda: {"time_constant": real(0.2)},
-    soft.RateLimit: lambda: {"max_rate": real(0.8)},
     soft.Hydrodynamics: lambda: {
         "mesh": irregular_mesh("hex"), "density": real(1000.0),
         "water_velocity": real(0.1, 0.2, 0.0),
@@ -402,7 +400,6 @@ CALL |= {
     "Fleet.of": lambda: {"vehicles": [crooked_copter(5), crooked_copter(5, 1)]},
     "disc_clearances": lambda: {"copter": strong_copter()},
     "min_clearance": lambda: {"copter": strong_copter()},
-    "hover_map_singular_value": lambda: {"copter": crooked_copter(5)},
     "prepare_flight": lambda: {"vehicle": crooked_copter(5), "dt": 0.03,
                                "effects": all_effects(5, 1)},
     "RotorModel.thrust": lambda: {"speed": real(300.0, 500.0)},
@@ -484,7 +481,6 @@ MAKE |= {
     copter.FlightState: lambda: {k: getattr(tumbling(1, 5), k) for k in
                                  ("position", "quaternion", "velocity", "body_rates", "thrusts",
                                   "charge")},
-    copter.Hover: lambda: {"weights": real(1.0, 1.1, 0.9, 1.2, 1.0)},
     copter.LQR: lambda: {"q": real(1.0, 2.0, 3.0), "r": real(1.0, 2.0)},
     copter.MotorLag: lambda: {"time_constants": real(0.04, 0.05)},
     copter.Multicopter: lambda: {k: getattr(crooked_copter(5), k) for k in
@@ -543,7 +539,6 @@ MAKE |= {
     },
     shapes.NurbsSurface: lambda: {"control_points": _tube(),
                                   "weights": 1.0 + 0.1 * noise(6, 4).abs()},
-    shapes.BSplineSurface: lambda: {"control_points": _tube()},
     shapes.Box: lambda: {"size": real(1.0, 0.7, 0.5), "center": real(0.1, 0.2, 0.0)},
     shapes.Sphere: lambda: {"radius": real(0.6), "center": real(0.1, 0.2, 0.0)},
     shapes.Plane: lambda: {"normal": real(0.1, 0.3, 1.0), "offset": real(0.2)},
@@ -574,8 +569,6 @@ CALL |= {
     "BezierCurve2d.point": lambda: {"tau": real(0.2, 0.7)},
     "NurbsSurface.point": lambda: {"uv": real([[0.2, 0.3], [0.6, 0.7]])},
     "SplineBasis.__call__": lambda: {"u": real(0.2, 0.7)},
-    "grid_nodes": lambda: {"num_cells": (2, 2), "spacing": 0.1, "origin": real(0.1, 0.2)},
-    "interface": lambda: {"phi": _flow_inputs()["phi"], "nodes": small_flow(2).grid.nodes},
     "sample": lambda: {"shape": shapes.Sphere(0.4, (0.5, 0.5)), "nodes": small_flow(2).grid.nodes},
 }  # fmt: skip
 

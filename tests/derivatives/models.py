@@ -1,7 +1,5 @@
 """Arguments of models, designs and robots: what stands on the layers; see ``examples``."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is public and takes tensors, found as ``scripts/api_page.py`` finds what is public."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import inspect

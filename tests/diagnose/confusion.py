@@ -1,7 +1,5 @@
 """Fresh toy cases and their verdicts: `python -m tests.diagnose.confusion SEED`."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -1,7 +1,5 @@
 """A linear model of known matrices: everything the statistics claim has a closed form here."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

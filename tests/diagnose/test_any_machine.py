@@ -1,7 +1,5 @@
 """The same answer on any machine: beside a busy process, by a clock that lies, on more threads."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -5,8 +5,6 @@ smoothed friction. Generator: scipy's DOP853 at rtol 1e-7, sharp nonlinearities,
 0.5 % gain jitter, placement errors.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache

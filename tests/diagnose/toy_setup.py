@@ -1,7 +1,5 @@
 """The toy as a setup file: ``diffsim diagnose explain STUDY --setup toy_setup.py``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from diffsim.data.study import Run, Study

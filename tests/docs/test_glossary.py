@@ -1,7 +1,5 @@
 """The glossary names what exists: its names stand in the rooms of their rows."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What pages name is there: modules, files, commands; extras hold what the README says."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """Small versions of all environments, and a robot of a few nodes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

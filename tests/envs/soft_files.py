@@ -1,7 +1,5 @@
 """Small soft bodies as task files state them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A swimmer's clock: what it shows, and who listens to it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

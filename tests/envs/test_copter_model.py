@@ -1,7 +1,5 @@
 """A diagnosis's model file as the copter of an environment."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every quantity of a copter that may be drawn per episode acts as a vehicle that has it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

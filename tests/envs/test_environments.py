@@ -1,7 +1,5 @@
 """Every registered environment keeps gymnasium's contracts."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np
@@ -99,17 +97,6 @@ def test_episodes_restart_within_the_step(name: str) -> None:
     assert not np.array_equal(observations, last)
 
 
-def test_only_failed_members_restart() -> None:
-    vector = envs.make_vector("CopterHover", 3)
-    vector.reset(seed=0)
-    vector.state["position"][1] += 100.0
-    *_, terminated, truncated, info = vector.step(np.zeros((3, 4), dtype=np.float32))
-    assert terminated.tolist() == [False, True, False]
-    assert not truncated.any()
-    assert vector.state["step"].tolist() == [1, 0, 1]
-    assert [row is None for row in info["final_obs"]] == [True, False, True]
-
-
 def test_a_fallen_robot_ends_its_episode() -> None:
     env = make("QuadrupedWalk").unwrapped
     env.reset(seed=0)
@@ -119,12 +106,3 @@ def test_a_fallen_robot_ends_its_episode() -> None:
     assert terminated
     assert not truncated
     assert not make("StarfishSwim").unwrapped.task.failed({"step": torch.zeros(1)}).any()
-
-
-def test_vector_render_and_seeds() -> None:
-    vector = envs.make_vector("CopterTrack", 2, render_mode="rgb_array")
-    first, _ = vector.reset(seed=5)
-    again, _ = vector.reset(seed=5)
-    np.testing.assert_array_equal(first, again)
-    assert (first[0] != first[1]).any()  # members differ
-    assert len(vector.render()) == 2

@@ -1,7 +1,5 @@
 """What ``differentiable_step`` and whole episodes return has the right gradients."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -51,13 +49,6 @@ def test_step_of_the_reacher() -> None:
     robot = block()
     task = Reach(robot, 5, goal_low=(-0.1,) * 3, goal_high=(0.1,) * 3)
     check_step(task, task.start(1, np.random.default_rng(1)), ("x", "v", "goal"))
-
-
-@pytest.mark.parametrize("name", ["CopterHover", "CopterTrack"])
-def test_step_of_a_copter(name: str) -> None:
-    task = envs.make_task(name)
-    state = task.start(1, np.random.default_rng(2))
-    check_step(task, state, ("position", "velocity", "body_rates", "thrusts"))
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Delay, randomization, noise, currents and substeps do what they say; refusals are clear."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

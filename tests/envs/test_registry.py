@@ -1,7 +1,5 @@
 """Environments as gymnasium's registry and their pages have them; pictures as observations."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What every term of a reward pays, against its data sheet: each once more, in numpy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

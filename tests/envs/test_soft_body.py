@@ -1,7 +1,5 @@
 """Tasks of described soft bodies: simulated as in a study, differentiable, checked key by key."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The soft jumper's task: start, reward, observations, and the gradient of a jump."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """A soft body's task with what a diagnosis found: sizes, causes, and draws of the posterior."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The adapter to stable-baselines3."""
 
-from __future__ import annotations
-
 import tempfile
 
 import numpy as np

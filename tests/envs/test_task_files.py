@@ -1,7 +1,5 @@
 """Tasks by file: found, checked and made by the same names as tasks of the package."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re

@@ -1,7 +1,5 @@
 """A window where there can be one, and a hint where there cannot."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Examples of bringing a simulator: each names what was put into its recordings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Scripts of users end in one line: after Ctrl-C at any moment, and where a package is missing."""
 
-from __future__ import annotations
-
 import ast
 import os
 import signal

@@ -1,7 +1,5 @@
 """The learning examples in quick form."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.examples.stories import load_story

@@ -1,7 +1,5 @@
 """Draws of a saved model: as wide as the intervals that the answer states, not as its fit alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Populations of the diagnosis: searches, what checks find, whole answers, what pages show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path

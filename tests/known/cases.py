@@ -1,7 +1,5 @@
 """Populations from the cases that the rooms' tests are about: what no example of a call reaches."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A few numbers that tell any others from ones that are a little different."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """Numbers that a page shows: its sentences and tables, and what its charts and views draw."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json

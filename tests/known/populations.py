@@ -4,8 +4,6 @@ Public calls, causes of all kinds of systems, environments, designs, devices, an
 the shell say and write.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """Populations of recordings: what studies and formats make of files that are written here."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from functools import partial

@@ -4,8 +4,6 @@ Everything is computed twice, the second time in a process whose libraries use a
 what rounding moves, and what holds the name of a folder, is left out.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

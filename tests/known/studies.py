@@ -1,7 +1,5 @@
 """Studies beside those of ``tests/studies``, from the rooms' tests: whose causes are known, too."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Loading recordings: every way a file can be wrong has a message that finds the place."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

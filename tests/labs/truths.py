@@ -1,7 +1,5 @@
 """A truth without errors, for tests that know the answer."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from labs.virtual import Lab

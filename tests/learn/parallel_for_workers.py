@@ -1,7 +1,5 @@
 """What processes that train together do; importable by workers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

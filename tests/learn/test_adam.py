@@ -1,7 +1,5 @@
 """Our Adam is PyTorch's, bit by bit, and does not load PyTorch's compiler."""
 
-from __future__ import annotations
-
 import copy
 import subprocess
 import sys

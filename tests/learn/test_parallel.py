@@ -1,7 +1,5 @@
 """Two processes that train one controller have the gradient, weights and ratings of one."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any

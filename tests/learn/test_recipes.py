@@ -1,7 +1,5 @@
 """Training scripts start from the task's recipe; what is given on the line goes first."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

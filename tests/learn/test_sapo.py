@@ -1,7 +1,5 @@
 """Soft analytic policy optimization: entropy, its price, soft targets, two critics, learning."""
 
-from __future__ import annotations
-
 import copy
 import math
 from typing import Any

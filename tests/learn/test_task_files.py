@@ -1,7 +1,5 @@
 """A task by its file is trained, kept, played and resumed by the same scripts; changes are told."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

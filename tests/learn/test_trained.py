@@ -1,7 +1,5 @@
 """Controllers that come with the package replay what was recorded of them."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 

@@ -1,7 +1,5 @@
 """Training scripts: quick runs, resuming, the guard, the critic's targets."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import json

@@ -1,7 +1,5 @@
 """3x3 SVD and polar decomposition: svd3, polar3 and their derivatives."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -76,15 +76,6 @@ def test_parents_of_faces():
         m.surface_quads(m.tet_box((1, 1, 1)))
 
 
-def test_outward_faces_of_one_tet():
-    mesh = m.tet_box((1, 1, 1))
-    one = m.TetMesh(*m.remove_unreferenced_nodes(mesh.x_rest, mesh.tets[:1]))
-    p = one.x_rest[m.surface_triangles(one).faces]
-    normal = torch.linalg.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    outwards = ((p.mean(dim=1) - one.x_rest.mean(dim=0)) * normal).sum(dim=1)
-    assert bool((outwards > 0).all())
-
-
 @pytest.mark.property
 @pytest.mark.parametrize("seed", range(4))
 def test_stuffing_creased_solids(seed):

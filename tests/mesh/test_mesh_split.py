@@ -1,7 +1,5 @@
 """Tetrahedra split in eight, boxes of mirrored cells, families of shapes of a mesh."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Derivatives of derivatives: in every order of modes, against differences of gradients."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

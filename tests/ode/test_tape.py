@@ -1,7 +1,5 @@
 """What a tape computes once, and its own sines and exponentials against many digits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

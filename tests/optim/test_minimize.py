@@ -1,7 +1,5 @@
 """The driver of L-BFGS: scipy's bits, an exact budget, a wall, a callback."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import optimize

@@ -1,7 +1,5 @@
 """Summing up runs, gradient quality, and the comparison from end to end."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

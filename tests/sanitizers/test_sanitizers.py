@@ -3,8 +3,6 @@
 Slow: the core is built again, into ``build/sanitized``; later runs compile what has changed.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

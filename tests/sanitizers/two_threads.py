@@ -7,8 +7,6 @@ Systems, patterns and analyses are made when they are first asked for, here by b
 what one thread finds alone is computed afterwards, from fresh ones.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable

@@ -1,8 +1,6 @@
 """Small bodies in round units (meter, second, tens of Pa), so that every gradient is of order
 one."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import pytest

@@ -1,7 +1,5 @@
 """One set of parameters for each member of a batch: a loop over members, in one call."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -82,24 +80,6 @@ def test_a_rollout_is_that_of_a_loop_over_members(integrator, method):
         for all_of_them, a in zip(grads, own_grads, strict=True):
             scale = float(all_of_them[k].abs().max()) + 1e-3
             torch.testing.assert_close(all_of_them[k], a[k], rtol=0, atol=1e-7 * scale)
-
-
-def test_gradients_are_those_of_differences():
-    body = bar()
-    values, state = members(body), start(body)
-    weight = noise(*state.x.shape, seed=12)
-
-    def loss(given: dict[str, Tensor]) -> Tensor:
-        return (weight * body(state, physics=body.physics(batch=MEMBERS, **given)).x).sum()
-
-    leaves = {n: leaf(v) for n, v in values.items()}
-    grads = torch.autograd.grad(loss(leaves), list(leaves.values()))
-    for (name, value), grad in zip(values.items(), grads, strict=True):
-        way = value.abs() * noise(*value.shape, seed=13)
-        with torch.no_grad():
-            ends = [loss(values | {name: value + h * way}) for h in (1e-5, -1e-5)]
-        wanted = float((ends[0] - ends[1]) / 2e-5)
-        assert float((grad * way).sum()) == pytest.approx(wanted, rel=1e-6, abs=1e-8), name
 
 
 def test_statics_and_forces_take_members_too():

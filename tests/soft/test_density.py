@@ -1,7 +1,5 @@
 """Density per element: mass, weight and frequencies of composite bars, and exact gradients."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -12,8 +10,6 @@ from scipy.optimize import brentq
 from diffsim import mesh, soft
 from tests.soft.cases import (
     irregular_mesh,
-    leaf,
-    noise,
     soft_body,
 )
 
@@ -51,22 +47,6 @@ def test_an_element_gives_its_mass_to_its_own_nodes(kind):
         own = torch.zeros(m.num_nodes, dtype=torch.bool)
         own[m.elements[e]] = True
         assert bool((mass[own] > 1e-2 * volume[e]).all()) and bool((mass[~own] < 1e-8).all())
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_equal_densities_are_the_scalar(kind):
-    body = soft_body(irregular_mesh(kind, (3, 2, 1)))
-    same = torch.full((body.mesh.num_elements,), 1.5, dtype=torch.float64)
-    close = {"rtol": 1e-14, "atol": 0.0}
-    torch.testing.assert_close(body.physics(density=same).mass, body.physics().mass, **close)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_total_mass_has_the_volumes_as_gradient(kind):
-    m = irregular_mesh(kind, (3, 2, 1))
-    density = leaf(1.0 + 0.2 * noise(m.num_elements).tanh())
-    (grad,) = torch.autograd.grad(soft_body(m).physics(density=density).mass.sum(), density)
-    torch.testing.assert_close(grad, mesh.element_volumes(m), rtol=1e-14, atol=0.0)
 
 
 def end_shares(m) -> torch.Tensor:

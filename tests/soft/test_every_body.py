@@ -4,8 +4,6 @@ differences; members, threads and copies change no bit; all methods agree.
 A body with something new gets a row in ``BODIES``.
 """
 
-from __future__ import annotations
-
 import itertools
 import pickle
 from collections.abc import Callable
@@ -19,6 +17,7 @@ from torch import Tensor
 from diffsim import soft
 from tests.covering import covering
 from tests.gradients import check_directions
+from tests.helpers import check_layer
 from tests.soft.cases import (
     SHARP,
     deformed,
@@ -27,15 +26,16 @@ from tests.soft.cases import (
     leaf,
     noise,
     rail_mask,
+    recorded_op,
     soft_body,
     two_muscles,
 )
 from tests.soft.test_chambers import hollow
 from tests.soft.test_slack_fibers import fibers_of
 from tests.soft.test_step_gradients import INTEGRATORS, METHODS, TOLERANCE
-from tests.soft.test_tangents import IMPLICIT, assert_close, central
 
 KINDS = ["hex", "tet"]
+IMPLICIT = [name for name in INTEGRATORS if name != "semi_implicit_euler"]
 SIGNALS = ("activation", "pressure", "external_force", "dirichlet_target")
 
 
@@ -199,15 +199,18 @@ def state_and_gradients(body: soft.SoftBody, given: dict[str, Tensor]) -> list[T
     name=list(BODIES),
     integrator=INTEGRATORS,
     kind=KINDS,
-    method=["auto", "quasi_newton", "linearly_implicit"],
+    method=["auto", "quasi_newton", "linearly_implicit", "linear on multigrid"],
 )
 def test_derivatives_are_those_of_differences(name, integrator, kind, method):
     """Of a motion, by every input, in both modes; BDF2 takes a third step for two old states."""
+    chosen = {"method": method}
+    if method == "linear on multigrid":
+        chosen = {"method": "linearly_implicit", "preconditioner": "multigrid"}
     body, inputs = made(
         name,
         kind,
         integrator=integrator,
-        solver=soft.SolverOptions(method=method, **SHARP),
+        solver=soft.SolverOptions(**chosen, **SHARP),
         **({"dt": 0.01} if integrator == "semi_implicit_euler" else {}),
     )
 
@@ -298,16 +301,89 @@ def test_methods_agree(name, method, kind):
         assert (one - other).norm() <= 1e-6 * max(1.0, float(other.detach().norm()))
 
 
-@pytest.mark.parametrize("name", ["second shares", "slack fibers", "regions"])
-def test_a_step_compiles_whole(name):
+@pytest.mark.grad
+@covering(
+    name=["pd", "pocket", "weighted nodes", "slack fibers"],
+    integrator=INTEGRATORS,
+    block=[1, 2, 3, 7],
+)
+def test_checkpoints_change_nothing(name, integrator, block):
+    dt = 0.01 if integrator == "semi_implicit_euler" else 0.05
+    body, inputs = made(name, "tet", integrator=integrator, dt=dt)
+    found = []
+    for every in (None, block):
+        start, loads = soft.State(inputs["x"], inputs["v"]), loads_of(body, inputs)
+        push = loads.pop("external_force", noise(*body.x_rest.shape, seed=3))
+        motion = soft.rollout(
+            body,
+            start,
+            5,
+            **loads,
+            external_force=lambda k, state, push=push: push * (1 + k) - 0.1 * state.v,
+            checkpoint_every=every,
+        )
+        loss = (noise(*motion.x.shape) * motion.x).sum() + 0.1 * (motion.v**2).sum()
+        grads = torch.autograd.grad(loss, list(inputs.values()))
+        found.append([motion.x, motion.final.v, *grads])
+    for k, (plain, saved) in enumerate(zip(*found, strict=True)):
+        # gradients are the same numbers summed in another order: a few roundings
+        tolerance = {} if k > 1 else {"rtol": 0, "atol": 0}
+        torch.testing.assert_close(saved, plain, **{"rtol": 1e-12, "atol": 1e-12, **tolerance})
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize(
+    ("name", "kind", "op"),
+    [
+        ("pd", "tet", "soft_step"),
+        ("pocket", "hex", "soft_step"),
+        ("pocket", "hex", "elastic_gradient"),
+        ("pd", "hex", "elastic_gradient"),
+        ("pd", "tet", "elastic_energy"),
+    ],
+)
+def test_ops_keep_the_layer_contract(name, kind, op):
+    body, inputs = made(name, kind)
+    names = [
+        n for n in inputs if op == "soft_step" or n == "x" or n not in (*ONLY_MOVING, *NO_ENERGY)
+    ]
+
+    def layer(*values):
+        given = dict(zip(names, values, strict=True))
+        if op == "soft_step":
+            return moved(body, given, 1).x
+        function = body.elastic_force if op == "elastic_gradient" else body.elastic_energy
+        return function(given["x"], **loads_of(body, given))
+
+    args = tuple(inputs[n] for n in names)
+    ops = recorded_op(op, lambda: layer(*args))
+    check_layer(layer, args, ops=ops, fast_mode=True, **TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("name", "integrator"),
+    [
+        ("second shares", "implicit_euler"),
+        ("slack fibers", "bdf2"),
+        ("regions", "implicit_midpoint"),
+        ("cable", "semi_implicit_euler"),
+    ],
+)
+def test_a_step_compiles_whole(name, integrator):
+    """With its adjoint; BDF2's second step remembers two states."""
     torch.compiler.reset()  # or sizes of the body before are thought to change
-    body, inputs = made(name, "hex")
+    body, inputs = made(name, "hex", integrator=integrator, dt=0.02)
 
     def after(*values):
-        return moved(body, dict(zip(inputs, values, strict=True)), 1).x
+        given = dict(zip(inputs, values, strict=True))
+        return moved(body, given, 2 if integrator == "bdf2" else 1).x
 
-    whole = torch.compile(after, fullgraph=True, backend="aot_eager")
-    torch.testing.assert_close(whole(*inputs.values()), after(*inputs.values()))
+    args = tuple(inputs.values())
+    results = []
+    for function in (after, torch.compile(after, fullgraph=True, backend="aot_eager")):
+        out = function(*args)
+        results.append((out, *torch.autograd.grad(out, args, noise(*out.shape))))
+    torch.testing.assert_close(*results)
 
 
 @pytest.mark.property
@@ -348,6 +424,19 @@ def test_a_turned_world_gives_the_turned_motion(name, integrator, kind):
         assert body.elastic_force(body.x_rest, **loads).abs().max() < 1e-12
 
 
+def assert_close(found, expected, rtol):
+    assert float((found - expected).norm()) < rtol * float(expected.norm())
+
+
+def central(f, values, rates, h=1e-4):
+    """Fourth-order central difference of f along a direction with a leading axis of one."""
+
+    def at(offset):
+        return f({n: v + offset * rates[n][0] for n, v in values.items()})
+
+    return (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h)
+
+
 def rates_of(values: dict[str, Tensor]) -> dict[str, Tensor]:
     """One direction that moves all values at once, each by a tenth of it, with a leading axis."""
     return {
@@ -376,7 +465,7 @@ def test_tangents_of_a_motion_are_those_of_differences(name, integrator, kind, m
     start, directions = soft.State(values["x"], values["v"]), directions_of(body, values, rates)
     found = soft.rollout_tangents(body, start, 3, 1, directions, **loads_of(body, values))
     assert torch.equal(found.x[-1], moved(body, values, 3).x)
-    expected = central(lambda given: moved(body, given, 3).x, values, rates, 0)
+    expected = central(lambda given: moved(body, given, 3).x, values, rates)
     assert_close(found.tangent[-1, 0], expected, 1e-6)
 
 
@@ -394,4 +483,4 @@ def test_tangents_of_rest_under_load_are_those_of_differences(name, kind):
     found = soft.static_tangents(
         body, at_rest(values), 1, directions_of(body, values, rates), **given
     )
-    assert_close(found[0], central(at_rest, values, rates, 0), 1e-6)
+    assert_close(found[0], central(at_rest, values, rates), 1e-6)

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
-from tests.gradients import check_directions
 from tests.measured import data_folder
 from tests.soft.cases import deformed, irregular_mesh, leaf, noise, soft_body
 
@@ -195,25 +194,6 @@ def test_gradients(kind, limit):
     if "limit" in options:
         limited = out.detach().norm(dim=-1) > 0.4 * (1 - 1e-12)
         assert 0 < limited.sum() < limited.numel()  # limited and free nodes both checked
-
-
-@pytest.mark.grad
-def test_gradient_in_batch_and_through_a_rollout():
-    m, x, v = case("tet", batch=(2,))
-    hydro = soft.Hydrodynamics(m, density=0.5)
-    body = soft_body(m)
-
-    def final(v, drag):
-        hydro_now = soft.Hydrodynamics(m, density=0.5, drag_coefficients=drag)
-        motion = soft.rollout(
-            body, soft.State(x, v), 2, external_force=lambda k, s: hydro_now(s.x, s.v)
-        )
-        return motion.final.x
-
-    drag = leaf([0.1, 0.2, 1.1, 1.7])
-    check_directions(final, (leaf(v), drag), atol=2e-5, rtol=2e-5)
-    assert hydro(x, v).shape == x.shape
-    torch.testing.assert_close(hydro(x, v)[1], hydro(x[1], v[1]), rtol=1e-14, atol=1e-14)
 
 
 @pytest.mark.grad

@@ -1,24 +1,13 @@
 """Linearly implicit steps: one Newton step from the old positions, and its exact adjoint."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor
 
 from diffsim import contact, mesh, soft
-from tests.soft.cases import (
-    KINDS,
-    SHARP,
-    deformed,
-    element_of,
-    irregular_mesh,
-    leaf,
-    noise,
-    rail_mask,
-    soft_body,
-    two_muscles,
-)
+from tests.gradients import check_directions
+from tests.soft.cases import SHARP, deformed, irregular_mesh, leaf, noise, soft_body
+from tests.soft.test_step_gradients import TOLERANCE, layer_of
 
 
 def linear_body(m, **changes) -> soft.SoftBody:
@@ -26,87 +15,12 @@ def linear_body(m, **changes) -> soft.SoftBody:
     return soft_body(m, solver=solver, **changes)
 
 
-def require_differences(loss, leaves: list[Tensor], tolerance: float = 1e-6) -> None:
-    """Gradients along one direction of each leaf against central differences."""
-    grads = torch.autograd.grad(loss(*leaves), leaves)
-    for k, grad in enumerate(grads):
-        way = noise(*grad.shape, seed=20 + k) if grad.ndim else torch.ones_like(grad)
-        h = 1e-5 * max(1.0, float(leaves[k].detach().abs().max()))
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = [leaf.detach() for leaf in leaves]
-            moved[k] = moved[k] + sign * h * way
-            with torch.no_grad():
-                ends.append(loss(*moved))
-        difference = float((ends[0] - ends[1]) / (2.0 * h))
-        assert float((grad * way).sum()) == pytest.approx(difference, rel=tolerance, abs=1e-8)
-
-
-def two_steps(body: soft.SoftBody, weight: Tensor, **given):
-    """Loss of two steps as a function of state and parameters."""
-
-    def loss(x, v, E, nu, rho, force, *rest):
-        physics = body.physics(youngs_modulus=E, poissons_ratio=nu, density=rho)
-        loads = dict(zip(given, rest, strict=True))
-        state = soft.State(x, v)
-        for _ in range(2):
-            state = body(state, external_force=force, physics=physics, **loads)
-        return (weight * state.x).sum() + 0.1 * (weight * state.v).sum()
-
-    return loss
-
-
-def leaves_of(m, *more) -> list[Tensor]:
-    shape = (m.num_nodes, 3)
-    amount = 0.15 if m.num_nodes < 40 else 0.05  # eighths are half as long: none inverted
-    start = [deformed(m, amount), noise(*shape, seed=3), 30.0, 0.3, 1.5, noise(*shape, seed=4)]
-    return [leaf(value) for value in (*start, *more)]
-
-
-def require_transposes(loss, leaves: list[Tensor]) -> None:
-    """Forward mode along one direction of all leaves against the gradient."""
-    ways = [noise(*x.shape, seed=40 + k) if x.ndim else x / 7 for k, x in enumerate(leaves)]
-    forward = torch.func.jvp(loss, tuple(leaves), tuple(ways))[1]
-    grads = torch.autograd.grad(loss(*leaves), leaves)
-    parts = torch.stack([(g * w).sum() for g, w in zip(grads, ways, strict=True)])
-    assert (parts.abs() > 1e-6 * parts.abs().max()).all()  # every input takes part
-    torch.testing.assert_close(forward, parts.sum(), rtol=0, atol=1e-8 * float(parts.abs().sum()))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("material", soft.MATERIALS)
-def test_forward_mode_of_every_material_is_the_transpose_of_the_gradient(material, kind):
-    m = irregular_mesh(kind)
-    body = linear_body(m, element=element_of(kind), material=material, fixed=rail_mask(m))
-    require_transposes(two_steps(body, noise(m.num_nodes, 3, seed=5)), leaves_of(m))
-
-
-@pytest.mark.parametrize("preconditioner", ["auto", "multigrid"])
-@pytest.mark.parametrize("integrator", ["implicit_euler", "bdf2", "implicit_midpoint"])
-def test_gradients_with_muscles_damping_and_moving_targets(integrator, preconditioner):
+@pytest.mark.parametrize("material", ["pd", "corotated"])
+def test_gradients_at_rest_where_all_stretches_are_equal(material):
     m = irregular_mesh("hex")
-    body = linear_body(
-        m,
-        integrator=integrator,
-        fixed=rail_mask(m),
-        muscles=two_muscles(),
-        rayleigh_alpha=0.1,
-        rayleigh_beta=0.05,
-        options={"preconditioner": preconditioner},
-    )
-    target = m.x_rest + 0.1 * noise(m.num_nodes, 3, seed=8)
-    loss = two_steps(body, noise(m.num_nodes, 3, seed=5), activation=None, dirichlet_target=None)
-    require_differences(loss, leaves_of(m, [0.9, 0.2], target))
-    require_transposes(loss, leaves_of(m, [0.9, 0.2], target))
-
-
-def test_gradients_at_rest_where_all_stretches_are_equal():
-    m = irregular_mesh("hex")
-    for material in ("pd", "corotated"):
-        body = linear_body(m, material=material)
-        start = [leaf(v) for v in (m.x_rest, 0.5 * noise(m.num_nodes, 3, seed=3))]
-        rest = leaves_of(m)[2:]
-        require_differences(two_steps(body, noise(m.num_nodes, 3, seed=5)), start + rest)
+    layer = layer_of(linear_body(m, material=material), ("x", "v", "youngs_modulus"))
+    args = (leaf(m.x_rest), leaf(0.5 * noise(m.num_nodes, 3, seed=3)), leaf(30.0))
+    check_directions(layer, args, **TOLERANCE)
 
 
 def test_step_and_gradient_are_those_of_torch_on_the_energy_written_out():
@@ -182,7 +96,7 @@ def test_a_tangent_that_is_not_definite_is_solved_all_the_same():
         return (body(soft.State(x, v)).x * noise(m.num_nodes, 3, seed=5)).sum()
 
     assert torch.isfinite(loss)
-    require_differences(f, [x, v], tolerance=1e-5)
+    check_directions(f, (x, v), eps=1e-6, atol=1e-5, rtol=1e-5)
 
 
 def test_what_has_no_linearly_implicit_step_is_refused():

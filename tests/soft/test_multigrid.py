@@ -1,7 +1,5 @@
 """Multigrid on the tangent: few iterations at any size, contrast and rotation, the same answers."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """The gradient of the rest shape: energies, steps, rollouts, statics, contact, in both modes."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Small bodies have a factor and a search of their own."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

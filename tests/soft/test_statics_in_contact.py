@@ -1,8 +1,6 @@
 """Rest among obstacles: where motion ends, with its gradient in both modes, and what does not
 settle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Exact Stokes flows in embedded geometry, and small problems with every kind of input."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The six fluidic devices: sizes, gradients of the whole chain, losses, symmetry, linearity."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import replace

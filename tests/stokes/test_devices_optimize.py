@@ -1,7 +1,5 @@
 """The search for designs: reaches the amplifier's optimum, goes on where it was interrupted."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

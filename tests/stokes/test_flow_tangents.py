@@ -1,7 +1,5 @@
 """Forward mode of the flow, of cut cells and of fluxes: transposes of reverse mode, and right."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """A flow holds one factor at a time, whatever number of geometries it has solved."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

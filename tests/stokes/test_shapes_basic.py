@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from diffsim.mesh import sdf
+from diffsim.stokes.grid import Grid
 from diffsim.stokes.shapes import (
     BezierCurve2d,
     Box,
@@ -20,7 +21,7 @@ from diffsim.stokes.shapes import (
     Sphere,
     Translate,
     Union,
-    grid_nodes,
+    sample,
 )
 from tests.helpers import random, tensor
 
@@ -75,7 +76,7 @@ def test_motions_and_extrusion_are_identities():
         torch.testing.assert_close(Extrude(outline, axis)(POINTS), outline(POINTS[:, across]))
         tracked = POINTS.clone().requires_grad_()  # takes the other way through Extrude
         torch.testing.assert_close(Extrude(outline, axis)(tracked), outline(POINTS[:, across]))
-    nodes = grid_nodes((4, 5, 6), 0.3, (-0.6, -0.7, 0.0))
+    nodes = Grid((4, 5, 6), 0.3, origin=(-0.6, -0.7, 0.0)).nodes
     torch.testing.assert_close(Extrude(outline)(nodes), outline(nodes[..., :2]))
     body = Extrude(outline) & Sphere(0.4, (0.1, 0.2, 0.3))
     torch.testing.assert_close(Rotate(body, 2 * math.pi, axis=(1, 1, 0))(POINTS), body(POINTS))
@@ -132,7 +133,15 @@ def test_modules_are_level_sets_and_show_their_parameters():
     torch.testing.assert_close(shape(POINTS.T.contiguous().T), shape(POINTS))
 
 
+def test_nodes_are_indexed_by_x_y_z():
+    nodes = Grid((4, 3, 2), 0.5, origin=(1.0, 2.0, 3.0)).nodes
+    assert nodes.shape == (5, 4, 3, 3)
+    torch.testing.assert_close(nodes[4, 1, 2], tensor([3.0, 2.5, 4.0]))
+
+
 def test_errors_say_what_to_do():
+    with pytest.raises(ValueError, match="solid everywhere"):
+        sample(Plane((0.0, 1.0), 3.0), Grid((8, 8), 1 / 8).nodes)
     with pytest.raises(ValueError, match="normal must not be zero"):
         Plane((0, 0, 0))
     with pytest.raises(ValueError, match="use Extrude"):

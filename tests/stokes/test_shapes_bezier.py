@@ -1,7 +1,5 @@
 """Bezier walls against dense sampling, circles, and finite differences."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

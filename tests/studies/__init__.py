@@ -1,7 +1,5 @@
 """Small studies of every kind of system, as a user has them: a YAML file and tables."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from diffsim.data import load_study

@@ -4,8 +4,6 @@ What channels show is what the described model makes of the commands, its base p
 a standard deviation off, with noise. Bodies in flight are flown by formulas of their own.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 

@@ -1,7 +1,5 @@
 """The starfish's leg with slack in its tendon, and its extended model."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A quadcopter of its own, z up: Newton and Euler by a Runge-Kutta method, nothing of diffsim."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

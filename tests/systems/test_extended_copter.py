@@ -1,7 +1,5 @@
 """A diagnosed copter in ``fly`` and in the design for waypoints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Channel networks described in YAML: laws of channels, keys, causes, the laboratory's own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The flow device: effects vanish at size 0, scores are exact, each acts as its physics says."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from functools import lru_cache

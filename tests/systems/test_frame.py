@@ -1,7 +1,5 @@
 """Causes of a saved model on new runs: they mean what they meant where the model was fitted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

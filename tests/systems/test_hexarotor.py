@@ -1,7 +1,5 @@
 """Vehicles with more rotors than forces and torques that they can make."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

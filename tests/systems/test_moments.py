@@ -1,7 +1,5 @@
 """Moments of air and rotors against their formulas, in the model's frames (z down)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Flights described in YAML: keys, frames, sensors and causes against a simulator of its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

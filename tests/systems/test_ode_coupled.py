@@ -1,7 +1,5 @@
 """Forces in a coupled mechanism: a cart with a pendulum, integrated here by scipy on its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Entries written once for a row: masses between springs, against their closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A sensor that shows several times too much, and the data sheet that would do the same."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A ball thrown in front of one camera, made here by scipy and a pinhole of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,7 +1,5 @@
 """Windows of flights: their length, strong forces that settle in them, steps by secants."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """A quadcopter with a rotor that gives too little thrust, and its extended model."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

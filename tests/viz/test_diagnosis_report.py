@@ -1,7 +1,5 @@
 """The page of a diagnosis: all of its parts, in order, and figures that show what they say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The page of a judgment: what a saved model says of new runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

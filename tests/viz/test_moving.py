@@ -1,7 +1,5 @@
 """Moving bodies in pages: what is packed is what was given, and a browser turns and plays it."""
 
-from __future__ import annotations
-
 import base64
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Pages in a browser as wide as a laptop's and as a phone's: nothing lies beyond the edge."""
 
-from __future__ import annotations
-
 import pytest
 
 from diffsim.diagnose.faults.verdict import FaultReport, FaultVerdict, SetRow, Size

@@ -1,7 +1,5 @@
 """The HTML report and its figures: one file, nothing from outside, everything escaped."""
 
-from __future__ import annotations
-
 import base64
 import re
 from html.parser import HTMLParser

@@ -62,34 +62,16 @@ def controllability(A: Tensor, B: Tensor) -> Controllability:
 
 
 @checked
-def hover_map_singular_value(copter: Multicopter) -> Tensor:
-    """Smallest singular value of thrusts to lift, roll, pitch and yaw, () [-].
-
-    Torques in units of the mean lever, thrusts in shares of their sum. Zero where a hover is not
-    controllable (rotors in a line), with a gradient that leads away unless the design is symmetric
-    there; a barrier on it keeps a search controllable.
-    """
-    torque = copter.torque_matrix
-    lever = torch.linalg.vector_norm(torque) / copter.num_rotors**0.5
-    lever = torch.where(lever > 0.0, lever, 1.0)
-    rows = torch.cat([_lift(copter), torque / lever]) / copter.num_rotors**0.5
-    values = torch.linalg.svdvals(rows)
-    return values[-1] if copter.num_rotors >= 4 else 0.0 * values[-1]
-
-
-@checked
 def max_hover_weight(
     copter: Multicopter,
     *,
     torque: Tensor | tuple[float, float, float] = (0.0, 0.0, 0.0),
-    smoothing: float = 0.0,
 ) -> Tensor:
     """The largest weight that the rotors hold up with every torque of a box still to be had.
 
     Args:
         copter: The vehicle.
         torque: Half extents of the box in x, y and z, (3,) [N m]; zero: lift alone.
-        smoothing: Barrier weight [N]; above 0 the result lies below and is smooth in the design.
 
     Returns:
         Weight, () [N].
@@ -106,9 +88,8 @@ def max_hover_weight(
     a[:, 0] = 1.0
     b = torch.cat([torch.zeros(len(signs), 1, dtype=torch.float64), signs * box], 1)
     C = torch.cat([_lift(copter), copter.torque_matrix])
-    smoothing = require_number("smoothing", smoothing, at_least=0.0)
     what = f"reach the torques +-{box.tolist()} N m"
-    return max_scale(C, a, b, copter.max_thrusts, what=what, smoothing=smoothing)
+    return max_scale(C, a, b, copter.max_thrusts, what=what)
 
 
 @checked(load=())
@@ -117,7 +98,6 @@ def control_authority(
     *,
     torque: Tensor | tuple[float, float, float] = (1.0, 1.0, 0.1),
     load: float | Tensor = 0.0,
-    smoothing: float = 0.0,
 ) -> Tensor:
     """How many times a box of torques can be had, in any combination, while the weight is held.
 
@@ -125,7 +105,6 @@ def control_authority(
         copter: The vehicle.
         torque: Half extents of the box in x, y and z, (3,) [N m].
         load: Weight carried at the center of mass [N].
-        smoothing: Barrier weight [-]; above 0 the result lies below and is smooth in the design.
 
     Returns:
         Scale of the box, () [-].
@@ -145,9 +124,8 @@ def control_authority(
     a = torch.cat([torch.zeros(len(signs), 1, dtype=torch.float64), signs * box], 1)
     b = torch.cat([weight, torch.zeros(len(signs), 3, dtype=torch.float64)], 1)
     C = torch.cat([_lift(copter), copter.torque_matrix])
-    smoothing = require_number("smoothing", smoothing, at_least=0.0)
     what = f"hold {float(weight[0, 0]):g} N"
-    return max_scale(C, a, b, copter.max_thrusts, what=what, smoothing=smoothing)
+    return max_scale(C, a, b, copter.max_thrusts, what=what)
 
 
 @checked(load=())

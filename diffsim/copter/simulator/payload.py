@@ -50,9 +50,7 @@ def with_payload(vehicle: Multicopter, payload: float, *, drop: float = 0.05) ->
 
 
 @checked
-def payload_limit(
-    vehicle: Multicopter, outputs: MotorOutputs, battery: Battery, *, charge: float = 1.0
-) -> float:
+def payload_limit(vehicle: Multicopter, outputs: MotorOutputs, battery: Battery) -> float:
     """Largest load at the center of mass that hovers within the pulse clamp [kg].
 
     The voltage is that under the current of the hover itself. At the limit nothing is left for
@@ -61,10 +59,9 @@ def payload_limit(
     Args:
         vehicle: Without the load.
         outputs: Outputs of the vehicle's motors.
-        battery: What feeds them.
-        charge: State of charge of the battery, 0 to 1.
+        battery: What feeds them, fully charged.
     """
-    start, rated = _tensor(charge), outputs.max_thrusts
+    start, rated = _tensor(1.0), outputs.max_thrusts
 
     def lift(weight: float) -> float:
         """Largest weight at the voltage that hovering this weight leaves."""

@@ -1,7 +1,5 @@
 """Flights whose vehicle and effects are packed once: the same numbers as ``fly``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

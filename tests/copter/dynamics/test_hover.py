@@ -10,7 +10,6 @@ import scipy.optimize
 import torch
 
 from diffsim.copter import (
-    Hover,
     HoverError,
     HoverWarning,
     hover,
@@ -99,9 +98,6 @@ def test_holds_still(seed, n):
     state = torch.cat([zero, euler, zero, zero])
     # accelerations of up to 10 m/s^2 and 1e3 rad/s^2 of single rotors cancel
     assert state_rate(copter, state, result.thrusts).abs().max() < 1e-11
-    down = result.rot_world_from_body @ copter.force_matrix @ result.thrusts
-    expected = torch.stack([zero[0], zero[0], -copter.weight])
-    torch.testing.assert_close(down, expected, atol=1e-12, rtol=1e-13)
 
 
 def test_least_norm_without_limits():
@@ -310,15 +306,6 @@ def test_batch_is_its_entries():
         assert torch.equal(batch.thrusts.reshape(4, 5)[k], single.thrusts)
         assert torch.equal(batch.attitude.reshape(4, 2)[k], single.attitude)
         assert int(batch.rank.flatten()[k]) == int(single.rank) == 4
-
-
-def test_module():
-    copter = random_copter(1)
-    h = torch.linspace(1.0, 2.0, 6, dtype=torch.float64)
-    layer = Hover(weights=h, smoothing=1e-4)
-    expected = hover(copter, weights=h, smoothing=1e-4, load=2.0)
-    assert torch.equal(layer(copter, 2.0).thrusts, expected.thrusts)
-    assert "weights" in dict(layer.named_buffers())
 
 
 @pytest.mark.parametrize(

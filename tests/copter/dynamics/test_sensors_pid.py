@@ -54,14 +54,6 @@ def test_noise_has_the_stated_spread():
     assert position.std() == pytest.approx(0.3, rel=0.02)
 
 
-def test_seed_decides():
-    one, same, other = (
-        stream(SensorNoise(), seed).read(LEANING, np.zeros(3)).gyro for seed in (1, 1, 2)
-    )
-    assert np.array_equal(one, same)
-    assert not np.array_equal(one, other)
-
-
 def flown(vehicle, state, target, controller, *, steps, dt=0.01, yaw=0.0, effects=None):
     """The last state under the controller, one period after the other."""
     batch = len(state.position)

@@ -1,7 +1,5 @@
 """Nuisances of single runs against their priors: scatter between repeats that gains take up."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whole answers about studies, as a command makes them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

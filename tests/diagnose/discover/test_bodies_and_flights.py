@@ -1,7 +1,5 @@
 """Laws that nobody listed, on soft bodies, rods and flights: each through the ports it offers."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

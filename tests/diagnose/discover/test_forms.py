@@ -1,7 +1,5 @@
 """Each form finds its own numbers in a curve that is known, in units of the variable."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Laws against causes of the library: what they may cost, which are weighed, what stands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any

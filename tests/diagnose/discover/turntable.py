@@ -1,7 +1,5 @@
 """A turntable with a motor, recorded by an encoder: its equations in numpy, what is hidden too."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from typing import Any

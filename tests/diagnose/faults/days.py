@@ -1,7 +1,5 @@
 """A rig of four readings that differ from day to day, with faults in some groups."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

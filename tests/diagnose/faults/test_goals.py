@@ -1,7 +1,5 @@
 """Rows of one goal are one witness, and neither a missed goal nor a misread row is a fault."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

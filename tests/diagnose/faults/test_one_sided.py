@@ -1,7 +1,5 @@
 """Known sizes keep their sign, and draws of spreads follow their posterior."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

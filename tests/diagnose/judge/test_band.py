@@ -1,7 +1,5 @@
 """The band for unseen runs: its coverage where the model is wrong, and what it is made from."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

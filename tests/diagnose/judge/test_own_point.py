@@ -1,7 +1,5 @@
 """Values that belong to one run, fitted to it alone while all others stay."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

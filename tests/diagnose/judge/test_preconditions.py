@@ -1,7 +1,5 @@
 """What must hold before a cause is certain: each precondition, broken alone, leaves it likely."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -5,8 +5,6 @@
 ``truth`` and ``report`` is a drawn case of ``labs.rates``, whose record goes to ``drawn.json``.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

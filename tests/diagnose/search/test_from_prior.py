@@ -1,7 +1,5 @@
 """Two large causes that drive the plain model far from its data sheet."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

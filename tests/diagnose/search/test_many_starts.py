@@ -1,7 +1,5 @@
 """Many coordinates act in one run each: nothing depends on whether their zeros are used."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

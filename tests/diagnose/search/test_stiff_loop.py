@@ -1,7 +1,5 @@
 """Friction and a constant torque in a stiff loop, where steps that suit the plain model do not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

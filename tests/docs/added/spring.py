@@ -1,7 +1,5 @@
 """A spring under a weight: a kind of system, as docs/adding.md says to write one."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal
 

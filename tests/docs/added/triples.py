@@ -1,7 +1,5 @@
 """Recordings in a format of their own: a line for each value, ``time;name;value``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SharedStretch data of the data tests: the measured beam if it is there, a virtual one always."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

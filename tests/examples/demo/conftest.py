@@ -1,7 +1,5 @@
 """A demo small enough for tests, run once per session on the virtual laboratory's recordings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

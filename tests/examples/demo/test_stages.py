@@ -1,7 +1,5 @@
 """Stages are kept, read back only when nothing they depend on changed."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from examples.demo.stages import Stages, file_digest

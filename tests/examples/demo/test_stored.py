@@ -1,7 +1,5 @@
 """Stored answers are of the same recordings and sizes, or none; what is computed is compared."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

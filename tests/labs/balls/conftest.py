@@ -1,7 +1,5 @@
 """One short film of two balls for all tests here."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

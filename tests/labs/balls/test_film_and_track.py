@@ -1,7 +1,5 @@
 """A film of the simulation, its tracks, and ``diffsim track``."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

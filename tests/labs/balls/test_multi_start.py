@@ -1,7 +1,5 @@
 """Random starts and the adjoint's descent, on a decaying exponential."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

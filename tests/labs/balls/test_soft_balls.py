@@ -1,7 +1,5 @@
 """The thesis's two soft balls: size, inertia, motion before the impact, gradients, camera."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

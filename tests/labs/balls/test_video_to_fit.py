@@ -1,7 +1,5 @@
 """From a film to tracks to the soft balls' parameters."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The starfish's quarter against the whole robot, on every mesh."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -1,7 +1,5 @@
 """The channel network: unit flows of the Stokes simulator against an independent laboratory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The multicopter laboratory against statics, conservation and our independent flight kernel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """What enters a store is a flow: its area divides it, its unit and its usual size go with that."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A user's simulator for the tests: a pendulum in plain Python, Runge-Kutta of fourth order."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings of the test pendulum, and the study that describes it as an outside simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

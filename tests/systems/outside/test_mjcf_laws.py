@@ -1,7 +1,5 @@
 """Causes that MuJoCo has itself: they are its own numbers, and the others stay forces of Python."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

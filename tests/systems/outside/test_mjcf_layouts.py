@@ -1,7 +1,5 @@
 """Models laid out as public collections lay them out, opened by path from any folder."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A simulator of the user's own: how it is found, called, changed and blamed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

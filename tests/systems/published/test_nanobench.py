@@ -5,8 +5,6 @@ at first: with half of the exponent and a third of the drag, the exponent could 
 none. The twin's motors have no lag. So it shows that the way works, not what the recordings tell.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

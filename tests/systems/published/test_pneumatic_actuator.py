@@ -4,8 +4,6 @@ They are easier than the recordings: they go at two speeds and rest at their end
 friction over pressure and over speed are hard to tell apart.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

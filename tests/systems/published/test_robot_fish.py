@@ -1,7 +1,5 @@
 """The robot fish: a camera that counts its own seconds, on a twin and on the recordings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Flights before fans: twins in the same file format, and what the page says of the recordings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

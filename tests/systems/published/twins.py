@@ -1,7 +1,5 @@
 """Twins of published recordings: the same files and description, what is hidden known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

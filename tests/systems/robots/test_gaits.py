@@ -1,7 +1,5 @@
 """Robots swim, walk and roll under plain sinusoids; the soft jumper's size and swelling."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

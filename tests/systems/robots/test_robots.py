@@ -1,7 +1,5 @@
 """Bodies of robots: sizes, what commands do, what sensors and attitude say."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Described bars, held at one end, as models: let go, pulled by a tendon, or held by a hand."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small described soft bodies for tests, with records made by the model itself."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Soft bodies described in a study: keys, what they make, and what is wrong in terms of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

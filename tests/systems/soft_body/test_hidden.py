@@ -1,7 +1,5 @@
 """A cause hidden in a small described body is found among its rivals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
