@@ -29,7 +29,7 @@ from diffsim.diagnose.say.causes import _why_not_refuted
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
 from diffsim.diagnose.search.search import fitted_exactly
 from diffsim.diagnose.search.simulations import Simulations
-from diffsim.identify import DiagnosisSettings
+from diffsim.identify import DiagnosisSettings, SimModel
 from tests.diagnose import linear
 from tests.diagnose.say.test_causes import OTHER, PUSH, QUICK, causes, diagnosed, recorded
 
@@ -196,6 +196,48 @@ def test_fits_of_the_best_set_to_its_end_share_one_budget(grounds, monkeypatch):
     )
     fitted_exactly(short, PUSHED)
     assert given == [1000.0, 400.0, 160.0]
+
+
+class _Read(SimModel):
+    is_read = True
+
+
+class _Tangent(SimModel):
+    def tangents(self, run, at, lines, numerics):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("kind", "batched", "measured"),
+    [
+        (SimModel, False, True),
+        (SimModel, True, True),
+        (_Tangent, True, False),
+        (_Read, True, False),
+    ],
+)
+def test_slopes_by_differences_are_measured_along_weak_directions(
+    grounds, monkeypatch, kind, batched, measured
+):
+    """Those of a batch too: a table's scale was known to 0.4 %, which nothing told."""
+    made, asked = grounds.search.simulations, []
+    model = kind(made.wide.model.build, made.wide.model.base, "linear", batched=batched)
+    given = replace(made, wide=replace(made.wide, model=model))
+    monkeypatch.setattr(
+        type(made), "with_weak_slopes", lambda self, key: asked.append(key) or self.fitted[key]
+    )
+    fitted_exactly(with_search(grounds, simulations=given).search, PUSHED)
+    assert asked == [PUSHED] * measured
+
+
+def test_slopes_whose_promise_no_step_holds_are_no_better(grounds, monkeypatch):
+    """A servo's fit that left 2.8 sd stalled with slopes along weak directions, where it was."""
+    made, fit = grounds.search.simulations, grounds.search.fit_of(PUSHED)
+    at = made.fitted[PUSHED]
+    ends = (replace(fit, ended="stalled"), replace(at, x=at.x[list(at.idx)]))
+    monkeypatch.setattr(type(made), "with_weak_slopes", lambda self, key: replace(at))
+    monkeypatch.setattr(type(made), "fitted_from", lambda *args, **kwargs: ends)
+    assert fitted_exactly(grounds.search, PUSHED) is grounds.search
 
 
 def test_what_is_within_the_limits_is_no_doubt(grounds):
