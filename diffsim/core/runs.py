@@ -34,6 +34,7 @@ def run_each(
     executor: Executor | None = None,
     *,
     done: Callable[[int, Result], None] | None = None,
+    attempts: int = ATTEMPTS,
 ) -> list[Result]:
     """``function`` of every item, wherever it is computed.
 
@@ -47,6 +48,7 @@ def run_each(
         items: Items, each independent of the others.
         executor: Executor of the runs; None: one after another in this process.
         done: Called here, with index and result, as each run ends: the place to keep it.
+        attempts: How often a run may lose its worker.
 
     Returns:
         The results, in the order of the items.
@@ -63,7 +65,7 @@ def run_each(
             with postponed_interrupts():
                 keep(k, results[k])
         return [results[k] for k in range(len(items))]
-    return _Round(function, items, executor, keep).run()
+    return _Round(function, items, executor, keep, attempts).run()
 
 
 class _Round:
@@ -75,9 +77,10 @@ class _Round:
         items: Sequence[Any],
         executor: Executor,
         keep: Callable[[int, Any], None],
+        attempts: int,
     ):
         self.function, self.items, self.executor = function, items, executor
-        self.keep = keep
+        self.keep, self.attempts = keep, attempts
         self.results: dict[int, Any] = {}
         self.tries = [0] * len(items)
         self.out: dict[Future[Any], int] = {}
@@ -115,7 +118,7 @@ class _Round:
         try:
             result = future.result()
         except BrokenExecutor as error:
-            if self.tries[k] >= ATTEMPTS:
+            if self.tries[k] >= self.attempts:
                 raise LostRunError(
                     f"run {k + 1} of {len(self.items)} lost its worker {self.tries[k]} times: "
                     f"{error}"

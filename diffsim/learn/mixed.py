@@ -23,13 +23,15 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vjp, vmap
 
-from diffsim.core.check import require_number
+from diffsim.core.check import require_choice, require_number
 from diffsim.core.checked import checked
 from diffsim.envs.rollout import Episode, rollout_task
 from diffsim.envs.task import Task, TaskState
 from diffsim.learn.gradient import GradientLearner, GradientOptions
 from diffsim.learn.parallel import Batch
 from diffsim.learn.setup import Setup, broke_down
+
+FIXED_WEIGHTS = {"first_order": 1.0, "zeroth_order": 0.0}
 
 
 @checked
@@ -42,16 +44,20 @@ class MixedOptions(GradientOptions):
         spread: Standard deviation of the noise on commands.
         confidence: Confidence of the bound on the zeroth-order gradient's error. The bound keeps a
             biased first-order gradient in check; 1: no check.
+        weighing: "variance"; or one of both alone, as a control: "first_order" (Adam with noise on
+            the commands) or "zeroth_order" (no gradient through the simulator, but its price).
     """
 
     batch: int = 16
     spread: float = 0.1
     confidence: float = 0.95
+    weighing: str = "variance"
 
     def __post_init__(self) -> None:
         require_number("batch", self.batch, at_least=2, hint="variances are over episodes")
         require_number("spread", self.spread, above=0.0)
         require_number("confidence", self.confidence, at_least=0.0, at_most=1.0)
+        require_choice("weighing", self.weighing, ("variance", *FIXED_WEIGHTS))
 
 
 def advantages(rewards: Tensor, alive: Tensor) -> Tensor:
@@ -189,7 +195,9 @@ class MixedLearner(GradientLearner):
         episode, first, zeroth = both_gradients(self.task, self.net, start, noise, o.spread, cut)
         broken = ~torch.isfinite(first).all(1)
         first = torch.where(broken[:, None], zeroth, first)
-        alpha = first_order_weight(first, zeroth, o.confidence)
+        alpha = FIXED_WEIGHTS.get(o.weighing)
+        if alpha is None:
+            alpha = first_order_weight(first, zeroth, o.confidence)
         mean = torch.lerp(zeroth.mean(0), first.mean(0), alpha)
         sizes = [p.numel() for p in self.net.parameters()]
         for p, part in zip(self.net.parameters(), mean.split(sizes), strict=True):

@@ -130,7 +130,9 @@ def rounded(values: Array) -> list[float | None]:
     ]
 
 
-def chooser(labels: Sequence[str], owners: Sequence[int], name: str = "run") -> dict[str, Any]:
+def chooser(
+    labels: Sequence[str], owners: Sequence[int], num_always: int = 0, name: str = "run"
+) -> dict[str, Any]:
     """A drop-down menu that shows the lines of one label at a time.
 
     Pages draw it above the chart, as a menu of the page (``templates/charts.js``).
@@ -138,13 +140,14 @@ def chooser(labels: Sequence[str], owners: Sequence[int], name: str = "run") -> 
     Args:
         labels: Entries of the menu; the first is shown at the start.
         owners: Index of the label that each line belongs to, in the order of the lines.
+        num_always: Number of lines before them that always show.
         name: What is chosen.
     """
     buttons = [
         {
             "label": label,
             "method": "update",
-            "args": [{"visible": [owner == k for owner in owners]}],
+            "args": [{"visible": [True] * num_always + [owner == k for owner in owners]}],
         }
         for k, label in enumerate(labels)
     ]

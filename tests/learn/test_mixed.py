@@ -255,6 +255,22 @@ def test_an_episode_without_first_order_gradient_counts_with_its_zeroth_order_on
     assert scalars["train/alpha"] < 0.75
 
 
+@pytest.mark.parametrize(("weighing", "index"), [("first_order", 1), ("zeroth_order", 2)])
+def test_controls_take_one_of_both_gradients_alone(
+    monkeypatch: pytest.MonkeyPatch, weighing: str, index: int
+) -> None:
+    kept: list[Tensor] = []
+
+    def record(*args: Any) -> Any:
+        found = both_gradients(*args)
+        kept.append(found[index].mean(0))
+        return found
+
+    monkeypatch.setattr(mixed, "both_gradients", record)
+    got = gradient_of(MixedLearner(TINY, MixedOptions(batch=4, weighing=weighing)))
+    torch.testing.assert_close(got, kept[0])
+
+
 class Refusing(torch.autograd.Function):
     """An adjoint that refuses what it is given."""
 
@@ -283,6 +299,11 @@ def test_gradients_of_episodes_are_sums_over_their_steps() -> None:
     for k in range(3):
         want = torch.autograd.grad((net(seen[:, k]) * pull[:, k]).sum(), list(net.parameters()))
         torch.testing.assert_close(got[k], torch.cat([g.flatten() for g in want]))
+
+
+def test_an_unknown_way_of_weighing_is_refused() -> None:
+    with pytest.raises(ValueError, match="weighing must be one of"):
+        make_learner("mixed", TINY, {"weighing": "second_order"})
 
 
 def test_it_learns_on_the_quick_preset() -> None:

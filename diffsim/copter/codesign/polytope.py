@@ -8,7 +8,6 @@ from scipy.optimize import linprog
 from diffsim.copter.codesign.result import CoDesignError
 from diffsim.core.arrays import Array
 
-_NUM_STEPS = 20  # of a walk to a random point
 _TOLERANCE = 1e-9  # of A s - b [unit of b], above the rounding of LP solvers
 
 
@@ -48,13 +47,15 @@ def least_violation(A: Array, b: Array) -> tuple[int, float]:
     return int(solution.ineqlin.marginals.argmin()), float(solution.x[-1])
 
 
-def random_feasible(A: Array, b: Array, s: Array, radius: float, rng: np.random.Generator) -> Array:
+def random_feasible(
+    A: Array, b: Array, s: Array, radius: float, rng: np.random.Generator, *, num_steps: int = 20
+) -> Array:
     """A random feasible point within ``radius`` of the feasible s in every parameter.
 
     Hit and run: from s in random directions to random points of the feasible chord.
     """
     point = s.copy()
-    for _ in range(_NUM_STEPS):
+    for _ in range(num_steps):
         way = rng.standard_normal(len(s))
         way /= np.linalg.norm(way)
         rows = np.vstack([A, np.eye(len(s)), -np.eye(len(s))])

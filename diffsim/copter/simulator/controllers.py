@@ -20,11 +20,9 @@ from diffsim.copter.dynamics.linearize import linearize
 from diffsim.copter.dynamics.lqr import lqr
 from diffsim.copter.dynamics.pid import PidController, PidGains
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
+from diffsim.core.check import require_number
 from diffsim.core.checked import checked
 from diffsim.core.rotation import matrix_from_quaternion, quaternion_from_rpy
-
-STATE_WEIGHT = 10.0  # Q over R, both multiples of the identity, as in the public tool
-MAX_ERROR = 1.0  # of a position that the regulator acts on [m]
 
 
 class Controller(Protocol):
@@ -51,10 +49,13 @@ class LqrController:
     The gain is that of yaw zero (thesis 3.3.3); errors of position and velocity are turned into
     the frame of the heading. Where the target accelerates, its lean and thrusts are those of a
     hover under the gravity that it feels, to first order. Position errors count up to
-    ``MAX_ERROR``, lest a far target asks for more than the motors have.
+    ``max_error``, lest a far target asks for more than the motors have.
 
     Args:
         vehicle: The design that the controller believes in, its load included.
+        state_weight: Q = state_weight I, as in the public tool.
+        input_weight: R = input_weight I.
+        max_error: Largest error of the position [m].
 
     Raises:
         HoverError: the vehicle does not hover within its limits, or cannot be controlled there.
@@ -64,12 +65,22 @@ class LqrController:
     name = "lqr"
 
     @checked
-    def __init__(self, vehicle: Multicopter):
+    def __init__(
+        self,
+        vehicle: Multicopter,
+        *,
+        state_weight: float = 10.0,
+        input_weight: float = 1.0,
+        max_error: float = 1.0,
+    ):
+        require_number("state_weight", state_weight, above=0.0)
+        require_number("input_weight", input_weight, above=0.0)
+        self.max_error = require_number("max_error", max_error, above=0.0)
         vehicle = vehicle.detach()
         trim = flyable_hover(vehicle)
         A, B = linearize(vehicle, trim.thrusts, trim.attitude)
-        q = STATE_WEIGHT * torch.eye(12, dtype=torch.float64)
-        r = torch.eye(vehicle.num_rotors, dtype=torch.float64)
+        q = state_weight * torch.eye(12, dtype=torch.float64)
+        r = input_weight * torch.eye(vehicle.num_rotors, dtype=torch.float64)
         self.gain = lqr(A, B, q, r).K
         self.trim = trim
 
@@ -84,7 +95,7 @@ class LqrController:
         if target.hold_attitude:
             ahead[:2], slip[:2] = 0.0, 0.0
             lean = lean + x.new_tensor([target.roll, target.pitch])
-        far = max(float(ahead.norm()) / MAX_ERROR, 1.0)
+        far = max(float(ahead.norm()) / self.max_error, 1.0)
         level = matrix_from_quaternion(quaternion_from_rpy(x[3:6] * x.new_tensor([1.0, 1.0, 0.0])))
         turn = float(x[5]) - target.yaw
         turn = math.atan2(math.sin(turn), math.cos(turn))

@@ -308,13 +308,14 @@ class Ground:
 
     No bouncing, sliding or tipping; a harder touch than the limits is a crash.
 
-    Attributes:
+    Args:
         max_speed: Largest speed of touching down [m/s].
-        max_tilt: Largest tilt at touch-down [rad].
+        max_tilt: At touch-down [rad].
     """
 
-    max_speed = 1.5
-    max_tilt = math.radians(40.0)
+    def __init__(self, *, max_speed: float = 1.5, max_tilt: float = math.radians(40.0)):
+        self.max_speed = require_number("max_speed", max_speed, above=0.0)
+        self.max_tilt = require_number("max_tilt", max_tilt, above=0.0)
 
     def hold(self, state: FlightState, step: int) -> FlightState:
         """The state, or that of standing where it is at the ground or below.

@@ -7,14 +7,12 @@ import sys
 from types import ModuleType
 
 from diffsim.copter.simulator.sticks import Sticks
-from diffsim.core.check import require_choice
+from diffsim.core.check import require_choice, require_number
 from diffsim.core.errors import DiffsimError
 from diffsim.core.optional import optional
 
 DEVICES = ("keyboard", "gamepad")
 HELP = "W/S up and down, A/D turn, arrow keys move over ground; Escape ends the flight"
-
-DEAD_ZONE = 0.06  # deflections of a gamepad up to this count as none
 
 
 class NoInputError(DiffsimError):
@@ -30,6 +28,7 @@ class LiveSticks:
     Args:
         device: "keyboard", or "gamepad" (mode 2: left stick throttle and yaw, right stick the
             rest).
+        dead_zone: Deflections of a gamepad up to this count as none.
 
     Raises:
         ImportError: pygame is not installed.
@@ -38,8 +37,9 @@ class LiveSticks:
 
     duration: float | None = None
 
-    def __init__(self, device: str = "keyboard"):
+    def __init__(self, device: str = "keyboard", *, dead_zone: float = 0.06):
         self.device = require_choice("device", device, DEVICES)
+        self._dead_zone = require_number("dead_zone", dead_zone, at_least=0.0, below=1.0)
         self._pygame = _pygame()
         _require_display()
         self._pygame.init()
@@ -81,7 +81,7 @@ class LiveSticks:
 
     def _axis(self, k: int) -> float:
         value = float(self._pad.get_axis(k)) if k < self._pad.get_numaxes() else 0.0
-        return 0.0 if abs(value) <= DEAD_ZONE else max(-1.0, min(1.0, value))
+        return 0.0 if abs(value) <= self._dead_zone else max(-1.0, min(1.0, value))
 
 
 def _pygame() -> ModuleType:

@@ -50,7 +50,9 @@ def with_payload(vehicle: Multicopter, payload: float, *, drop: float = 0.05) ->
 
 
 @checked
-def payload_limit(vehicle: Multicopter, outputs: MotorOutputs, battery: Battery) -> float:
+def payload_limit(
+    vehicle: Multicopter, outputs: MotorOutputs, battery: Battery, *, charge: float = 1.0
+) -> float:
     """Largest load at the center of mass that hovers within the pulse clamp [kg].
 
     The voltage is that under the current of the hover itself. At the limit nothing is left for
@@ -59,9 +61,10 @@ def payload_limit(vehicle: Multicopter, outputs: MotorOutputs, battery: Battery)
     Args:
         vehicle: Without the load.
         outputs: Outputs of the vehicle's motors.
-        battery: What feeds them, fully charged.
+        battery: What feeds them.
+        charge: State of charge of the battery, 0 to 1.
     """
-    start, rated = _tensor(1.0), outputs.max_thrusts
+    start, rated = _tensor(charge), outputs.max_thrusts
 
     def lift(weight: float) -> float:
         """Largest weight at the voltage that hovering this weight leaves."""

@@ -24,7 +24,6 @@ LIPO_CELL_VOLTAGE = (
     *(3.85, 3.87, 3.91, 3.95, 3.98, 4.02, 4.08, 4.11, 4.15, 4.20),
 )
 LIPO_NOMINAL = 3.7  # [V] per cell
-INTERVALS = 200  # of Simpson's rule over the charge, even
 # Thrust against voltage at the six strongest signals, mean of twelve small motors (rotor_bench).
 USUAL_SAG_EXPONENT = 1.77
 
@@ -112,7 +111,7 @@ class Battery:
         return 2.0 * power / (open_circuit + torch.sqrt(inside))
 
     @checked(power=())
-    def endurance(self, power: Tensor, *, reserve: float = 0.05) -> Tensor:
+    def endurance(self, power: Tensor, *, reserve: float = 0.05, num_points: int = 200) -> Tensor:
         """Time [s] at a constant power until the charge has fallen from 1 to ``reserve``.
 
         t = capacity int d charge / I(charge, power), by Simpson's rule.
@@ -120,17 +119,20 @@ class Battery:
         Args:
             power: () [W], > 0.
             reserve: Charge that is kept.
+            num_points: Intervals of the rule, even.
 
         Raises:
             ValueError: more power than the battery can give near the reserve.
         """
         require_number("reserve", reserve, at_least=0.0, below=1.0)
+        if num_points < 2 or num_points % 2:
+            raise ValueError(f"num_points must be even and >= 2, got {num_points}")
         require_range("power", power, above=0.0, hint="unit is W")
-        charge = torch.linspace(reserve, 1.0, INTERVALS + 1, dtype=torch.float64)
+        charge = torch.linspace(reserve, 1.0, num_points + 1, dtype=torch.float64)
         weights = torch.ones_like(charge)
         weights[1:-1:2], weights[2:-1:2] = 4.0, 2.0
         slowness = 1.0 / self.current_for_power(charge, power)
-        return self.capacity * (1.0 - reserve) / (3.0 * INTERVALS) * (weights * slowness).sum()
+        return self.capacity * (1.0 - reserve) / (3.0 * num_points) * (weights * slowness).sum()
 
     @checked
     def sag(

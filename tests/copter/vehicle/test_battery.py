@@ -106,3 +106,5 @@ def test_bad_input():
         Battery.lipo(cells=0, capacity_mah=2200)
     with pytest.raises(ValueError, match="rotors is empty"):
         battery.sag([])
+    with pytest.raises(ValueError, match="num_points must be even"):
+        battery.endurance(tensor(100.0), num_points=3)
