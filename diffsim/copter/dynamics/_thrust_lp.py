@@ -2,8 +2,8 @@
 
 max t  s.t.  C u_k = b_k + a_k t,  0 <= u_k <= u_max  for every case k,
 
-a linear program in t and the thrusts of all cases (HiGHS). By the envelope theorem the optimum
-moves with the Lagrangian at fixed thrusts, t and multipliers: piecewise smooth in the design.
+a linear program in t and the thrusts of all cases (HiGHS), or with a logarithmic barrier. By the
+envelope theorem the optimum moves with the Lagrangian at fixed thrusts, t and multipliers.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 import scipy.optimize
 import torch
 from torch import Tensor
 
-from diffsim.core.errors import DiffsimError
+from diffsim.core.errors import ConvergenceError, DiffsimError
 from diffsim.core.numbers import to_numpy
 
 
@@ -24,13 +25,16 @@ class ThrustLimitError(DiffsimError):
 
 
 class _Optimum(NamedTuple):
+    value: float
     scale: float  # t
     thrusts: np.ndarray  # (num_cases, n)
-    equality: np.ndarray  # d t / d (b_k + a_k t - C u_k), (num_cases, m)
-    upper: np.ndarray  # d t / d u_max, (n,)
+    equality: np.ndarray  # d value / d (b_k + a_k t - C u_k), (num_cases, m)
+    upper: np.ndarray  # d value / d u_max, (n,)
 
 
-def max_scale(C: Tensor, a: Tensor, b: Tensor, max_thrusts: Tensor, *, what: str) -> Tensor:
+def max_scale(
+    C: Tensor, a: Tensor, b: Tensor, max_thrusts: Tensor, *, what: str, smoothing: float = 0.0
+) -> Tensor:
     """The largest t, with gradients to every argument.
 
     Args:
@@ -39,12 +43,16 @@ def max_scale(C: Tensor, a: Tensor, b: Tensor, max_thrusts: Tensor, *, what: str
         b: What the thrusts must do whatever t, (num_cases, m).
         max_thrusts: (n_rotors,) [N], > 0 where a rotor runs.
         what: What is asked, for the message.
+        smoothing: mu of t + mu sum log(4 u (u_max - u) / u_max^2), whose maximum lies below the
+            largest t and is smooth in the design; 0: the linear program itself, piecewise smooth.
 
     Raises:
         ThrustLimitError: infeasible.
     """
     C_now, a_now, b_now, limit = (to_numpy("copter", t) for t in (C, a, b, max_thrusts))
     optimum = _linear_program(C_now, a_now, b_now, limit, what=what)
+    if smoothing:
+        optimum = _barrier(C_now, a_now, b_now, limit, smoothing)
     thrusts, equality, upper = (
         torch.from_numpy(v) for v in (optimum.thrusts, optimum.equality, optimum.upper)
     )
@@ -52,7 +60,7 @@ def max_scale(C: Tensor, a: Tensor, b: Tensor, max_thrusts: Tensor, *, what: str
     slack = b + a * optimum.scale - thrusts @ C.mT
     limits = upper * (max_thrusts - max_thrusts.detach())
     lagrangian = (equality * (slack - slack.detach())).sum() + limits.sum()
-    return optimum.scale + lagrangian
+    return optimum.value + lagrangian
 
 
 def _linear_program(
@@ -77,4 +85,74 @@ def _linear_program(
     thrusts = solution.x[:-1].reshape(num_cases, n)
     equality = -solution.eqlin.marginals.reshape(num_cases, -1)
     upper = -solution.upper.marginals[:-1].reshape(num_cases, n).sum(0)
-    return _Optimum(float(solution.x[-1]), thrusts, equality, upper)
+    return _Optimum(float(solution.x[-1]), float(solution.x[-1]), thrusts, equality, upper)
+
+
+def _barrier(
+    C: np.ndarray, a: np.ndarray, b: np.ndarray, limit: np.ndarray, smoothing: float
+) -> _Optimum:
+    """Newton from the middle of the box, the barrier weakened step by step (Boyd, 10.3)."""
+    num_cases, n = len(a), C.shape[1]
+    limits = np.tile(limit, num_cases)
+    rows = np.hstack([np.kron(np.eye(num_cases), C), -a.reshape(-1, 1)])
+    x = np.append(0.5 * limits, 0.0)
+    y = np.zeros(len(rows))
+    mu = max(1.0, smoothing)
+    while True:
+        x, y = _center(rows, b.ravel(), limits, mu, x, y)
+        if mu == smoothing:
+            break
+        mu = max(0.2 * mu, smoothing)
+    u, t = x[:-1], x[-1]
+    value = t + smoothing * np.log(4.0 * u * (limits - u) / limits**2).sum()
+    # d/dm log(u (m - u) / m^2) = 1 / (m - u) - 2 / m
+    upper = smoothing * (1.0 / (limits - u) - 2.0 / limits)
+    thrusts, upper = u.reshape(num_cases, n), upper.reshape(num_cases, n).sum(0)
+    return _Optimum(float(value), float(t), thrusts, y.reshape(num_cases, -1), upper)
+
+
+def _center(
+    rows: np.ndarray,
+    rhs: np.ndarray,
+    limits: np.ndarray,
+    mu: float,
+    x: np.ndarray,
+    y: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Maximum of t + mu sum log(u (m - u)) on the rows; y = d optimum / d rhs."""
+
+    def residual(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        u = x[:-1]
+        slope = np.append(mu * (1.0 / u - 1.0 / (limits - u)), 1.0)
+        return np.concatenate([slope - rows.T @ y, rhs - rows @ x])
+
+    num = len(x)
+    for _ in range(200):
+        r = residual(x, y)
+        if np.linalg.norm(r) < 1e-11 * (1.0 + np.linalg.norm(y)):
+            return x, y
+        u = x[:-1]
+        curvature = np.append(mu * (1.0 / u**2 + 1.0 / (limits - u) ** 2), 0.0)
+        kkt = np.block([[-np.diag(curvature), -rows.T], [-rows, np.zeros((len(rows),) * 2)]])
+        step = scipy.linalg.lstsq(kkt, -r, lapack_driver="gelsy")[0]
+        du = step[: num - 1]
+        room = np.where(du < 0.0, u, limits - u)
+        length = min(1.0, 0.99 / np.max(np.abs(du) / room))
+        norm = np.linalg.norm(r)
+        while length > 1e-10:
+            moved = residual(x + length * step[:num], y + length * step[num:])
+            if np.linalg.norm(moved) <= (1.0 - 0.01 * length) * norm:
+                break
+            length *= 0.5
+        else:  # the residual has reached its rounding
+            if norm < 1e-8 * (1.0 + np.linalg.norm(y)):
+                return x, y
+            break
+        x, y = x + length * step[:num], y + length * step[num:]
+    size = float(np.linalg.norm(residual(x, y)))
+    raise ConvergenceError(
+        f"the smoothed linear program stopped at residual {size:.1e}; raise smoothing",
+        residual_norm=size,
+        tolerance=1e-11,
+        num_iters=200,
+    )

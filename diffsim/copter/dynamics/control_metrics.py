@@ -66,12 +66,14 @@ def max_hover_weight(
     copter: Multicopter,
     *,
     torque: Tensor | tuple[float, float, float] = (0.0, 0.0, 0.0),
+    smoothing: float = 0.0,
 ) -> Tensor:
     """The largest weight that the rotors hold up with every torque of a box still to be had.
 
     Args:
         copter: The vehicle.
         torque: Half extents of the box in x, y and z, (3,) [N m]; zero: lift alone.
+        smoothing: Barrier weight [N]; above 0 the result lies below and is smooth in the design.
 
     Returns:
         Weight, () [N].
@@ -88,8 +90,9 @@ def max_hover_weight(
     a[:, 0] = 1.0
     b = torch.cat([torch.zeros(len(signs), 1, dtype=torch.float64), signs * box], 1)
     C = torch.cat([_lift(copter), copter.torque_matrix])
+    smoothing = require_number("smoothing", smoothing, at_least=0.0)
     what = f"reach the torques +-{box.tolist()} N m"
-    return max_scale(C, a, b, copter.max_thrusts, what=what)
+    return max_scale(C, a, b, copter.max_thrusts, what=what, smoothing=smoothing)
 
 
 @checked(load=())
@@ -98,6 +101,7 @@ def control_authority(
     *,
     torque: Tensor | tuple[float, float, float] = (1.0, 1.0, 0.1),
     load: float | Tensor = 0.0,
+    smoothing: float = 0.0,
 ) -> Tensor:
     """How many times a box of torques can be had, in any combination, while the weight is held.
 
@@ -105,6 +109,7 @@ def control_authority(
         copter: The vehicle.
         torque: Half extents of the box in x, y and z, (3,) [N m].
         load: Weight carried at the center of mass [N].
+        smoothing: Barrier weight [-]; above 0 the result lies below and is smooth in the design.
 
     Returns:
         Scale of the box, () [-].
@@ -124,8 +129,9 @@ def control_authority(
     a = torch.cat([torch.zeros(len(signs), 1, dtype=torch.float64), signs * box], 1)
     b = torch.cat([weight, torch.zeros(len(signs), 3, dtype=torch.float64)], 1)
     C = torch.cat([_lift(copter), copter.torque_matrix])
+    smoothing = require_number("smoothing", smoothing, at_least=0.0)
     what = f"hold {float(weight[0, 0]):g} N"
-    return max_scale(C, a, b, copter.max_thrusts, what=what)
+    return max_scale(C, a, b, copter.max_thrusts, what=what, smoothing=smoothing)
 
 
 @checked(load=())

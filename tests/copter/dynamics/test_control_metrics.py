@@ -115,7 +115,8 @@ def test_rotor_out_margin_is_hover_without_the_yaw():
 
 
 @pytest.mark.grad
-def test_gradients_of_the_linear_programs():
+@pytest.mark.parametrize("smoothing", [0.0, 1e-2])
+def test_gradients_of_the_linear_programs(smoothing):
     copter = random_copter(1, n=7, tilt=0.2)
     box = torch.tensor([0.5, 0.4, 0.05], dtype=torch.float64, requires_grad=True)
 
@@ -128,8 +129,8 @@ def test_gradients_of_the_linear_programs():
             max_thrusts=limits,
         )
         outputs = [
-            max_hover_weight(changed, torque=box),
-            control_authority(changed, torque=box, load=2.0),
+            max_hover_weight(changed, torque=box, smoothing=smoothing),
+            control_authority(changed, torque=box, load=2.0, smoothing=smoothing),
         ]
         return torch.stack([*outputs, *rotor_out_margins(changed)[:2]])
 
@@ -139,6 +140,17 @@ def test_gradients_of_the_linear_programs():
     assert torch.autograd.gradcheck(
         metrics, [*args, box], eps=1e-5, atol=1e-5, rtol=1e-4, fast_mode=True
     )
+
+
+def test_smoothing_tends_to_the_linear_program_from_below():
+    copter = random_copter(3)
+    sharp = float(max_hover_weight(copter, torque=(0.3, 0.3, 0.03)))
+    errors = [
+        sharp - float(max_hover_weight(copter, torque=(0.3, 0.3, 0.03), smoothing=mu))
+        for mu in (1e-1, 1e-2, 1e-3)
+    ]
+    assert errors[0] > errors[1] > errors[2] > 0.0
+    assert errors[2] < 2e-2 * errors[0]
 
 
 def test_rotors_in_a_line_are_not_controllable():
