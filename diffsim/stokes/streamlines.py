@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from diffsim.core.arrays import Array, IntArray, Mask
-from diffsim.core.check import require, require_number
+from diffsim.core.check import require, require_choice, require_number
 from diffsim.core.checked import checked
 from diffsim.core.numbers import to_numpy
 from diffsim.stokes.field import FlowField
@@ -23,8 +23,6 @@ it came back to its seed."""
 
 _REST = 1e-6  # of the largest speed: slower fluid counts as resting [-]
 _MIN_STEP = 1e-3  # [cells]: the multilinear field has kinks that no tolerance resolves
-_MAX_STEP = 0.5  # [cells]
-_TOLERANCE = 1e-5  # of a step [cells]
 _SAMPLES = 8  # per cell and axis, where seeds are spread over an inlet
 
 # Dormand-Prince 5(4)
@@ -47,13 +45,15 @@ class Streamline:
         points: Points of the line, (n, dim) [m], in the direction of the flow.
         speed: Speed at the points, (n,) [m/s].
         time: Time along the line from its first point, (n,) [s].
-        end: Why it ended, one of ``ENDS``.
+        end: Why it ended downstream, one of ``ENDS``.
+        start: Why it ended upstream; "seed" where it was not followed there.
     """
 
     points: Array
     speed: Array
     time: Array
     end: str
+    start: str = "seed"
 
     @property
     def length(self) -> float:
@@ -67,7 +67,10 @@ def streamlines(
     seeds: Tensor | int = 24,
     *,
     case: int = 0,
+    direction: str = "downstream",
     max_length: float | None = None,
+    tolerance: float = 1e-5,
+    max_step: float = 0.5,
 ) -> list[Streamline]:
     """Follow the velocity from seeds until the line leaves the fluid, rests, or closes.
 
@@ -79,13 +82,20 @@ def streamlines(
         seeds: Points in the fluid, (n, dim) float64 [m], or how many to spread over the inlets (see
             ``inlet_seeds``).
         case: Index of one of the field's cases.
-        max_length: Greatest length [m]; default ten times the longest side of the box.
+        direction: "downstream", "upstream" or "both".
+        max_length: Greatest length per direction [m]; default ten times the longest side of the
+            box.
+        tolerance: Largest error per step [cells].
+        max_step: Longest step [cells].
 
     Returns:
         One ``Streamline`` per seed, in their order; a seed outside of the fluid has one point.
     """
     if not isinstance(field, FlowField):
         raise TypeError(f"field must be a FlowField, got {type(field).__name__}")
+    require_choice("direction", direction, ["downstream", "upstream", "both"])
+    require_number("tolerance", tolerance, above=0.0)
+    require_number("max_step", max_step, above=0.0)
     grid = field.grid
     if max_length is None:
         max_length = 10.0 * max(grid.size)
@@ -97,8 +107,22 @@ def streamlines(
     sampler = _Sampler(grid, velocity, to_numpy("field.phi", field.phi))
     if bool((~sampler.in_box(sampler.scaled(start))).any()):
         raise ValueError("seeds must lie in the box")
-    followed = _follow(sampler, start, max_length)
-    return [_line(sampler, p, end) for p, end in zip(*followed, strict=True)]
+    options = (max_length, tolerance, max_step)
+    down = up = None
+    if direction != "upstream":
+        down = _follow(sampler, start, 1.0, *options)
+    if direction != "downstream":
+        up = _follow(sampler, start, -1.0, *options)
+    if down is None or up is None:
+        lines, ends = down or up or ([], [])
+        if down is None:
+            return [_line(sampler, p[::-1], "seed", e) for p, e in zip(lines, ends, strict=True)]
+        return [_line(sampler, p, e, "seed") for p, e in zip(lines, ends, strict=True)]
+    both = []
+    for p, end, q, begin in zip(*down, *up, strict=True):
+        whole = p if end == "closed" else np.concatenate([q[:0:-1], p])
+        both.append(_line(sampler, whole, end, begin))
+    return both
 
 
 @checked
@@ -207,21 +231,28 @@ class _Sampler:
         found = [map_coordinates(n, at.T, order=1, mode="nearest") for n in self.nodes]
         return np.stack(found[:-1], -1), found[-1]
 
-    def along(self, at: Array) -> Array:
+    def along(self, at: Array, sign: float) -> Array:
         """Unit steps along the flow in meters, as cells per meter; zero where it rests."""
         v, _ = self(at)
         speed = np.linalg.norm(v, axis=-1, keepdims=True)
-        unit = np.divide(v, speed, out=np.zeros_like(v), where=speed > self.slowest)
+        unit = np.divide(sign * v, speed, out=np.zeros_like(v), where=speed > self.slowest)
         return unit / self.spacing
 
 
-def _follow(sampler: _Sampler, start: Array, max_length: float) -> tuple[list[Array], list[str]]:
+def _follow(
+    sampler: _Sampler,
+    start: Array,
+    sign: float,
+    max_length: float,
+    tolerance: float,
+    max_step: float,
+) -> tuple[list[Array], list[str]]:
     """Points (n, dim) [cells] and end of the line of every seed."""
     count = len(start)
     cell = float(sampler.spacing.min())
     at = sampler.scaled(start)
     seed = at.copy()
-    step = np.full(count, 0.1 * _MAX_STEP * cell)
+    step = np.full(count, 0.1 * max_step * cell)
     length, farthest = np.zeros(count), np.zeros(count)
     end = np.full(count, -1)
     lines = [[p] for p in seed]
@@ -232,15 +263,16 @@ def _follow(sampler: _Sampler, start: Array, max_length: float) -> tuple[list[Ar
         going = np.flatnonzero(end < 0)
         h = np.minimum(step[going], max_length - length[going])[:, None]
         x = at[going]
-        slopes = [sampler.along(x)]
+        slopes = [sampler.along(x, sign)]
         for row in _A:
-            ahead = x + h * sum(a * k for a, k in zip(row, slopes, strict=True))
-            slopes.append(sampler.along(ahead))
+            slopes.append(
+                sampler.along(x + h * sum(a * k for a, k in zip(row, slopes, strict=True)), sign)
+            )
         new = x + h * sum(a * k for a, k in zip(_A[-1], slopes, strict=False))
         error = np.abs(h * sum(e * k for e, k in zip(_ERROR, slopes, strict=True))).max(-1)
-        fine = (error <= _TOLERANCE) | (h[:, 0] <= 1.01 * _MIN_STEP * cell)
-        factor = 0.9 * (_TOLERANCE / np.maximum(error, 1e-12 * _TOLERANCE)) ** 0.2
-        step[going] = (h[:, 0] * factor.clip(0.2, 4.0)).clip(_MIN_STEP * cell, _MAX_STEP * cell)
+        fine = (error <= tolerance) | (h[:, 0] <= 1.01 * _MIN_STEP * cell)
+        factor = 0.9 * (tolerance / np.maximum(error, 1e-12 * tolerance)) ** 0.2
+        step[going] = (h[:, 0] * factor.clip(0.2, 4.0)).clip(_MIN_STEP * cell, max_step * cell)
         going, x, new, h = going[fine], x[fine], new[fine], h[fine, 0]
         new, left = _clip_to_box(sampler, x, new)
         v, level = sampler(new)
@@ -294,14 +326,14 @@ def _passes(seed: Array, x: Array, new: Array, spacing: Array) -> Mask:
     return gap < 0.01 * spacing.min() + 0.05 * np.sqrt(square)
 
 
-def _line(sampler: _Sampler, at: Array, end: str) -> Streamline:
+def _line(sampler: _Sampler, at: Array, end: str, start: str) -> Streamline:
     v, _ = sampler(at)
     speed = np.linalg.norm(v, axis=-1)
     points = sampler.origin + at * sampler.spacing
     step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     mean = np.maximum(0.5 * (speed[1:] + speed[:-1]), np.finfo(float).tiny)
     time = np.concatenate([[0.0], np.cumsum(step / mean)])
-    return Streamline(points=points, speed=speed, time=time, end=end)
+    return Streamline(points=points, speed=speed, time=time, end=end, start=start)
 
 
 def _case(field: FlowField, case: int) -> Array:

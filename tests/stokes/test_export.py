@@ -330,6 +330,8 @@ def test_streamlines_of_a_rotation_close(dim):
         np.testing.assert_allclose(r, radius, rtol=1e-4)
         assert line.length == pytest.approx(2 * np.pi * radius, rel=5e-3)  # chords of half a cell
         assert line.time[-1] == pytest.approx(2 * np.pi, rel=5e-3)
+    (up,) = streamlines(field, seeds[:1], direction="upstream")
+    assert up.start == "closed" and up.end == "seed"
     (some,) = streamlines(field, seeds[2:], max_length=0.3)
     assert some.end == "length" and some.length == pytest.approx(0.3, rel=1e-3)
 
@@ -365,6 +367,9 @@ def test_streamlines_of_a_channel_are_straight(dim):
         )
         assert line.points[[0, -1], 0].tolist() == pytest.approx([0.0, 2.0])
         assert (np.diff(line.points[:, 0]) > 0).all()
+    start = torch.tensor([[1.0, 0.4, 0.5][:dim]], dtype=torch.float64)
+    (both,) = streamlines(field, start, direction="both")
+    assert (both.start, both.end) == ("box", "box") and both.length == pytest.approx(2.0)
 
 
 @pytest.mark.property
@@ -395,6 +400,8 @@ def test_streamlines_stop_at_wall_and_at_rest():
         streamlines(field, seeds + 1.0)
     with pytest.raises(ValueError, match=r"case must lie in \[0, 1\)"):
         streamlines(field, seeds, case=1)
+    with pytest.raises(ValueError, match="direction must be one of"):
+        streamlines(field, seeds, direction="down")
     with pytest.raises(TypeError, match="field must be a FlowField"):
         streamlines(phi, seeds)
 
