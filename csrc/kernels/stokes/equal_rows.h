@@ -35,10 +35,11 @@ inline std::uint64_t hash_bytes(const void* from, std::size_t count) {
 /// Moves rows of numbers together, so that those with the same bytes lie in one place.
 /// @param values rows one after another; then the distinct ones, in the order of their first
 /// @param begin  (num_rows + 1,) of rows, in numbers
+/// @param alike  alike(i, k): whether rows of equal numbers mean the same
 /// @param[out] start (num_rows,) where a row begins now
 /// @return how many numbers are left
-template <typename T>
-std::int64_t keep_distinct_rows(T* values, const std::vector<std::int64_t>& begin,
+template <typename T, typename Alike>
+std::int64_t keep_distinct_rows(T* values, const std::vector<std::int64_t>& begin, Alike&& alike,
                                 std::vector<std::int64_t>& start) {
   const std::int64_t num_rows = static_cast<std::int64_t>(begin.size()) - 1;
   struct Place {
@@ -57,7 +58,7 @@ std::int64_t keep_distinct_rows(T* values, const std::vector<std::int64_t>& begi
     const std::uint64_t hash = hash_bytes(row, bytes);
     const auto same = [&](const Place& place) {
       return place.hash == hash && begin[u(place.row) + 1] - begin[u(place.row)] == count &&
-             std::memcmp(values + start[u(place.row)], row, bytes) == 0;
+             std::memcmp(values + start[u(place.row)], row, bytes) == 0 && alike(place.row, i);
     };
     std::size_t at = hash & (size - 1);
     while (table[at].row >= 0 && !same(table[at])) at = (at + 1) & (size - 1);

@@ -46,7 +46,8 @@ void FlowInverse<D>::factorize(const FlowMatrix<D>& matrix, StokesPlan& plan, Th
                                              FactorPrecision::kFloat64, memory_->take());
   const double analysis_end = seconds();
   {
-    const std::vector<double> values = matrix.assemble(space_.fixed(), options().bulk, pool);
+    const std::vector<double> values =
+        matrix.assemble(space_.fixed(), options().bulk, matrix.own_rows(), pool);
     report_.assembly_s = seconds() - analysis_end;
     try {
       factor_->refactor(values.data(), pool);

@@ -72,6 +72,26 @@ class StokesPlan {
   std::shared_ptr<StokesMemory> memory_ = std::make_shared<StokesMemory>();
 };
 
+/// Rows of blocks of which equal ones are one: all are, away from walls and faces of the box. They
+/// are made once, and a product that finds them in one place finds them in cache.
+struct MatrixRows {
+  std::vector<std::int32_t> of;        // (num_nodes,) a node's row
+  std::vector<std::int64_t> begin{0};  // (num_rows + 1,) in values, in blocks
+  std::vector<std::int64_t> holder;    // (num_rows,) the first node that has it
+
+  /// Gives the next node a row of its own.
+  void add(std::int64_t num_blocks);
+  void add_known(std::int32_t row) { of.push_back(row); }
+  std::int64_t num_nodes() const { return static_cast<std::int64_t>(of.size()); }
+  std::int64_t num_rows() const { return static_cast<std::int64_t>(holder.size()); }
+  std::int64_t first(std::int64_t node) const {
+    return begin[static_cast<std::size_t>(of[static_cast<std::size_t>(node)])];
+  }
+  bool holds(std::int64_t node) const {
+    return holder[static_cast<std::size_t>(of[static_cast<std::size_t>(node)])] == node;
+  }
+};
+
 template <int D>
 class FlowMatrix {
  public:
@@ -81,25 +101,32 @@ class FlowMatrix {
   std::int64_t num_blocks() const { return indptr_.back(); }
   /// Row starts, (num_nodes + 1,), and column nodes, ascending, (num_blocks,).
   const std::vector<std::int64_t>& indptr() const { return indptr_; }
-  std::vector<std::int64_t> columns() const;
+  template <typename Index>
+  std::vector<Index> columns() const;
+  /// Each row by itself, or equal ones in one place.
+  MatrixRows own_rows() const;
+  MatrixRows shared_rows(const std::uint8_t* fixed) const;
+  /// Puts those into one place whose values are equal, too: walls may be alike from plane to plane.
+  void merge_equal(MatrixRows& rows, std::vector<double>& values) const;
   /// From the plan where the pattern is known; prescribed components take no part.
   StokesPlan::Symbolic analyze(const std::uint8_t* fixed, StokesPlan& plan) const;
   /// @param fixed (num_grid_nodes, D) nonzero where the component is prescribed
   /// @param bulk  on C' M^-1 C
-  /// @return (num_blocks, D, D)
-  std::vector<double> assemble(const std::uint8_t* fixed, double bulk, ThreadPool& pool) const;
+  /// @return (blocks of the rows, D, D)
+  std::vector<double> assemble(const std::uint8_t* fixed, double bulk, const MatrixRows& rows,
+                               ThreadPool& pool) const;
   /// Of such values, (num_nodes, D, D).
-  std::vector<double> diagonal(const std::vector<double>& values) const;
+  std::vector<double> diagonal(const std::vector<double>& values, const MatrixRows& rows) const;
 
  private:
   static constexpr int kCorners = 1 << D, kPatch = 3 * kCorners / 2;
 
-  void add_cells(double bulk, double* values, ThreadPool& pool) const;
-  void add_faces(double* values, ThreadPool& pool) const;
-  double* block(double* values, std::int64_t row, int bit) const {
-    return values + (indptr_[static_cast<std::size_t>(row)] +
-                     stencils_[static_cast<std::size_t>(row)].rank(bit)) *
-                        D * D;
+  void add_cells(double bulk, const MatrixRows& rows, double* values, ThreadPool& pool) const;
+  void add_faces(const MatrixRows& rows, double* values, ThreadPool& pool) const;
+  std::vector<std::uint8_t> near_walls() const;
+  double* block(double* values, const MatrixRows& rows, std::int64_t node, int bit) const {
+    return values +
+           (rows.first(node) + stencils_[static_cast<std::size_t>(node)].rank(bit)) * D * D;
   }
 
   const FlowOperator<D>& op_;

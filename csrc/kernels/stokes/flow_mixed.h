@@ -45,7 +45,6 @@ class FlowMixed {
  private:
   static constexpr int kCorners = 1 << D;
 
-  void share_rows();
   void set_compliances();
   void apply(const Vector& x, Vector& y, ThreadPool& pool) const;
   void precondition(const Vector& r, Vector& z, ThreadPool& pool);
@@ -59,8 +58,7 @@ class FlowMixed {
   double gamma_, divergence_scale_, velocity_scale_;
   std::vector<std::uint8_t> fixed_;  // (num_nodes, D) of active nodes
   FlowDivergence<D> divergence_;
-  NodeMatrix<D> matrix_;              // scaled E_gamma; of equal rows, the values of one
-  std::vector<std::int64_t> values_;  // of rows in those values, (num_nodes,)
+  NodeMatrix<D> matrix_;  // scaled E_gamma
   std::int64_t num_velocities_ = 0;
   std::vector<double> mass_, shift_;      // of active cells: M, M / (bulk - gamma) or 0
   std::vector<double> compliance_;        // and M / bulk as the preconditioner has it

@@ -2,12 +2,12 @@
 
 #include <Eigen/LU>
 #include <algorithm>
+#include <map>
 #include <utility>
 #if defined(__F16C__)
 #include <immintrin.h>
 #endif
 
-#include "kernels/stokes/equal_rows.h"
 #include "kernels/stokes/row_chunks.h"
 #include "kernels/subscript.h"
 
@@ -50,37 +50,50 @@ FlowMultigrid<D>::FlowMultigrid(const NodeMatrix<D>& matrix, const NodePositions
   while (A->num_nodes() > kCoarsest && levels_.size() < kMaxLevels) {
     levels_.emplace_back();
     levels_.back().fixed = std::move(held_fixed);
-    NodePositions<D> coarse = coarsen(at, levels_.back());
-    if (kLeastCoarsening * coarse.size() > at.size()) {
+    CoarseNodes<D> coarse = coarsen(at, levels_.back());
+    if (kLeastCoarsening * coarse.positions.size() > at.size()) {
       held_fixed = std::move(levels_.back().fixed);
       levels_.pop_back();
       break;
     }
     add_level(*A, at, scale, pool);
-    NodeMatrix<D> next = galerkin(*A, coarse, levels_.back(), pool);
+    NodeMatrix<D> next = galerkin(*A, at, coarse, levels_.back(), pool);
     held = std::move(next);
     A = &held;
-    at = std::move(coarse);
-    held_fixed.assign(at.size() * D, 0);
-    for (std::int64_t i = 0; i < held.num_nodes(); ++i)
-      for (std::int64_t k = held.indptr[u(i)]; k < held.indptr[u(i) + 1]; ++k)
-        if (held.columns[u(k)] == i)
-          for (int a = 0; a < D; ++a) {
-            double& diagonal = held.values[u(k * D * D + a * D + a)];
-            if (diagonal > 0.0) continue;
-            diagonal = 1.0 / scale;
-            held_fixed[u(i * D + a)] = 1;
-          }
+    at = std::move(coarse.positions);
+    hold_empty(held, scale, held_fixed);
   }
   factorize(*A, at, scale, pool);
 }
 
+/// What no fine unknown gives to becomes a row of the identity.
 template <int D>
-NodePositions<D> FlowMultigrid<D>::coarsen(const NodePositions<D>& positions, Level& level) const {
+void FlowMultigrid<D>::hold_empty(NodeMatrix<D>& A, double scale,
+                                  std::vector<std::uint8_t>& fixed) const {
+  std::vector<std::uint8_t> of_row(u(A.rows.num_rows() * D), 0);
+  for (std::int64_t row = 0; row < A.rows.num_rows(); ++row) {
+    const std::int64_t i = A.rows.holder[u(row)], begin = A.indptr[u(i)];
+    for (std::int64_t k = begin; k < A.indptr[u(i) + 1]; ++k)
+      for (int a = 0; a < D && A.columns[u(k)] == i; ++a) {
+        double& diagonal = A.values[u((A.rows.begin[u(row)] + k - begin) * D * D + a * D + a)];
+        if (diagonal > 0.0) continue;
+        diagonal = 1.0 / scale;
+        of_row[u(row * D + a)] = 1;
+      }
+  }
+  fixed.clear();
+  for (std::int32_t row : A.rows.of)
+    fixed.insert(fixed.end(), of_row.begin() + row * D, of_row.begin() + (row + 1) * D);
+}
+
+template <int D>
+CoarseNodes<D> FlowMultigrid<D>::coarsen(const NodePositions<D>& positions, Level& level) const {
   std::int32_t size[D] = {};
   for (const auto& p : positions)
     for (int a = 0; a < D; ++a) size[a] = std::max(size[a], p[u(a)] / 2 + 2);
-  std::int64_t stride[D], total = 1;
+  CoarseNodes<D> found;
+  std::int64_t total = 1;
+  std::int64_t* stride = found.stride;
   for (int a = D - 1; a >= 0; --a) {
     stride[a] = total;
     total *= size[a];
@@ -99,10 +112,11 @@ NodePositions<D> FlowMultigrid<D>::coarsen(const NodePositions<D>& positions, Le
       if (weight > 0.0f) f(index, weight);
     }
   };
-  std::vector<std::int32_t> number(u(total), -1);
+  std::vector<std::int32_t>& number = found.number;
+  number.assign(u(total), -1);
   for (const auto& p : positions)
     for_parents(p, [&](std::int64_t index, float) { number[u(index)] = 0; });
-  NodePositions<D> coarse;
+  NodePositions<D>& coarse = found.positions;
   for (std::int64_t index = 0; index < total; ++index) {
     if (number[u(index)] < 0) continue;
     number[u(index)] = static_cast<std::int32_t>(coarse.size());
@@ -134,13 +148,14 @@ NodePositions<D> FlowMultigrid<D>::coarsen(const NodePositions<D>& positions, Le
       level.child[u(to)] = static_cast<std::int32_t>(i);
       level.child_weight[u(to)] = level.parent_weight[u(k)];
     }
-  return coarse;
+  return found;
 }
 
-/// Where the half rows lie, in blocks, and their columns.
+/// Where the half rows lie, in blocks, and their columns. A row that several nodes have is split in
+/// one way for each color of planes.
 template <int D>
-void FlowMultigrid<D>::split_rows(const NodeMatrix<D>& A, const NodePositions<D>& positions,
-                                  Level& level, ThreadPool& pool) const {
+std::int64_t FlowMultigrid<D>::split_rows(const NodeMatrix<D>& A, const NodePositions<D>& positions,
+                                          Level& level, ThreadPool& pool) const {
   const std::int64_t n = A.num_nodes();
   const auto turn = [&](std::int64_t j) {  // of a forward sweep
     return std::make_pair((positions[u(j)][0] - positions[0][0]) % kPlaneColors, j);
@@ -160,19 +175,20 @@ void FlowMultigrid<D>::split_rows(const NodeMatrix<D>& A, const NodePositions<D>
       if (j != i) level.columns[u(turn(j) < turn(i) ? earlier++ : later++)] = j;
     }
   });
-}
-
-template <int D>
-template <typename T>
-void FlowMultigrid<D>::keep_distinct(AlignedBuffer<T>& blocks, std::int64_t block_size,
-                                     Level& level) {
-  std::vector<std::int64_t> first(level.begin);
-  for (std::int64_t& at : first) at *= block_size;
-  const std::int64_t kept = keep_distinct_rows(blocks.data(), first, level.values);
-  AlignedBuffer<T> distinct(u(kept + 1));  // rows of 16 bits are read four at a time
-  std::copy_n(blocks.data(), kept, distinct.data());
-  blocks.swap(distinct);
-  bytes_ += kept * static_cast<std::int64_t>(sizeof(T));
+  std::vector<std::int64_t> known(u(A.rows.num_rows() * kPlaneColors * 2), -1);
+  level.holds.assign(u(n), 0);
+  std::int64_t kept = 0;
+  for (std::int64_t q = 0; q < 2 * n; ++q) {
+    const std::int64_t i = q % n, color = turn(i).first;
+    std::int64_t& at = known[u((A.rows.of[u(i)] * kPlaneColors + color) * 2 + q / n)];
+    if (at < 0) {
+      at = kept;
+      kept += level.begin[u(q) + 1] - level.begin[u(q)];
+      level.holds[u(i)] = 1;
+    }
+    level.values[u(q)] = at;
+  }
+  return kept;
 }
 
 template <int D>
@@ -180,25 +196,27 @@ void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>&
                                  double scale, ThreadPool& pool) {
   Level& level = levels_.back();
   const std::int64_t n = A.num_nodes();
-  split_rows(A, positions, level, pool);
-  const std::int64_t num_blocks = level.begin.back();
+  const std::int64_t num_blocks = split_rows(A, positions, level, pool);
   float largest = 0.0f;
   for (double value : A.values)
     largest = std::max(largest, static_cast<float>(std::abs(scale * value)));
   level.is_half = kHasHalf && levels_.size() == 1 && largest * kHalfScale < kLargestHalf;
+  const std::int64_t block_size = D * (level.is_half ? D : kLanes);
+  for (std::int64_t& at : level.values) at *= block_size;
   if (level.is_half)
-    level.halves.resize(u(num_blocks * D * D));
+    level.halves.resize(u(num_blocks * block_size + 1));  // they are read four at a time
   else
-    level.blocks.resize(u(num_blocks * D * kLanes));
+    level.blocks.resize(u(num_blocks * block_size));
   level.inverse.assign(u(n * D * kLanes), 0.0f);
   for (AlignedBuffer<float>* v : {&level.x, &level.b, &level.r}) {
     v->resize(u(n * kLanes));
     std::fill(v->data(), v->data() + n * kLanes, 0.0f);
   }
   for_chunks(n, pool, [&](std::int64_t i) {
-    std::int64_t next[2] = {level.begin[u(i)], level.begin[u(n + i)]};
-    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k) {
-      const double* from = A.values.data() + k * D * D;
+    const double* from = A.values.data() + A.rows.first(i) * D * D;
+    std::int64_t earlier = level.begin[u(i)];
+    std::int64_t next[2] = {level.values[u(i)], level.values[u(n + i)]};
+    for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k, from += D * D) {
       if (A.columns[u(k)] == i) {
         Eigen::Map<const Eigen::Matrix<double, D, D, Eigen::RowMajor>> block(from);
         const Eigen::Matrix<double, D, D> inverse = (scale * block).inverse();
@@ -207,96 +225,143 @@ void FlowMultigrid<D>::add_level(const NodeMatrix<D>& A, const NodePositions<D>&
             level.inverse[u((i * D + b) * kLanes + a)] = static_cast<float>(inverse(a, b));
         continue;
       }
-      const bool earlier =
-          next[0] < level.begin[u(i) + 1] && level.columns[u(next[0])] == A.columns[u(k)];
-      const std::int64_t at = next[earlier ? 0 : 1]++;
+      if (!level.holds[u(i)]) continue;
+      const bool is_earlier =
+          earlier < level.begin[u(i) + 1] && level.columns[u(earlier)] == A.columns[u(k)];
+      earlier += is_earlier;
+      std::int64_t& at = next[is_earlier ? 0 : 1];
       for (int b = 0; b < D; ++b)
         for (int a = 0; a < kLanes; ++a) {
           const float value = a < D ? static_cast<float>(scale * from[a * D + b]) : 0.0f;
-          if (!level.is_half) level.blocks.data()[(at * D + b) * kLanes + a] = value;
+          if (!level.is_half) level.blocks.data()[at + b * kLanes + a] = value;
 #if defined(__F16C__)
           if (level.is_half && a < D)
-            level.halves.data()[(at * D + b) * D + a] = to_half(kHalfScale * value);
+            level.halves.data()[at + b * D + a] = to_half(kHalfScale * value);
 #endif
         }
+      at += block_size;
     }
   });
-  if (level.is_half)
-    keep_distinct(level.halves, D * D, level);
-  else
-    keep_distinct(level.blocks, D * kLanes, level);
   level.planes.assign(1, 0);
   for (std::int64_t i = 1; i < n; ++i)
     for (std::int32_t p = positions[u(i - 1)][0]; p < positions[u(i)][0]; ++p)
       level.planes.push_back(i);
   level.planes.push_back(n);
-  bytes_ += num_blocks * 4 + n * (2 * 16 + (D * kLanes + 3 * kLanes) * 4);
+  bytes_ += num_blocks * block_size * (level.is_half ? 2 : 4) + level.begin.back() * 4 +
+            n * (2 * 16 + (D * kLanes + 3 * kLanes) * 4);
+}
+
+/// Coarse rows are equal where their children lie alike and have equal rows, so that these couple
+/// with neighbors that lie alike. Rows that one fine node has alone make no equal ones.
+template <int D>
+MatrixRows FlowMultigrid<D>::coarse_rows(const NodeMatrix<D>& A, const NodePositions<D>& fine,
+                                         const NodePositions<D>& coarse, const Level& level) const {
+  constexpr std::size_t kPlaces = pow3(D);  // of children about a coarse node
+  std::vector<std::int32_t> count(u(A.rows.num_rows()), 0);
+  for (std::int32_t row : A.rows.of) ++count[u(row)];
+  std::map<std::array<std::int32_t, kPlaces>, std::int32_t> known;
+  MatrixRows rows;
+  for (std::size_t I = 0; I < coarse.size(); ++I) {
+    std::array<std::int32_t, kPlaces> told;
+    told.fill(-1);
+    bool alone = false;
+    for (std::int64_t c = level.child_start[I]; c < level.child_start[I + 1] && !alone; ++c) {
+      const std::int32_t i = level.child[u(c)], row = A.rows.of[u(i)];
+      int place = 0;
+      for (std::size_t a = 0; a < D; ++a) place = 3 * place + fine[u(i)][a] - 2 * coarse[I][a] + 1;
+      told[u(place)] = row;
+      alone = count[u(row)] == 1;
+    }
+    const auto found = alone ? known.end() : known.find(told);
+    if (found != known.end()) {
+      rows.add_known(found->second);
+      continue;
+    }
+    rows.add(0);
+    if (!alone) known.emplace(told, rows.of.back());
+  }
+  return rows;
 }
 
 template <int D>
-NodeMatrix<D> FlowMultigrid<D>::galerkin(const NodeMatrix<D>& A, const NodePositions<D>& coarse,
-                                         const Level& level, ThreadPool& pool) const {
+NodeMatrix<D> FlowMultigrid<D>::galerkin(const NodeMatrix<D>& A, const NodePositions<D>& fine,
+                                         const CoarseNodes<D>& nodes, const Level& level,
+                                         ThreadPool& pool) const {
   constexpr int kSlots = pow5(D);     // nodes at most two away along each axis
   constexpr std::int64_t kRows = 64;  // of a task
-  const std::int64_t n = static_cast<std::int64_t>(coarse.size());
+  const NodePositions<D>& coarse = nodes.positions;
+  NodeMatrix<D> out;
+  out.rows = coarse_rows(A, fine, coarse, level);
+  const std::int64_t n = out.rows.num_rows();
   struct Part {
-    std::vector<std::int64_t> counts;
-    std::vector<std::int32_t> columns;
+    std::vector<std::int64_t> counts, offsets;  // of columns; these in places of the coarse box
     std::vector<double> values;
   };
   std::vector<Part> parts(u((n + kRows - 1) / kRows));
   pool.run(static_cast<std::int64_t>(parts.size()), [&](std::int64_t task) {
     Part& part = parts[u(task)];
     std::vector<double> row(kSlots * D * D);
-    std::vector<std::int32_t> column(kSlots);
-    for (std::int64_t I = task * kRows; I < std::min(n, (task + 1) * kRows); ++I) {
+    std::vector<std::uint8_t> taken(kSlots);
+    for (std::int64_t R = task * kRows; R < std::min(n, (task + 1) * kRows); ++R) {
+      const std::int64_t I = out.rows.holder[u(R)];
       std::fill(row.begin(), row.end(), 0.0);
-      std::fill(column.begin(), column.end(), -1);
+      std::fill(taken.begin(), taken.end(), 0);
       for (std::int64_t c = level.child_start[u(I)]; c < level.child_start[u(I) + 1]; ++c) {
         const std::int64_t i = level.child[u(c)];
         const std::uint8_t* fixed_i = level.fixed.data() + i * D;
-        for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k) {
+        const double* values = A.values.data() + A.rows.first(i) * D * D;
+        for (std::int64_t k = A.indptr[u(i)]; k < A.indptr[u(i) + 1]; ++k, values += D * D) {
           const std::int64_t j = A.columns[u(k)];
           const std::uint8_t* fixed_j = level.fixed.data() + j * D;
           double block[D * D];
           for (int a = 0; a < D; ++a)
             for (int b = 0; b < D; ++b)
-              block[a * D + b] = fixed_i[a] || fixed_j[b]
-                                     ? 0.0
-                                     : static_cast<double>(level.child_weight[u(c)]) *
-                                           A.values[u(k * D * D + a * D + b)];
+              block[a * D + b] =
+                  fixed_i[a] || fixed_j[b]
+                      ? 0.0
+                      : static_cast<double>(level.child_weight[u(c)]) * values[a * D + b];
           for (std::int64_t q = level.parent_start[u(j)]; q < level.parent_start[u(j) + 1]; ++q) {
             const std::int32_t J = level.parent[u(q)];
             int slot = 0;
             for (int a = 0; a < D; ++a)
               slot = 5 * slot + coarse[u(J)][u(a)] - coarse[u(I)][u(a)] + 2;
-            column[u(slot)] = J;
+            taken[u(slot)] = 1;
             const double w = level.parent_weight[u(q)];
             for (int e = 0; e < D * D; ++e) row[u(slot * D * D + e)] += w * block[e];
           }
         }
       }
-      std::int64_t count = 0;
+      part.counts.push_back(0);
       for (int slot = 0; slot < kSlots; ++slot) {
-        if (column[u(slot)] < 0) continue;
-        ++count;
-        part.columns.push_back(column[u(slot)]);
+        if (!taken[u(slot)]) continue;
+        ++part.counts.back();
+        part.offsets.push_back(0);
+        for (int a = D - 1, rest = slot; a >= 0; --a, rest /= 5)
+          part.offsets.back() += (rest % 5 - 2) * nodes.stride[a];
         part.values.insert(part.values.end(), row.begin() + slot * D * D,
                            row.begin() + (slot + 1) * D * D);
       }
-      part.counts.push_back(count);
     }
   });
-  NodeMatrix<D> out;
-  out.indptr.assign(1, 0);
-  std::size_t total = 0;
-  for (const Part& part : parts) total += part.columns.size();
-  out.columns.reserve(total);
-  out.values.reserve(total * D * D);
+  std::size_t num_blocks = 0;
+  for (const Part& part : parts) num_blocks += part.offsets.size();
+  std::vector<std::int64_t> offsets;
+  offsets.reserve(num_blocks);
+  out.values.reserve(num_blocks * D * D);
+  out.rows.begin.assign(1, 0);
   for (const Part& part : parts) {
-    for (std::int64_t count : part.counts) out.indptr.push_back(out.indptr.back() + count);
-    out.columns.insert(out.columns.end(), part.columns.begin(), part.columns.end());
+    for (std::int64_t count : part.counts) out.rows.begin.push_back(out.rows.begin.back() + count);
+    offsets.insert(offsets.end(), part.offsets.begin(), part.offsets.end());
     out.values.insert(out.values.end(), part.values.begin(), part.values.end());
+  }
+  out.indptr.assign(1, 0);
+  for (std::size_t I = 0; I < coarse.size(); ++I) {
+    std::int64_t place = 0;
+    for (std::size_t a = 0; a < D; ++a) place += coarse[I][a] * nodes.stride[a];
+    const std::size_t row = u(out.rows.of[I]);
+    for (std::int64_t k = out.rows.begin[row]; k < out.rows.begin[row + 1]; ++k)
+      out.columns.push_back(nodes.number[u(place + offsets[u(k)])]);
+    out.indptr.push_back(static_cast<std::int64_t>(out.columns.size()));
   }
   return out;
 }
@@ -305,7 +370,11 @@ template <int D>
 void FlowMultigrid<D>::factorize(const NodeMatrix<D>& A, const NodePositions<D>& positions,
                                  double scale, ThreadPool& pool) {
   std::vector<std::int64_t> indices(A.columns.begin(), A.columns.end());
-  std::vector<double> coords(positions.size() * 3, 0.0), values(A.values);
+  std::vector<double> coords(positions.size() * 3, 0.0), values;
+  for (std::int64_t i = 0; i < A.num_nodes(); ++i) {
+    const double* row = A.values.data() + A.rows.first(i) * D * D;
+    values.insert(values.end(), row, row + (A.indptr[u(i) + 1] - A.indptr[u(i)]) * D * D);
+  }
   for (std::size_t i = 0; i < positions.size(); ++i)
     for (std::size_t a = 0; a < D; ++a) coords[3 * i + a] = positions[i][a];
   for (double& v : values) v *= scale;

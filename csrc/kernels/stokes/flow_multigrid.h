@@ -8,7 +8,7 @@
 // so the result does not depend on the number of threads. The coarsest matrix is factorized. Time
 // is that of reading the finest matrix: where the processor converts numbers of 16 bits, it has
 // those. What a row has before its diagonal and what behind lie apart, for a sweep that starts from
-// zero reads the one and its residual the other; equal ones are kept once.
+// zero reads the one and its residual the other; equal rows are kept once (MatrixRows).
 #pragma once
 
 #include <array>
@@ -19,6 +19,7 @@
 #include "kernels/linalg/aligned_buffer.h"
 #include "kernels/linalg/cholesky.h"
 #include "kernels/parallel.h"
+#include "kernels/stokes/flow_matrix.h"
 
 namespace diffsim {
 
@@ -27,7 +28,8 @@ template <int D>
 struct NodeMatrix {
   std::vector<std::int64_t> indptr;   // (num_nodes + 1,)
   std::vector<std::int32_t> columns;  // (num_blocks,)
-  std::vector<double> values;         // (num_blocks, D, D)
+  MatrixRows rows;                    // where they are in the values
+  std::vector<double> values;         // (blocks of the rows, D, D)
 
   std::int64_t num_nodes() const { return static_cast<std::int64_t>(indptr.size()) - 1; }
 };
@@ -35,6 +37,14 @@ struct NodeMatrix {
 /// Where nodes lie on their grid: (num_nodes, D), sorted by the first axis, then the next.
 template <int D>
 using NodePositions = std::vector<std::array<std::int32_t, D>>;
+
+/// Nodes of a coarse grid, and the node at each place of the box about them, or -1.
+template <int D>
+struct CoarseNodes {
+  NodePositions<D> positions;
+  std::vector<std::int32_t> number;
+  std::int64_t stride[D];
+};
 
 template <int D>
 class FlowMultigrid {
@@ -58,6 +68,7 @@ class FlowMultigrid {
     // node's with later ones. The diagonal is kept as its inverse alone.
     std::vector<std::int64_t> begin;   // of half rows in `columns`, (2 num_nodes + 1,)
     std::vector<std::int64_t> values;  // of half rows in `blocks` or `halves`, (2 num_nodes,)
+    std::vector<std::uint8_t> holds;   // (num_nodes,) whether these are put there by the node
     std::vector<std::int32_t> columns;
     AlignedBuffer<float> blocks;          // (distinct, D, kLanes), columns of the blocks, or
     AlignedBuffer<std::uint16_t> halves;  // (distinct, D, D) times kHalfScale
@@ -77,16 +88,18 @@ class FlowMultigrid {
 
   void add_level(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
                  ThreadPool& pool);
-  NodePositions<D> coarsen(const NodePositions<D>& positions, Level& level) const;
-  NodeMatrix<D> galerkin(const NodeMatrix<D>& A, const NodePositions<D>& coarse, const Level& level,
-                         ThreadPool& pool) const;
+  CoarseNodes<D> coarsen(const NodePositions<D>& positions, Level& level) const;
+  MatrixRows coarse_rows(const NodeMatrix<D>& A, const NodePositions<D>& fine,
+                         const NodePositions<D>& coarse, const Level& level) const;
+  NodeMatrix<D> galerkin(const NodeMatrix<D>& A, const NodePositions<D>& fine,
+                         const CoarseNodes<D>& coarse, const Level& level, ThreadPool& pool) const;
+  void hold_empty(NodeMatrix<D>& A, double scale, std::vector<std::uint8_t>& fixed) const;
   void factorize(const NodeMatrix<D>& A, const NodePositions<D>& positions, double scale,
                  ThreadPool& pool);
   void cycle(std::size_t l, ThreadPool& pool);
-  void split_rows(const NodeMatrix<D>& A, const NodePositions<D>& positions, Level& level,
-                  ThreadPool& pool) const;
-  template <typename T>
-  void keep_distinct(AlignedBuffer<T>& blocks, std::int64_t block_size, Level& level);
+  /// How many blocks the half rows have that are kept.
+  std::int64_t split_rows(const NodeMatrix<D>& A, const NodePositions<D>& positions, Level& level,
+                          ThreadPool& pool) const;
   template <bool kHalf>
   Lanes sum_blocks(const Level& level, std::int64_t half_row) const;
   Lanes product(const Level& level, std::int64_t half_row) const {

@@ -35,7 +35,8 @@ FlowPressures<D>::FlowPressures(const FlowSpace<D>& space, const FlowMatrix<D>& 
     compliance_.push_back(divergence_.rigid(cell) ? op().pressure_volume(at) / bulk
                                                   : kLeastCompliance * op().fluid_volume(at));
   }
-  inverse_diagonal_ = invert_diagonals(matrix.diagonal(values), divergence_, mass_, bulk, pool);
+  inverse_diagonal_ =
+      invert_diagonals(matrix.diagonal(values, matrix.own_rows()), divergence_, mass_, bulk, pool);
   schur_ = std::make_unique<FlowSchur<D>>(op(), divergence_, inverse_diagonal_, mass_, compliance_,
                                           bulk, pool);
   set_rounding(pool);
