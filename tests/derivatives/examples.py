@@ -29,7 +29,7 @@ CALL: dict[str, Arguments] = {}
 USE: dict[type, Callable[[Any], Any]] = {}
 LOOK: dict[str, Callable[[Any], Any]] = {}
 FACTORIES: dict[type | str, Callable[..., Any]] = {}
-ABSTRACT = (contact.Shape, control.OpenLoop, soft.ActuatorDynamics, shapes.Shape)
+ABSTRACT = (contact.Shape, control.OpenLoop, shapes.Shape)
 """Their subclasses are what is called."""
 LATER: list[str] = []
 """Patterns of names that have no example yet; the layers that they stand on have."""
@@ -258,6 +258,7 @@ CALL |= {
 # --- soft bodies
 
 MAKE |= {
+    soft.ActuatorDynamics: lambda: {"time_constant": real(0.2), "max_rate": real(0.8)},
     soft.Hydrodynamics: lambda: {
         "mesh": irregular_mesh("hex"), "density": real(1000.0),
         "water_velocity": real(0.1, 0.2, 0.0),
