@@ -222,9 +222,8 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
         parts = [decision.best - {i} for i in sorted(decision.best)]
         for part in parts:
             search = refit(search, part)
-        fits = search.fits
-        if cut := [p for p in parts if p and p in fits and fits[p].ended == "budget"]:
-            search = fitted_to_end(search, cut)
+        if fitted := [p for p in parts if p and p in search.fits]:
+            search = fitted_to_end(search, fitted, decision.best)
         if (better := decision_of(search, withdrawn).best) != decision.best:
             search = _ready_without(search, better)  # a part is enough, which nobody had fitted
             continue

@@ -18,6 +18,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.checks.numerics import (
@@ -43,6 +45,7 @@ from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
 OWN_STEP = "the model's own time step"
+SLOPES_REACH = 1.64  # posterior sd: within the 90 % interval slopes tell what is without a member
 FORM = 0.05  # share of what a cause does to the record that its form may be wrong by
 
 
@@ -51,6 +54,7 @@ def without_forms(
     fit: Fit,
     unrefined: Mapping[str, Array] | None = None,
     stepped: Mapping[int, str] | None = None,
+    parts: Mapping[Members, Fit] | None = None,
 ) -> Decision:
     """The decision with the set that leaves out what may be another cause's form as a rival.
 
@@ -60,12 +64,16 @@ def without_forms(
         unrefined: Change of the record by refining numerical settings for which the gate failed at
             that fit, (N,) each by its name.
         stepped: Members that the model's own steps may be, as of ``own_steps``.
+        parts: Fits of other sets, those without one of its members among them.
     """
     if decision.verdict not in NAMES:
         return decision
     changes = {name: fit.problem.whiten_all(raw) for name, raw in (unrefined or {}).items()}
     index = sorted(decision.best)
-    forms = {index[i]: what for i, what in form_of(fit, changes).items()} | dict(stepped or {})
+    known = parts or {}
+    without = {k: known[p] for k, i in enumerate(index) if (p := decision.best - {i}) in known}
+    found = form_of(fit, changes, without)
+    forms = {index[i]: what for i, what in found.items()} | dict(stepped or {})
     if not forms:
         return decision
     rest = Hypothesis(decision.best - set(forms))
@@ -100,23 +108,35 @@ def own_steps(search: Search, best: Members) -> dict[int, str]:
     return found
 
 
-def form_of(fit: Fit, changes: Mapping[str, Array]) -> dict[int, str]:
+def form_of(
+    fit: Fit, changes: Mapping[str, Array], without: Mapping[int, Fit] | None = None
+) -> dict[int, str]:
     """Effects that may be something else, each with what that is, by place in the problem.
 
     Compared are misfits in noise standard deviations: what the record would lack without the weak
     one, all else refitted, and what the strong one does, base parameters refitted. Within a family
-    by their lengths; else by their mean squares where the weak one acts.
+    by their lengths; else by their mean squares where the weak one acts. By slopes, unless these
+    would have to reach far, and a fit without it lacks more: let friction go to zero with masses
+    and gains, and the record stays the same, but no motor is left.
 
     Args:
         fit: Fit of a set of effects.
         changes: Whitened changes by refining numerical settings that the answer leaves too coarse.
+        without: Fits without an effect, by its place.
     """
     effects = fit.problem.effects
     base = fit.jacobian[:, : fit.problem.num_base]
     does = [left_over(moved_by(fit, i), base) for i in range(len(effects))]
+    others_at = [others_of(fit, i) for i in range(len(effects))]
+    lacking = [left_over(moved_by(fit, i), fit.jacobian[:, o]) for i, o in enumerate(others_at)]
+    for i, part in (without or {}).items():
+        if length(lacking[i]) > SLOPES_REACH:
+            moved = [part.residual - fit.residual, part.x - fit.x[others_at[i]]]
+            lacking[i] = max(lacking[i], np.concatenate(moved), key=length)
+            does[i] = max(does[i], lacking[i], key=length)
     found = {}
     for i, effect in enumerate(effects):
-        lacks = left_over(moved_by(fit, i), fit.jacobian[:, others_of(fit, i)])
+        lacks = lacking[i]
         others = {j: does[j] for j in range(len(effects)) if j != i}
         family = [j for j in others if effects[j].family == effect.family]
         law = max(family, key=lambda j: length(does[j]), default=i)

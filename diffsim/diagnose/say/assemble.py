@@ -422,7 +422,9 @@ def _with_forms(judgment: Judgment, search: Search, unrefined: Mapping[str, Arra
     """The judgment, what may be another cause's form left open; the set without it is fitted."""
     best = judgment.decision.best
     stepped = own_steps(search, best) if search.null.case.correction is not None else {}
-    decision = without_forms(judgment.decision, search.fit_of(best), unrefined, stepped)
+    decision = without_forms(
+        judgment.decision, search.fit_of(best), unrefined, stepped, search.fits
+    )
     decision = without_wrong_data_sheets(decision, search)
     if decision.forms:  # of several forms, the search need not have come by
         search = refit(search, decision.best - set(decision.forms))

@@ -265,14 +265,16 @@ def _status(
 
 def _is_hollow(judgment: Judgment, about: ModelAverage, i: int) -> bool:
     """Whether a member adds nothing that is sure to a set with others that do: its size may be
-    zero, and what it was not fitted to shows no gain by it. It may stand in for one of these, or
-    for what the fit of another set did not reach."""
+    zero, or it another one's form, and what it was not fitted to shows no gain by it. It may stand
+    in for one of these, or for what the fit of another set did not reach."""
+    decision = judgment.decision
 
     def is_idle(k: int) -> bool:
         gain = judgment.gains.get(k)
-        return gain is not None and not gain.has_fallen and about.may_be_zero(k)
+        is_open = about.may_be_zero(k) or k in decision.forms
+        return gain is not None and not gain.has_fallen and is_open
 
-    return is_idle(i) and not all(is_idle(k) for k in judgment.decision.best)
+    return is_idle(i) and not all(is_idle(k) for k in decision.best)
 
 
 def _why_not_refuted(known: CauseEvidence, i: int) -> str:

@@ -44,7 +44,7 @@ from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulatio
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.linearization import Linearization, linearization_at
-from diffsim.identify.model import slopes_are_simulated
+from diffsim.identify.model import has_tangents, slopes_are_simulated
 
 Array = NDArray[np.float64]
 Begin = Callable[[Problem, Linearization], Linearization]
@@ -250,33 +250,60 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     at, most = made.fitted[members], search.settings.refit_steps
     is_exact = fit.ended != "budget"
     is_exact &= has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
-    by_differences = slopes_are_simulated(search.wide.model)
-    for _ in range(MAX_MENDED):
+    model = search.wide.model
+    by_differences = bool(at.idx) and not (model.is_read or has_tangents(model))
+    for k in range(MAX_MENDED):
         if not is_exact:
-            fit, end = made.fitted_from(members, at, np.inf, most=most)
-            made = made.kept(members, end)
+            after, end = made.fitted_from(members, at, np.inf, most=most)
+            gained = 0.5 * (fit.chi2 + fit.prior - after.chi2 - after.prior)
+            if k > 0 and after.ended == "stalled" and gained < FIT_NATS:
+                break  # what these slopes promise is not there: they are no better
+            fit, made = after, made.kept(members, end)
             at = made.fitted[members]
         better = made.with_weak_slopes(members) if by_differences else at
         if better is at:
             break
         at, is_exact = better, False
-    if at is search.simulations.fitted[members]:
+    if made is search.simulations:
         return search
     return replace(search, simulations=made).with_fit(members, fit)
 
 
-def fitted_to_end(search: Search, parts: Sequence[Members]) -> Search:
+def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE) -> Search:
     """The search with sets fitted on, whose fits a budget had ended, such as parts of the best one:
     a member gains by what its part lacks, not by what the part's fit has left. The best set first,
-    as long as one more budget of a fit lasts."""
+    as long as one more budget of a fit lasts.
+
+    Args:
+        search: Search that has fitted all of them.
+        sets: Members of each.
+        whole: Set whose parts they are; one that ended far above what slopes promise at the whole's
+            end is fitted once more from there.
+    """
     until = search.steps + search.null.case.settings.plain_steps
-    for members in sorted(parts, key=lambda p: -search.nats(Hypothesis(p))):
-        made = search.simulations
-        if search.steps >= until:
-            break
+    made, near = search.simulations, None
+    if whole:
+        at = made.fitted[whole].joined(search.plain.at)
+        near = made.center(whole, at, search.num_families)
+    for members in sorted(sets, key=lambda p: -search.nats(Hypothesis(p))):
+        made, fit = search.simulations, search.fit_of(members)
         most = until - search.steps
-        fit, at = made.fitted_from(members, made.fitted[members], search.best_cost(), most=most)
-        search = replace(search, simulations=made.kept(members, at)).with_fit(members, fit)
+        promised = fit if near is None else near.evidence.weigh(Hypothesis(members))
+        cost = 0.5 * (promised.chi2 + float(promised.x @ promised.x))
+        falls_short = near is not None and _disappoints(search, fit, cost)
+        if most <= 0.0 or not (falls_short or fit.ended == "budget"):
+            continue
+        start = made.fitted[members]
+        try:
+            if near is not None and falls_short:
+                start = made.start(members, near.at, promised.x, anew=True)
+            better, at = made.fitted_from(members, start, search.best_cost(), most=most)
+        except DiffsimError as error:  # that end cannot be moved: what it is must be said
+            failed = {**search.failed, Hypothesis(members): str(error)}
+            search = replace(search, failed=failed)
+            continue
+        if better.chi2 + better.prior <= fit.chi2 + fit.prior:
+            search = replace(search, simulations=made.kept(members, at)).with_fit(members, better)
     return search
 
 

@@ -23,12 +23,13 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.located import course_at, scan_located
 from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
 from diffsim.diagnose.search.store import Arrays, Store, gauss_newton_kept, packed, unpacked
-from diffsim.diagnose.search.weak_slopes import mended
+from diffsim.diagnose.search.weak_slopes import descended, mended
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.locate import Course
+from diffsim.identify.model import slopes_are_simulated
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
@@ -186,8 +187,12 @@ class Simulations:
         here = self.fitted[members]
         own = np.array(here.idx)
         at = replace(here, x=here.x[own], idx=tuple(range(len(own))))
-        better = mended(self.narrow(members), at)
-        return here if better is at else replace(here, columns=better.columns)
+        narrow = self.narrow(members)
+        if slopes_are_simulated(narrow.model):
+            better = mended(narrow, at)
+            return here if better is at else replace(here, columns=better.columns)
+        better = descended(narrow, at)
+        return here if better is at else self.kept(members, better).fitted[members]
 
     def near(self, members: Members, x: Array, step: float) -> Linearization | None:
         """A set's linearization beside some unknown cause, no further away in any coordinate.
@@ -206,13 +211,15 @@ class Simulations:
         made = (*self.at_unknowns.get(members, ()), at)
         return replace(self, at_unknowns={**self.at_unknowns, members: made})
 
-    def start(self, members: Members, center: Linearization, x: Array) -> Linearization:
+    def start(
+        self, members: Members, center: Linearization, x: Array, *, anew: bool = False
+    ) -> Linearization:
         """Warm start of a set, from fits of its subsets.
 
-        An earlier fit of it; the center itself where the set only adds to it; else the optimum
-        ``x`` of the linear evidence, with the center's slopes.
+        An earlier fit of it, unless it starts anew; the center itself where the set only adds to
+        it; else the optimum ``x`` of the linear evidence, with the center's slopes.
         """
-        if members in self.fitted:
+        if members in self.fitted and not anew:
             return self.fitted[members]
         own = self.coordinates(members)
         outside = np.ones(len(center.x), dtype=bool)

@@ -16,11 +16,13 @@ from scipy import linalg
 
 from diffsim.core.arrays import Array
 from diffsim.identify import Problem
-from diffsim.identify.linearization import Linearization, records_at
+from diffsim.identify.effort import FIT_NATS
+from diffsim.identify.linearization import Linearization, linearization_at, records_at
 
 WEAK = 0.05  # of the strongest direction: below it an error of a percent or two is a good part
 CLAIMED = 0.1  # share of a direction's information that its slopes claim, the prior has the rest
 WRONG = 0.25  # noise sd, by which slopes may miss what one posterior sd moves
+SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step along weak directions, that are tried
 ROUNDS = 3  # after the first, weak directions are those of better slopes
 STEP, LEAST_STEP = 0.3, 0.1  # posterior sd; at one, smooth records bend; below, slopes stay
 
@@ -41,6 +43,49 @@ def mended(problem: Problem, at: Linearization) -> Linearization:
             break
         at = replace(at, columns=at.columns + change)
     return at
+
+
+def descended(problem: Problem, at: Linearization) -> Linearization:
+    """Where a fit gets by steps along weak directions alone, by slopes that are right along them.
+
+    With all others, whose slopes edges make wrong, a step may be too long to be taken: a fit stays
+    far from its data sheets for nothing.
+
+    Args:
+        problem: Model, runs, noise and effects that are fitted.
+        at: As of ``mended``.
+
+    Returns:
+        The linearization there, mended; the same object where slopes are right.
+    """
+    for _ in range(ROUNDS):
+        better = mended(problem, at)
+        if better is at:
+            break
+        lower = _lower(problem, better)
+        if lower is None:
+            return better
+        at = linearization_at(problem, lower)
+    return mended(problem, at)
+
+
+def _lower(problem: Problem, at: Linearization) -> Array | None:
+    """A point of less cost along weak directions, (n,); None: nothing is to be had there."""
+    residual = problem.residual_of(at.record)
+    slopes = problem.whiten_all(at.columns) * problem.stretch(at.x)
+    _, strength, axes = linalg.svd(slopes, full_matrices=False)
+    weak = axes[strength < WEAK * strength.max(initial=0.0)]
+    ahead = slopes @ weak.T
+    pull = ahead.T @ residual - weak @ at.x
+    step = weak.T @ linalg.solve(ahead.T @ ahead + np.eye(len(weak)), pull)
+    if 0.5 * float(pull @ (weak @ step)) < FIT_NATS:
+        return None
+    points = np.clip(at.x + np.outer(SHARES, step), *problem.bounds)
+    left = problem.whiten_all((records_at(problem, points) - at.record).T).T
+    costs = ((residual - left) ** 2).sum(1) + (points**2).sum(1)
+    here = float(residual @ residual + at.x @ at.x)
+    best = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
+    return points[best] if costs[best] < here - 2.0 * FIT_NATS else None
 
 
 def _change(problem: Problem, at: Linearization) -> Array:

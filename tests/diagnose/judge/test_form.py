@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import torch
 
 from diffsim.data.study import Study
@@ -36,7 +37,7 @@ def fit(strong, weak, families=("damping", "damping")):
         scaled=lambda x: x,
         columns_of=lambda e: [1 + next(i for i, other in enumerate(effects) if other is e)],
     )
-    return SimpleNamespace(problem=problem, jacobian=slopes, x=x)
+    return SimpleNamespace(problem=problem, jacobian=slopes, x=x, residual=np.zeros(NUM))
 
 
 def decision(verdict="named"):
@@ -76,6 +77,17 @@ def test_another_family_stands_where_the_first_does_little(monkeypatch):
     assert form_of(fit(2400.0, 8.0, OTHER), {}) == {}
 
 
+@pytest.mark.parametrize(("weak", "form"), [(8.0, False), (2.0, True)])
+def test_a_fit_without_it_tells_where_slopes_do_not_reach(weak, form):
+    """Without dry friction a table lacked 35 sd by slopes, as if masses and motor went to zero with
+    it, and 870 in a fit: "another form of delay". Sizes that may be zero are within reach."""
+    part = SimpleNamespace(residual=np.full(NUM, 3.0), x=np.zeros(2))
+    assert form_of(fit(240.0, weak, OTHER), {}) == {1: "another form of first law"}
+    assert bool(form_of(fit(240.0, weak, OTHER), {}, {1: part})) == form
+    decided = without_forms(decision(), fit(240.0, weak, OTHER), parts={frozenset({3}): part})
+    assert (7 in decided.forms) == form
+
+
 def test_what_refining_could_be_is_not_certain():
     done = fit(60.0, 16.0, OTHER)
     weak = done.jacobian[:, 2] * done.x[2]
@@ -94,7 +106,7 @@ def test_a_set_without_several_forms_is_fitted(monkeypatch):
     study = Study("laws", "copter", linear.CHANNELS, tuple(runs_of(sizes)))
     seen = []
 
-    def without_two(decision, fit, unrefined, stepped):
+    def without_two(decision, fit, unrefined, stepped, parts):
         assert decision.best == {0, 1, 2}
         rest = Hypothesis(frozenset({2}))
         return replace(decision, verdict="ambiguous", rivals=(rest,), forms={0: "", 1: ""})

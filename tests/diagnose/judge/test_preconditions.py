@@ -30,7 +30,7 @@ from diffsim.diagnose.say import assemble
 from diffsim.diagnose.say.causes import _why_not_refuted
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
 from diffsim.diagnose.search.search import fitted_exactly
-from diffsim.identify import DiagnosisSettings
+from diffsim.identify import DiagnosisSettings, SimModel
 from tests.diagnose import linear
 from tests.diagnose.say.test_causes import OTHER, PUSH, QUICK, causes, diagnosed, recorded
 
@@ -171,6 +171,48 @@ def test_a_best_set_that_was_far_behind_another_one_is_fitted_to_its_end(grounds
     ended = fitted_exactly(short, PUSHED)
     assert ended.simulations.fitted[PUSHED].slope_error == 0.0
     np.testing.assert_allclose(ended.fit_of(PUSHED).x, fit.x, atol=1e-3)
+    assert fitted_exactly(grounds.search, PUSHED) is grounds.search
+
+
+class _Read(SimModel):
+    is_read = True
+
+
+class _Tangent(SimModel):
+    def tangents(self, run, at, lines, numerics):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("kind", "batched", "measured"),
+    [
+        (SimModel, False, True),
+        (SimModel, True, True),
+        (_Tangent, True, False),
+        (_Read, True, False),
+    ],
+)
+def test_slopes_by_differences_are_measured_along_weak_directions(
+    grounds, monkeypatch, kind, batched, measured
+):
+    """Those of a batch too: a table's scale was known to 0.4 %, which nothing told."""
+    made, asked = grounds.search.simulations, []
+    model = kind(made.wide.model.build, made.wide.model.base, "linear", batched=batched)
+    given = replace(made, wide=replace(made.wide, model=model))
+    monkeypatch.setattr(
+        type(made), "with_weak_slopes", lambda self, key: asked.append(key) or self.fitted[key]
+    )
+    fitted_exactly(with_search(grounds, simulations=given).search, PUSHED)
+    assert asked == [PUSHED] * measured
+
+
+def test_slopes_whose_promise_no_step_holds_are_no_better(grounds, monkeypatch):
+    """A servo's fit that left 2.8 sd stalled with slopes along weak directions, where it was."""
+    made, fit = grounds.search.simulations, grounds.search.fit_of(PUSHED)
+    at = made.fitted[PUSHED]
+    ends = (replace(fit, ended="stalled"), replace(at, x=at.x[list(at.idx)]))
+    monkeypatch.setattr(type(made), "with_weak_slopes", lambda self, key: replace(at))
+    monkeypatch.setattr(type(made), "fitted_from", lambda *args, **kwargs: ends)
     assert fitted_exactly(grounds.search, PUSHED) is grounds.search
 
 

@@ -488,17 +488,19 @@ def test_a_kink_that_no_fit_held_is_not_judged_while_much_is_left(left, fits):
 
 
 @pytest.mark.parametrize(
-    ("falls", "zero", "hollow"),
+    ("falls", "zero", "forms", "hollow"),
     [
-        ((0.4, -0.1), (False, True), True),
-        ((0.4, 0.1), (False, True), False),  # what was not fitted shows its gain
-        ((0.4, -0.1), (False, False), False),  # its interval leaves zero out
-        ((-0.2, -0.1), (True, True), False),  # of one of the two the misfit must be
+        ((0.4, -0.1), (False, True), {}, True),
+        ((0.4, 0.1), (False, True), {}, False),  # what was not fitted shows its gain
+        ((0.4, -0.1), (False, False), {}, False),  # its interval leaves zero out
+        ((0.4, -0.1), (False, False), {1: "another form"}, True),
+        ((0.4, 0.1), (False, False), {1: "another form"}, False),
+        ((-0.2, -0.1), (True, True), {}, False),  # of one of the two the misfit must be
     ],
 )
-def test_a_member_that_may_be_zero_and_gains_nothing_is_not_likely(falls, zero, hollow):
+def test_a_member_that_may_be_nothing_and_gains_nothing_is_not_likely(falls, zero, forms, hollow):
     gains = {i: Gain(0.5, 0.1, 0.9, 1.0, 8, fall) for i, fall in enumerate(falls)}
-    decision = Decision("named", frozenset({0, 1}), (), None, 0.99)
+    decision = Decision("named", frozenset({0, 1}), (), None, 0.99, forms=forms)
     judged = Judgment(decision, gains=gains)
     about = SimpleNamespace(may_be_zero=lambda i: zero[i])
     assert _is_hollow(judged, about, 1) == hollow

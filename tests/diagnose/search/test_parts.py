@@ -30,6 +30,15 @@ def search_of_a_pair():
     return search, study
 
 
+def search_of_a_pair_with_a_part_cut():
+    """The delay alone is fitted, too, though not from where it begins."""
+    search, study = search_of_a_pair()
+    made = search.simulations
+    start = made.start(DELAY, search.plain.at, search.plain.weigh(DELAY).x)
+    fit, at = made.fitted_from(DELAY, start, np.inf, most=0.0)
+    return replace(search, simulations=made.kept(DELAY, at)).with_fit(DELAY, fit), study
+
+
 def test_a_part_that_is_enough_is_named_though_only_the_judge_fits_it():
     search, study = search_of_a_pair()
     validation = validation_of(search.fit_of(NONE), study.select_runs)
@@ -50,16 +59,24 @@ def test_a_fit_ends_where_its_steps_are_spent():
 def test_a_part_whose_fit_a_budget_had_ended_is_fitted_on():
     """Its cost is no gain of the member that it lacks: dry friction of a servo, cut short, lost to
     a backlash beside it."""
-    search, study = search_of_a_pair()
-    made = search.simulations
-    start = made.start(DELAY, search.plain.at, search.plain.weigh(DELAY).x)
-    fit, at = made.fitted_from(DELAY, start, np.inf, most=0.0)
-    cut = replace(search, simulations=made.kept(DELAY, at)).with_fit(DELAY, fit)
+    cut, study = search_of_a_pair_with_a_part_cut()
     assert cut.nats(Hypothesis(BOTH)) - cut.nats(Hypothesis(DELAY)) > KEEP_NATS
     whole = fitted_to_end(cut, [DELAY])
     assert whole.fit_of(DELAY).converged and not cut.fit_of(DELAY).converged
     validation = validation_of(cut.fit_of(NONE), study.select_runs)
     assert judge(cut, validation, 0).decision.best == DELAY
+
+
+def test_a_part_that_ended_far_above_what_the_whole_promises_is_fitted_from_there():
+    """From the plain model an arm's payload stayed at 31,644 where with a dead band it left 4,969:
+    the dead band was said to be missing."""
+    cut, study = search_of_a_pair_with_a_part_cut()
+    stuck = cut.with_fit(DELAY, replace(cut.fit_of(DELAY), ended="converged"))
+    assert fitted_to_end(stuck, [DELAY]) is stuck
+    mended = fitted_to_end(stuck, [DELAY], BOTH).fit_of(DELAY)
+    assert mended.converged and mended.chi2 < stuck.fit_of(DELAY).chi2 - 100.0
+    validation = validation_of(stuck.fit_of(NONE), study.select_runs)
+    assert judge(stuck, validation, 0).decision.best == DELAY
 
 
 def test_effects_act_only_at_points_where_they_are_not_zero():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.diagnose.search.weak_slopes import mended
+from diffsim.diagnose.search.weak_slopes import descended, mended
 from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import linearization_at
@@ -51,6 +51,19 @@ def test_what_cancels_in_the_record_is_as_uncertain_as_its_priors_say():
     assert correlation == pytest.approx(1.0, abs=1e-4)
     exact = linearization_at(problem_of(edges=0.0), np.zeros(3))
     assert sd_of(problem, better)[2] == pytest.approx(sd_of(problem, exact)[2], rel=0.05)
+
+
+def test_what_the_data_do_not_tell_goes_back_to_its_data_sheets():
+    """A table's torque constant stood 14 prior sd off, though any scale leaves the same misfit."""
+    problem = problem_of(edges=0.01)
+    at = linearization_at(problem, np.array([6.0, 6.0, 0.0]))
+    end = descended(problem, at)
+    assert np.abs(end.x[:2]).max() < 0.1
+    misfit = [float(np.sum(problem.residual_of(one.record) ** 2)) for one in (at, end)]
+    assert misfit[1] == pytest.approx(misfit[0], rel=0.05)
+    np.testing.assert_allclose(sd_of(problem, end)[:2], np.sqrt(0.5), rtol=0.05)
+    right = linearization_at(problem_of(edges=0.0), np.array([6.0, 6.0, 0.0]))
+    assert descended(problem_of(edges=0.0), right) is right  # a fit goes on by itself
 
 
 def test_slopes_that_are_right_stay_the_same_object():
