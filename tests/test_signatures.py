@@ -5,7 +5,7 @@ spoil in more ways, have those of ``tests.derivatives`` and ``tests.fuzz_entries
 asked here by one argument alone, or stand in ``ELSEWHERE`` with the reason.
 """
 
-from __future__ import annotations
+from __future__ import annotations  # ``checked`` reads them as text
 
 import importlib
 import inspect

@@ -258,7 +258,9 @@ CALL |= {
 # --- soft bodies
 
 MAKE |= {
-    soft.ActuatorDynamics: lambda: {"time_constant": real(0.2), "max_rate": real(0.8)},
+    soft.ActuatorDynamics: lambda: {
+        "time_constant": real(0.2), "max_rate": real(0.8), "delay_steps": 1,
+    },
     soft.Hydrodynamics: lambda: {
         "mesh": irregular_mesh("hex"), "density": real(1000.0),
         "water_velocity": real(0.1, 0.2, 0.0),
@@ -299,7 +301,7 @@ def _swimming() -> dict[str, Any]:
 CALL |= {
     "ActuatorDynamics.forward": lambda: {
         "command": real(0.5, -0.4), "dt": 0.1,
-        "state": soft.ActuatorState(real(0.45, 0.2), torch.zeros(0, 2).double()),
+        "state": soft.ActuatorState(real(0.45, 0.2), real([[0.6, -0.1]])),
     },
     "ActuatorDynamics.initial_state": lambda: {"value": real(0.5, 0.4)},
     "ActuatorDynamics.sequence": lambda: {"commands": noise(4, 2), "dt": 0.1,
@@ -440,7 +442,6 @@ CALL |= {
     },
     "FlightState.at_rest": lambda: {"position": noise(2, 3), "rpy": 0.3 * noise(2, 3)},
     "FlightState.from_minimal": lambda: {"x12": 0.3 * noise(2, 12)},
-    "Hover.forward": lambda: {"copter": crooked_copter(5), "load": real(0.1)},
     "LQR.forward": lambda: {"A": noise(3, 3), "B": noise(3, 2, seed=1)},
     "Battery.current_for_power": lambda: {"charge": real(0.7), "power": real(90.0)},
     "Battery.endurance": lambda: {"power": real(90.0)},
