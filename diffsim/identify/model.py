@@ -253,8 +253,8 @@ class SimModel:
 
     #: Whether effects at size zero need not act: nothing else changes, such as how it is stepped
     leaves_zeros = False
-    #: Whether nothing is stepped, as of formulas that are read: records have no edges
-    is_read = False
+    #: Whether something moves: what turns with a speed, as dry friction, makes edges of records
+    moves = True
     #: Base parameters that are the strengths of all drives: times these, every mass, inertia and
     #: loss, too, the motion is the same; (): unknown, or one is no parameter
     drives: tuple[str, ...] = ()

@@ -252,7 +252,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     is_exact = fit.ended != "budget"
     is_exact &= has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
     model = search.wide.model
-    by_differences = bool(at.idx) and not (model.is_read or has_tangents(model))
+    by_differences = bool(at.idx) and model.moves and not has_tangents(model)
     for k in range(MAX_MENDED):
         if not is_exact:
             after, end = made.fitted_from(members, at, np.inf, most=max(until - search.steps, 0.0))

@@ -134,7 +134,7 @@ def model_of(system: FormulaSystem) -> SimModel:
     """The model of a system without effects."""
     build = partial(_build_scene, system)
     made = SimModel(build, system.base.base, system.study.name, batched=True)
-    made.is_read = not system.motion.states
+    made.moves = bool(system.motion.states and system.motion.places)
     stated = system.motion.time_step
     num_steps = max(system.usual_interval / stated, 1.0) if stated else system.parts
     made.step_cost = _READ_COST + _STEP_COST * num_steps

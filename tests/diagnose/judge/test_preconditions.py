@@ -198,8 +198,8 @@ def test_fits_of_the_best_set_to_its_end_share_one_budget(grounds, monkeypatch):
     assert given == [1000.0, 400.0, 160.0]
 
 
-class _Read(SimModel):
-    is_read = True
+class _Still(SimModel):
+    moves = False
 
 
 class _Tangent(SimModel):
@@ -213,7 +213,7 @@ class _Tangent(SimModel):
         (SimModel, False, True),
         (SimModel, True, True),
         (_Tangent, True, False),
-        (_Read, True, False),
+        (_Still, True, False),
     ],
 )
 def test_slopes_by_differences_are_measured_along_weak_directions(
