@@ -38,10 +38,12 @@ _COUNTED = re.compile(
     r"|messung|versuch|lauf|nr|no)\d*",
     re.IGNORECASE,
 )
-#: Words by which people keep runs apart, for a fit and for what judges it.
-_FITTED = re.compile(r"train(ing)?|fit(ted|ting)?|ident(ification)?|estimation", re.IGNORECASE)
-_CHOOSES = re.compile(r"val|valid(ation)?|dev", re.IGNORECASE)
-_JUDGES = re.compile(r"test(ing)?|hold_?out|unseen|eval(uation)?|verif(ication)?", re.IGNORECASE)
+#: Words by which people keep runs apart, for a fit and for what judges it; counted, too: train1.
+_USES = {
+    "fit": re.compile(r"(train(ing)?|fit(ted|ting)?|ident(ification)?|estimation)\d*", re.I),
+    "select": re.compile(r"(val|valid(ation)?|dev)\d*", re.I),
+    "test": re.compile(r"(test(ing)?|hold_?out|unseen|eval(uation)?|verif(ication)?)\d*", re.I),
+}
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
 _MIXED = 0.01  # of the rows, that are out of order
 _SAME = 0.02  # rms over range: commands of repeats agree to this
@@ -269,7 +271,8 @@ def numbers_in_names(guess: Guess) -> None:
 def labels_in_names(guess: Guess) -> Iterable[str]:
     """Words of folders and files that several runs share, and others have another one: a specimen.
 
-    Counted words, run3, and single letters number repeats; they are no facts.
+    Counted words, run3, and single letters number repeats; words such as train and test say what
+    runs are for. They are no facts.
     """
     split = [_words_of(run) for run in guess.runs]
     if guess.split or len({tuple(words) for words in split}) != 1:
@@ -278,8 +281,9 @@ def labels_in_names(guess: Guess) -> Iterable[str]:
     for place, name in enumerate(split[0]):
         values = [list(words.values())[place] for words in split]
         count = Counter(values)
-        is_counted = all(_COUNTED.fullmatch(word) or _IN_NAME.fullmatch(word) for word in count)
-        if is_counted or len(count) < 2 or min(count.values()) < 2:
+        no_facts = (_COUNTED, _IN_NAME), tuple(_USES.values())
+        is_told = any(all(any(k.fullmatch(w) for k in of) for w in count) for of in no_facts)
+        if is_told or len(count) < 2 or min(count.values()) < 2:
             continue
         for run, word in zip(guess.runs, values, strict=True):
             run.setup[name] = word
@@ -332,11 +336,10 @@ def uses(guess: Guess) -> Iterable[str]:
 def _set_named_uses(guess: Guess) -> bool:
     """Give runs the uses of their names, where some are called fitted and others kept back; whether
     these are."""
-    patterns = {"fit": _FITTED, "select": _CHOOSES, "test": _JUDGES}
     named: list[str] = []
     for run in guess.runs:
         words = _words_of(run).values()
-        found = [use for use, one in patterns.items() if any(one.fullmatch(w) for w in words)]
+        found = [use for use, one in _USES.items() if any(one.fullmatch(w) for w in words)]
         named.append(found[0] if len(found) == 1 else "")
     if "fit" not in named or not {"select", "test"} & set(named):
         return False

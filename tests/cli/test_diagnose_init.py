@@ -668,6 +668,8 @@ def test_what_was_set_has_no_flat_top_and_headers_without_units_no_slip(tmp_path
         (("train_a", "train_b", "test_a"), {"test_a": "test"}),
         (("ident_1", "val_1", "Testing_1"), {"val_1": "select", "Testing_1": "test"}),
         (("training_1", "validation_2"), {"validation_2": "test"}),
+        (("train1", "train2", "test1"), {"test1": "test"}),
+        (("train_1", "train_2", "test_1", "test_2"), {"test_1": "test", "test_2": "test"}),
         (("test_1", "test_2", "test_3"), {"test_3": "test"}),  # they number runs
     ],
 )
@@ -677,8 +679,9 @@ def test_runs_that_are_called_kept_back_are(tmp_path, names, uses):
         force = np.where(100.0 + 50.0 * k < T, 1.0 + k, 0.0)
         write(tmp_path / f"{name}.csv", "t (ms),x (mm),force_N", [T, noisy(k), force])
     assert init(tmp_path) == 0
-    found = {run.name: run.use for run in load_study(tmp_path).runs}
-    assert found == {name: uses.get(name, "fit") for name in names}
+    runs = load_study(tmp_path).runs
+    assert {run.name: run.use for run in runs} == {name: uses.get(name, "fit") for name in names}
+    assert not any(run.setup for run in runs)  # train and test are no specimens
 
 
 @pytest.mark.parametrize("seed", range(3))
