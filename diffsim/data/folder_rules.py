@@ -230,7 +230,9 @@ def order(guess: Guess) -> Iterable[str]:
     mixed = []
     for run in guess.runs:
         now = seconds_of(run.tables[0], guess.time[0])
-        back = int((np.diff(now) < 0.0).sum())
+        latest, least = np.maximum.accumulate(now), np.minimum.accumulate(now[::-1])[::-1]
+        # rows out of place, not steps back: of recordings one after another these are few
+        back = min(int((now < latest).sum()), int((now > least).sum()))
         fault = stamp_fault(now)
         if back > _MIXED * len(now) or (fault is not None and "sort" not in fault[2]):
             return

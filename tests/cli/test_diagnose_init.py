@@ -716,6 +716,16 @@ def test_a_row_out_of_order_is_sorted_and_told(tmp_path, rows, are_sorted, capsy
         assert all((np.diff(run.time_s) > 0.0).all() for run in load_study(tmp_path).runs)
 
 
+def test_recordings_one_after_another_are_not_sorted_into_each_other(tmp_path, capsys):
+    """Their clock goes back twice in 240 rows; sorted, rows of three recordings took turns."""
+    time = np.concatenate([k + np.arange(80) * 10.0 for k in range(3)])
+    for k in range(2):
+        x = noisy(k, num=240)
+        write(tmp_path / f"r{k}.csv", "t (ms),x (mm),force_N", [time, x, np.sign(x)])
+    assert init(tmp_path) == 2
+    assert "sorted" not in capsys.readouterr().out
+
+
 def test_a_unit_of_the_clock_that_is_guessed_says_how_long_runs_would_be(tmp_path):
     """Whole seconds of a heater, taken for milliseconds: 1.2 s for 20 minutes."""
     for k in range(2):
