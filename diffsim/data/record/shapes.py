@@ -375,8 +375,9 @@ def _is_goal(
         told = command.of_run(samples.run)
         if told is None or not len(told):
             return False
-        asked = told.values[np.searchsorted(told.times, samples.times[first], "right") - 1]
-        if abs(scale * samples.values[first] - asked) > SMALL * command.range:
+        at = np.searchsorted(told.times, samples.times[first], "right") - 1
+        off = abs(scale * samples.values[first] - told.values[at]) if at >= 0 else np.inf
+        if not off <= SMALL * command.range:  # nothing was asked yet, or nobody knows what
             return False
     return True
 
