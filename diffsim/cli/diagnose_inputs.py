@@ -19,7 +19,7 @@ from diffsim.core.check import require_choice
 from diffsim.core.files import to_plain
 from diffsim.core.version import __version__
 from diffsim.data.bank import generated_bank
-from diffsim.data.study import Study
+from diffsim.data.study import Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.inputs import Inputs
 from diffsim.identify import Problem, WhiteNoise
@@ -154,7 +154,8 @@ def inputs_of(
     """
     make = setup_of if setup_file is None else partial(own_setup, setup_file)
     setup = make(study)
-    if budget == QUICK and (fewer := _fewer_runs(study, setup)) is not None:
+    asked = choose(setup.effects, only, without)
+    if budget == QUICK and (fewer := _fewer_runs(study, setup, asked)) is not None:
         study, setup = fewer, make(fewer)
     if with_bank and not setup.bank:
         setup = _with_bank(setup, setup.study or study, {run.name for run in study.runs})
@@ -169,34 +170,52 @@ def inputs_of(
     return Inputs(study, setup, seed, _fingerprint(study, setup, setup_file, seed))
 
 
-def _fewer_runs(study: Study, setup: DiagnosisSetup) -> Study | None:
+def _fewer_runs(study: Study, setup: DiagnosisSetup, effects: Sequence[Effect]) -> Study | None:
     """The study of a first answer, where many short runs would cost most of it: some of them, from
     all kinds alike and with their repeats, are fitted. None: all can be.
 
     Args:
         study: Study as it was read.
         setup: Of all its runs.
+        effects: Those of it that are asked for.
     """
     used = setup.study or study
     runs, noise = used.fit_runs, WhiteNoise([replace(c, sd=c.sd or 1.0) for c in used.channels])
-    table = Problem(setup.model, runs, noise, setup.effects).cost_of_table()
+    table = Problem(setup.model, runs, noise, tuple(effects)).cost_of_table()
     share = max(TABLE_SHARE * FIRST_STEPS / max(table, 1.0), LEAST_RUNS / max(len(runs), 1))
-    groups: dict[tuple[tuple[str, ...], str], list[str]] = {}
-    for run in runs:
-        labels = tuple(str(v) for _, v in sorted(run.setup.items()) if isinstance(v, str))
-        groups.setdefault((labels, run.group), []).append(run.name)
-    order = sorted(groups, key=lambda key: key[0])  # runs of a kind as they were recorded
-    count = max(round(share * len(order)), 1)
-    if share >= 1.0 or count >= len(order):
+    firsts = {run.group: run for run in reversed(runs)}
+    groups = list(dict.fromkeys(run.group for run in runs))  # as they were recorded
+    count = max(round(share * len(groups)), 1)
+    if share >= 1.0 or count >= len(groups):
         return None
-    chosen = {order[int((k + 0.5) * len(order) / count)] for k in range(count)}
-    dropped = {name for key in groups.keys() - chosen for name in groups[key]}
+    chosen = set[str]()
+    for kind in _kinds([firsts[group] for group in groups], count):
+        num = max(round(share * len(kind)), 1)
+        chosen |= {kind[int((k + 0.5) * len(kind) / num)].group for k in range(num)}
+    dropped = {run.name for run in runs if run.group not in chosen}
     said = (
-        f"{len(dropped)} of {len(runs)} runs to be fitted, in a first answer: slopes along all "
-        "causes would cost too much of it; --budget full fits all"
+        f"{len(dropped)} of {len(runs)} runs to be fitted are left out of a first answer: slopes "
+        "along all causes would cost too much of it; --budget full fits all"
     )
     kept = tuple(run for run in study.runs if run.name not in dropped)
-    return replace(study, runs=kept, left_out=(*study.left_out, said))
+    return replace(study, runs=kept, mended=(*study.mended, said))
+
+
+def _kinds(runs: Sequence[Run], most: int) -> list[list[Run]]:
+    """Runs by what their facts have in common; all in one, sorted by them, if these are too many.
+
+    Args:
+        runs: Runs, each of another command.
+        most: Number of kinds; a fact of more values tells runs apart, not kinds.
+    """
+    facts = {key for run in runs for key in run.setup if not key.startswith("_")}
+    values = {key: {str(run.setup.get(key)) for run in runs} for key in sorted(facts)}
+    told = [key for key, found in values.items() if len(found) <= most]
+    kinds: dict[tuple[str, ...], list[Run]] = {}
+    for run in runs:
+        kinds.setdefault(tuple(str(run.setup.get(key)) for key in told), []).append(run)
+    by_facts = [kinds[key] for key in sorted(kinds)]
+    return by_facts if len(kinds) <= most else [[run for kind in by_facts for run in kind]]
 
 
 def _with_budget(settings: DiagnosisSettings, budget: str | float) -> DiagnosisSettings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ def test_all_runs_are_fitted_where_they_can_be(tmp_path, budget, step):
     study = read_study(str(campaign(tmp_path, 38, step)))
     inputs = inputs_of(study, seed=0, budget=budget)
     assert [run.name for run in inputs.study.runs] == [run.name for run in study.runs]
-    assert not inputs.study.left_out
+    assert not inputs.study.mended
 
 
 def test_a_first_answer_fits_some_runs_of_each_kind_with_their_repeats(tmp_path):
@@ -70,7 +71,29 @@ def test_a_first_answer_fits_some_runs_of_each_kind_with_their_repeats(tmp_path)
     assert inputs.study.test_runs == study.test_runs
     own = {p.name.partition("@")[2] for p in inputs.setup.model.base if "@" in p.name}
     assert own == {run.name for run in inputs.study.runs}
-    assert inputs.study.left_out == (
-        f"{36 - len(fitted)} of 36 runs to be fitted, in a first answer: slopes along all causes "
-        "would cost too much of it; --budget full fits all",
+    assert inputs.study.mended == (  # the page says it as well
+        f"{36 - len(fitted)} of 36 runs to be fitted are left out of a first answer: slopes along "
+        "all causes would cost too much of it; --budget full fits all",
     )
+
+
+@pytest.mark.parametrize("fact", ["icy", 3.0])
+def test_the_only_run_of_a_kind_is_fitted(tmp_path, fact):
+    """Spread evenly over runs, a first answer left out a load, a floor, that one run alone has."""
+    study = read_study(str(campaign(tmp_path, 38, 1e-4)))
+    runs = [
+        replace(run, setup={"floor": fact if run.group == "r4" else 1.0, "day": run.order})
+        for run in study.runs
+    ]
+    fitted = inputs_of(replace(study, runs=tuple(runs)), seed=0, budget="quick").study.fit_runs
+    assert LEAST_RUNS <= len(fitted) < 20
+    assert Counter(run.setup["floor"] for run in fitted)[fact] == 2
+
+
+def test_all_runs_are_fitted_where_few_causes_are_asked_for(tmp_path):
+    study = read_study(str(campaign(tmp_path, 38, 1.5e-4)))
+    made = [
+        inputs_of(study, seed=0, budget="quick", only=only).study.fit_runs
+        for only in (("added_spring",), ())
+    ]
+    assert len(made[0]) == 36 > len(made[1])
