@@ -148,6 +148,17 @@ def test_a_level_of_a_switch_is_no_code(levels, seed):
     assert len(found) == (levels[0] == 0.0)  # beyond all others alone
 
 
+@pytest.mark.parametrize("code", [-9999.0, 65535.0, -32768.0])
+@pytest.mark.parametrize("levels", [(0.0, 1.0), (-1.0, 0.0, 1.0)])
+def test_a_switch_has_codes_of_nothing_measured_too(code, levels):
+    values = np.repeat(np.random.default_rng(0).choice(levels, 200), 10)
+    values[[300, 301, 700, 1200]] = code
+    rows = np.arange(2000)
+    seen = Signal("u", "command", "u", None, (Samples("a", rows, 0.01 * rows, values),))
+    (found,) = find_codes(Record(Study("rig", "ode", (), ()), (), (seen,)))
+    assert f"column u is {code:g} in 4 samples" in found.says
+
+
 @pytest.mark.parametrize(
     ("goal", "since", "is_flat"), [(-0.6, 0, False), (1.4, 0, True), (-0.6, 46, True)]
 )

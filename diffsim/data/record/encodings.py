@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from diffsim.core.arrays import Array
 from diffsim.data.codes import from_sign_bit, from_twos_complement
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
@@ -27,6 +28,8 @@ CODES = (
     32767.0,
 )
 SURE_CODES = tuple(c for c in CODES if abs(c) > 90.0)
+FULL_SCALES = (255.0, 65535.0, -32768.0, 32767.0)  # of words, by which a drive is fully on
+SWITCHED = 100.0  # times the range of other levels: no further apart are those of one switch
 DISTINCT = 8  # values of a word, from which on it moves
 CONTINUES = 0.2  # of a jump that is left of it where it is none
 WORDS = {"sign_bit": (7, 9, 10, 11, 15, 23, 31), "signed": (8, 10, 12, 16, 24, 32)}
@@ -247,6 +250,13 @@ def _candidates(signal: Signal) -> Iterator[float]:
         yield 0.0
 
 
+def _are_levels(others: Array, off: float) -> bool:
+    """Whether what lies ``off`` beyond other values is a level of a switch, as these are."""
+    levels = np.unique(others)
+    is_near = off <= SWITCHED * float(np.ptp(levels))
+    return len(levels) == 1 or (is_near and len(levels) < DISTINCT)
+
+
 def _code(signal: Signal, code: float) -> Finding | None:
     jump = max((s.largest_change for s in signal.runs), default=0.0)
     if jump < 0.1 * signal.range:
@@ -263,8 +273,8 @@ def _code(signal: Signal, code: float) -> Finding | None:
     share = count / len(values)
     if signal.role == "command" and (off < size or code not in SURE_CODES or share > 0.2):
         return None
-    if signal.role == "command" and len(np.unique(others)) < DISTINCT:
-        return None  # one of the few levels of a switch
+    if signal.role == "command" and code in FULL_SCALES and _are_levels(others, off):
+        return None
     if share > 0.5:
         return None
     is_inside = code == 0.0 and off <= 0.0
