@@ -295,6 +295,17 @@ def test_a_place_turns_where_its_speed_is_read_as_an_angle_s(read, unit, frictio
     assert (units["viscous_friction"], units["stop_above"]) == (friction, stop)
 
 
+@pytest.mark.parametrize("stated", [False, True])
+def test_numbers_that_nobody_stated_are_usual_ones(stated):
+    """A sticking velocity that the library assumes is no data sheet, and no finding if off."""
+    plain = plain_study()
+    model = {**plain.model, **({"slow_time": {"value": "2 s", "percent": 50}} if stated else {})}
+    base = setup_of(replace(plain, model=model)).model.base
+    usual = {p.name.partition("_at_")[0] for p in base if p.is_usual and not p.of_effect}
+    assumed = {"sticking", "stop_hardness", "stop_loss", "stiffening_bend"}
+    assert usual == assumed | (set() if stated else {"slow_time"})
+
+
 def test_equations_too_fast_for_the_samples_are_stepped_more_often():
     study = winding()
     (note,) = description_of(study).problems(study)

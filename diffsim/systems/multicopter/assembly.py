@@ -165,12 +165,13 @@ def with_shapes(
     """
     more: dict[str, Quantity] = {}
     if "slung_load" in causes:
-        more["sling_length"] = of.sling_length or Quantity(value=SLING_M, percent=60.0, unit="m")
+        usual = Quantity(value=SLING_M, percent=60.0, unit="m").as_usual()
+        more["sling_length"] = of.sling_length or usual
     if "gust" in causes:
         given: Quantity | None = of.gust_frequency
         if given is None:
             value, sd = (scales.plain[GUST][of_it] for of_it in ("frequency", "sd"))
-            given = Quantity(value=value, sd=sd, lower=0.1 * value, unit="Hz")
+            given = Quantity(value=value, sd=sd, lower=0.1 * value, unit="Hz").as_usual()
         more["gust_frequency"] = given
     if "blind_estimator" in causes:
         assert of.estimator is not None
