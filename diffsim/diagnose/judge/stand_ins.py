@@ -70,7 +70,8 @@ def without_forms(
         return decision
     changes = {name: fit.problem.whiten_all(raw) for name, raw in (unrefined or {}).items()}
     index = sorted(decision.best)
-    known = parts or {}
+    # what a budget had cut lacks more than the set can tell
+    known = {of: at for of, at in (parts or {}).items() if at.ended != "budget"}
     without = {k: known[p] for k, i in enumerate(index) if (p := decision.best - {i}) in known}
     found = form_of(fit, changes, without)
     forms = {index[i]: what for i, what in found.items()} | dict(stepped or {})

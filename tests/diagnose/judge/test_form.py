@@ -81,11 +81,14 @@ def test_another_family_stands_where_the_first_does_little(monkeypatch):
 def test_a_fit_without_it_tells_where_slopes_do_not_reach(weak, form):
     """Without dry friction a table lacked 35 sd by slopes, as if masses and motor went to zero with
     it, and 870 in a fit: "another form of delay". Sizes that may be zero are within reach."""
-    part = SimpleNamespace(residual=np.full(NUM, 3.0), x=np.zeros(2))
+    part = SimpleNamespace(residual=np.full(NUM, 3.0), x=np.zeros(2), ended="converged")
     assert form_of(fit(240.0, weak, OTHER), {}) == {1: "another form of first law"}
     assert bool(form_of(fit(240.0, weak, OTHER), {}, {1: part})) == form
     decided = without_forms(decision(), fit(240.0, weak, OTHER), parts={frozenset({3}): part})
     assert (7 in decided.forms) == form
+    cut = SimpleNamespace(**{**vars(part), "ended": "budget"})
+    decided = without_forms(decision(), fit(240.0, weak, OTHER), parts={frozenset({3}): cut})
+    assert 7 in decided.forms  # a fit that ended early lacks more than it must
 
 
 def test_what_refining_could_be_is_not_certain():
