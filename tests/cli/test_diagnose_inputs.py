@@ -1,7 +1,5 @@
 """A first answer of many short runs is fitted to some of them, of all kinds alike."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path

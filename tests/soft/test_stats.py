@@ -1,4 +1,4 @@
-"""record_stats: what it lists, and that it stops listening."""
+"""record_stats stops listening after its block."""
 
 from diffsim import mesh, soft
 
