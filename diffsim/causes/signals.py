@@ -489,6 +489,8 @@ def _late_only(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
     return held_delayed(u, grid, delay, signed=False)
 
 
+#: Maps that do nothing but bring a signal late.
+DELAYS = frozenset({delayed, held_delayed, _late_only})
 #: Maps that remember what came before, by the names that rows of causes use.
 MAPS: Mapping[str, Mapping[Between, SizedMap]] = MappingProxyType(
     {

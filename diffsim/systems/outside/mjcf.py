@@ -134,6 +134,7 @@ class Mjcf:
         run: Run,
         force: PlaceForces | None = None,
         time_step: float = 1.0,
+        delays: Mapping[str, float] | None = None,
     ) -> Array:
         """Sensors at the samples.
 
@@ -142,11 +143,12 @@ class Mjcf:
             run: Run with commands and times.
             force: Forces at joints, by their names.
             time_step: Factor on the model's own time step.
+            delays: Time by which a command is heard late, by name [s].
 
         Raises:
             DivergedError: the simulation left all bounds.
         """
-        (found,) = self.predict_many([Call(parameters, run, force, time_step)])
+        (found,) = self.predict_many([Call(parameters, run, force, time_step, delays or {})])
         if isinstance(found, Exception):
             raise found
         return found
@@ -267,6 +269,9 @@ class Mjcf:
         values = self._list_controls(run)
         readers = self._find_readers(run)
         delays = {int(self._ctrl_of(i)): late for i, late in setting.delays.items()}
+        for command, late in call.delays.items():
+            if (control := self._control_of(command, run)) is not None:
+                delays[control] = delays.get(control, 0.0) + late
         is_exact = not self.held and self._reads_forces(readers)
         return _Job(
             model=model,
@@ -416,15 +421,19 @@ class Mjcf:
     def _list_controls(self, run: Run) -> Array:
         """(num_samples, num_controls) in the order of MuJoCo's controls."""
         out = np.zeros((len(run.time_s), self.plain.nu))
-        given = self.commands
-        if given is None and len(run.command) == 1 and self.plain.nu == 1:
-            return np.asarray(next(iter(run.command.values())), dtype=np.float64)[:, None]
-        for command in run.command:
-            name = command if given is None else given.get(command)
-            if name is not None:
-                index = self.numbers.find("actuator", name, "options.commands")
-                out[:, self._ctrl_of(index)] = run.command[command]
+        for command, values in run.command.items():
+            if (control := self._control_of(command, run)) is not None:
+                out[:, control] = values
         return out
+
+    def _control_of(self, command: str, run: Run) -> int | None:
+        """Index of the control that a command of a run drives; None: it drives none."""
+        if self.commands is None and len(run.command) == 1 and self.plain.nu == 1:
+            return 0
+        name = command if self.commands is None else self.commands.get(command)
+        if name is None:
+            return None
+        return int(self._ctrl_of(self.numbers.find("actuator", name, "options.commands")))
 
     def _push_joints(self, force: PlaceForces) -> Callable[[Any, Any], None]:
         """What MuJoCo calls for passive forces: the forces at the joints that are the places."""

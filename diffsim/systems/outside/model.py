@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from threading import Lock
 from typing import Any
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from diffsim.causes.ports import SignalChange
 from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
-from diffsim.causes.signals import Grid, SignalMap
+from diffsim.causes.signals import DELAYS, Grid, SignalMap
 from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
 from diffsim.core.runs import run_each
@@ -46,6 +46,7 @@ class Job:
         forces: Forces that the simulator is asked to add; None: it takes none.
         numerics: Factors on its own settings.
         channels: Names of the channels.
+        delays: Time by which the simulator hears a command late, by name [s].
     """
 
     run: Run
@@ -53,6 +54,7 @@ class Job:
     forces: PlaceForces | None
     numerics: Numerics
     channels: tuple[str, ...]
+    delays: Mapping[str, float] = field(default_factory=dict)
 
 
 def call(predict: Predict, label: str, job: Job) -> Array:
@@ -68,6 +70,8 @@ def call(predict: Predict, label: str, job: Job) -> Array:
         more["force"] = job.forces
     if "time_step" in offers:
         more["time_step"] = job.numerics.time_step
+    if "delays" in offers:
+        more["delays"] = dict(job.delays)
     try:
         given = predict(dict(job.values), job.run, **more)
     except Exception as error:
@@ -77,7 +81,7 @@ def call(predict: Predict, label: str, job: Job) -> Array:
 
 def call_many(predict_many: PredictMany, label: str, jobs: Sequence[Job], threads: int) -> Arrays:
     """Channels of several jobs, by a simulator that takes them at once; see ``call``."""
-    calls = [Call(dict(j.values), j.run, j.forces, j.numerics.time_step) for j in jobs]
+    calls = [Call(dict(j.values), j.run, j.forces, j.numerics.time_step, j.delays) for j in jobs]
     out = []
     for job, given in zip(jobs, predict_many(calls, threads), strict=True):
         if isinstance(given, Exception):
@@ -130,7 +134,7 @@ class Records:
         command = tuple((n, np.asarray(u).tobytes()) for n, u in run.command.items())
         seen = (run.name, run.time_s.tobytes(), run.measured.tobytes(), command)
         forces = None if job.forces is None or not job.forces.acts else job.forces.key
-        return *seen, *job.values.items(), job.numerics, forces
+        return *seen, *job.values.items(), job.numerics, forces, *sorted(job.delays.items())
 
     def get(self, job: Job) -> Array | None:
         """The record of a job, if it is among the last."""
@@ -181,9 +185,12 @@ class OutsideScene(Scene):
         own = (PLAY_START, *model.clocks)  # what happens behind the simulator
         values = {name: float(v.detach()) for name, v in self.numbers.items() if name not in own}
         acting = replace(self.commands, changes=_list_acting(self.commands.changes))
+        delays: dict[str, float] = {}
+        if "delays" in offers_of(model.predict_run):
+            acting, delays = _without_delays(acting, tuple(self.run.command))
         heard = acting.heard(self.grid).detach().numpy()
         run = replace(self.run, command=dict(zip(self.run.command, heard, strict=True)))
-        return Job(run, values, forces, self.numerics, model.channels)
+        return Job(run, values, forces, self.numerics, model.channels, delays)
 
     def read(self, predicted: Array) -> Tensor:
         """Channels as the sensors show them.
@@ -199,6 +206,29 @@ class OutsideScene(Scene):
 def _list_acting(acts: Sequence[tuple[Any, Any]]) -> tuple[tuple[Any, Any], ...]:
     """What does something at its size: for nothing else the simulator is asked again."""
     return tuple((where, act) for where, act in acts if not _is_nothing(act))
+
+
+def _without_delays(commands: Commands, names: Sequence[str]) -> tuple[Commands, dict[str, float]]:
+    """Commands without the delays at the end of their way, and these by name [s]: read at samples,
+    straight lines lose their corners. What a command was before the run samples alone know.
+
+    Args:
+        commands: Of one point, with all that changes them.
+        names: Name of each row.
+    """
+    delays: dict[str, float] = {}
+    if commands.before is not None:
+        return commands, delays
+    kept: list[tuple[tuple[int, ...], SignalMap]] = []
+    for rows, change in reversed(commands.changes):
+        is_last = not any(set(rows) & set(later) for later, _ in kept)
+        if is_last and isinstance(change, SignalChange) and change.map in DELAYS:
+            sizes = change.size.detach().reshape(-1).expand(len(rows)).tolist()
+            for row, size in zip(rows, sizes, strict=True):
+                delays[names[row]] = delays.get(names[row], 0.0) + size
+        else:
+            kept.insert(0, (rows, change))
+    return replace(commands, changes=tuple(kept)), delays
 
 
 def _is_nothing(act: SignalMap | Tensor) -> bool:

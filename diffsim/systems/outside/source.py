@@ -19,7 +19,7 @@ from diffsim.data.study import Run
 from diffsim.systems.outside.environment import Environment, SteppedSimulator
 from diffsim.systems.outside.forces import PlaceForces
 
-OFFERS = ("force", "time_step")
+OFFERS = ("force", "time_step", "delays")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +31,14 @@ class Call:
         run: Run with the commands as the actuators hear them.
         force: Forces that it is asked to add; None: none.
         time_step: Factor on its own step.
+        delays: Time by which it hears a command late, by name [s].
     """
 
     parameters: Mapping[str, float]
     run: Run
     force: PlaceForces | None = None
     time_step: float = 1.0
+    delays: Mapping[str, float] = field(default_factory=dict)
 
 
 Predict = Callable[..., Any]
@@ -46,7 +48,7 @@ It gets the values of parameters and start by name, and the run: its times, its 
 actuators hear them, its known facts (``setup``). It returns the channels, (num_samples,
 num_channels), or a mapping of channels by name. What it takes beside these it offers: ``force``, a
 function (time, positions, velocities) -> forces at the places; ``time_step``, a factor on its own
-step.
+step; ``delays``, by which it hears commands late between samples, too, in seconds by name.
 """
 
 
@@ -169,10 +171,11 @@ class Source:
 
 
 def offers_of(predict: Callable[..., Any]) -> frozenset[str]:
-    """Which of ``OFFERS`` a simulator takes as keyword arguments."""
+    """Which of ``OFFERS`` a simulator takes as keyword arguments; delays by name alone: one that
+    takes anything would drop them."""
     known = inspect.signature(predict).parameters.values()
     if any(p.kind is p.VAR_KEYWORD for p in known):
-        return frozenset(OFFERS)
+        return frozenset(OFFERS) - {"delays"} | ({"delays"} & {p.name for p in known})
     return frozenset(p.name for p in known) & frozenset(OFFERS)
 
 

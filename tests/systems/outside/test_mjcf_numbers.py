@@ -259,3 +259,46 @@ def test_steps_are_counted_and_bounded():
     np.testing.assert_allclose(steps.starts[steps.samples], time)
     with pytest.raises(ValueError, match="the run takes 30,000,000 steps of 1e-08 s"):
         Steps.of(time, 1e-8)
+
+
+def test_a_held_command_comes_late_within_a_sample():
+    """At samples alone, a step 13 ms late was a ramp of 20 ms."""
+    study, fast = scenes.recorded(), XML.replace("0.005", "0.001").format(MOTOR)
+    sim = Mjcf(fast, CHANNELS, {"moment_Nm": "m"}, held=True)
+    setup = outside_setup(study, sim, {}, held=True)
+    (run,) = [r for r in study.runs if r.name == "steps_a"]
+    fine = np.linspace(run.time_s[0], run.time_s[-1], 20 * (len(run.time_s) - 1) + 1)
+    then = np.searchsorted(run.time_s, fine - 0.013 + 1e-9, side="right") - 1
+    told = run.command["moment_Nm"][np.maximum(then, 0)]
+    blank = np.zeros((len(fine), len(scenes.CHANNELS)))
+    want = sim.predict(
+        {}, replace(run, time_s=fine, measured=blank, command={"moment_Nm": told}, columns={})
+    )[::20]
+    (delay,) = [e for e in setup.effects if e.name == "delay"]
+    (scale,) = [e for e in setup.effects if e.name == "command_gain"]
+    late = {delay: torch.tensor([0.013], dtype=torch.float64)}
+    found = setup.model.predict(run, setup.model.at_prior(), late).numpy()
+    np.testing.assert_allclose(found, want, atol=1e-9)
+    assert np.abs(found - sim.predict({}, run)).max() > 1e-3
+    # before or after a gain, which then is told at samples
+    gain = {scale: torch.tensor([0.3], dtype=torch.float64)}
+    first, last = (
+        setup.model.predict(run, setup.model.at_prior(), both).numpy()
+        for both in (late | gain, gain | late)
+    )
+    np.testing.assert_allclose(first, last, atol=1e-2)
+    assert np.abs(last - want).max() > 1e-2
+    job = setup.model.scene(run, setup.model.at_prior(), late).job()
+    assert job.delays == {"moment_Nm": 0.013}
+
+
+def test_what_a_command_was_before_the_run_is_read_at_samples():
+    study = scenes.recorded()
+    sim = Mjcf(XML.format(MOTOR), CHANNELS, {"moment_Nm": "m"}, held=True)
+    setup = outside_setup(study, sim, {}, held=True)
+    (delay,) = [e for e in setup.effects if e.name == "delay"]
+    size = {delay: torch.tensor([0.013], dtype=torch.float64)}
+    scene = setup.model.scene(study.runs[0], setup.model.at_prior(), size)
+    before = torch.tensor([0.5], dtype=torch.float64)
+    scene = replace(scene, commands=replace(scene.commands, before=before))
+    assert not scene.job().delays
