@@ -12,6 +12,7 @@ from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.numbers import values_of
 from diffsim.core.record import Ended, Solve, warn
+from diffsim.core.rotation import matrix_from_rpy
 
 
 class HoverError(DiffsimError):
@@ -102,6 +103,12 @@ class HoverResult:
     def residual_norm(self) -> Tensor:
         """(...) [-]."""
         return torch.linalg.vector_norm(self.residual, dim=-1)
+
+    @property
+    def rot_world_from_body(self) -> Tensor:
+        """(..., 3, 3) [-]."""
+        roll, pitch = self.attitude.unbind(-1)
+        return matrix_from_rpy(torch.stack([roll, pitch, torch.zeros_like(roll)], -1))
 
 
 def report(result: HoverResult, on_infeasible: str) -> None:

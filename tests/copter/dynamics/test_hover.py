@@ -98,6 +98,9 @@ def test_holds_still(seed, n):
     state = torch.cat([zero, euler, zero, zero])
     # accelerations of up to 10 m/s^2 and 1e3 rad/s^2 of single rotors cancel
     assert state_rate(copter, state, result.thrusts).abs().max() < 1e-11
+    down = result.rot_world_from_body @ copter.force_matrix @ result.thrusts
+    expected = torch.stack([zero[0], zero[0], -copter.weight])
+    torch.testing.assert_close(down, expected, atol=1e-12, rtol=1e-13)
 
 
 def test_least_norm_without_limits():
