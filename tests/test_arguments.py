@@ -35,7 +35,7 @@ SILENT = {  # infinity has a meaning here
 }
 """Arguments that may be infinite."""
 ELSEWHERE = {  # what is told is another argument, which no longer fits, or an index
-    ("LQR.forward", "B", "wide"),
+    ("LQR.forward", "B", "wide"), ("interface", "nodes", "wide"),
     ("Muscle.__init__", "direction", "sparse"), ("RegionMesh.values", "region", "beyond"),
 }  # fmt: skip
 IN_OTHER_WORDS = {  # of what an argument becomes, or of a name that is an argument itself

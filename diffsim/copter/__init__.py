@@ -26,7 +26,7 @@ from diffsim.copter.dynamics.flight import (
     prepare_flight,
 )
 from diffsim.copter.dynamics.flight_state import FlightState
-from diffsim.copter.dynamics.hover import hover, hover_thrusts
+from diffsim.copter.dynamics.hover import Hover, hover, hover_thrusts
 from diffsim.copter.dynamics.hover_result import HoverError, HoverResult, HoverWarning
 from diffsim.copter.dynamics.linearize import LinearModel, linearize, state_rate
 from diffsim.copter.dynamics.lqr import LQR, LqrGain, lqr, lqr_stats, lyapunov
@@ -55,6 +55,7 @@ __all__ = [
     "FlightError",
     "FlightState",
     "FlyingVehicle",
+    "Hover",
     "HoverError",
     "HoverResult",
     "HoverWarning",

@@ -99,6 +99,48 @@ def compare(
     return figure
 
 
+def slices(
+    field: FlowField,
+    planes: Sequence[Plane] = (("z", 0.5), ("y", 0.5), ("x", 0.5)),
+    *,
+    case: int = 0,
+    title: str = "",
+    max_speed: float | None = None,
+) -> Figure:
+    """Planes through a 3D flow: speed in color, arrows of the velocity within, solid gray.
+
+    Every plane has its own longest arrow, so that weak flow across the main one is seen.
+
+    Args:
+        field: A flow in three dimensions.
+        planes: Axis and position in the box [share of its side] of each plane.
+        case: Index of the inlet case.
+        title: Title above the picture.
+        max_speed: Upper end of the color scale [m/s]; default the greatest that is drawn.
+    """
+    _check_fields([field], dim=3)
+    cuts = [cut_through(field, case, plane) for plane in planes]
+    top = max_speed or max(cut.top_speed for cut in cuts)
+    widths = [cut.sides[0] for cut in cuts]
+    tall = max(cut.sides[1] for cut in cuts) / sum(widths)
+    figure, axes = new_figure(
+        1,
+        len(cuts),
+        height=7.6 * tall + (0.85 if title else 0.65),
+        squeeze=False,
+        gridspec_kw={"width_ratios": widths},
+    )
+    image = None
+    for cut, ax in zip(cuts, axes[0], strict=True):
+        image = _draw_cut(ax, cut, top)
+        _draw_arrows(ax, cut, 0.5 * sum(widths), top)
+        _label(ax, cut.name, cut)
+    if title:
+        figure.suptitle(title, x=0.012, ha="left", fontsize=12, color=INK, fontweight="bold")
+    _speed_bar(figure, image, axes, top)
+    return figure
+
+
 def view(
     panels: Sequence[tuple[str, FlowField]] | FlowField,
     *,

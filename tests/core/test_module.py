@@ -8,7 +8,7 @@ from torch import nn
 
 from diffsim import contact, mesh, soft, stokes
 from diffsim.control import MLPController
-from diffsim.copter import LQR
+from diffsim.copter import LQR, Hover
 from diffsim.core.check import require
 from diffsim.core.module import Float64Module
 from diffsim.ode import Ode
@@ -54,6 +54,7 @@ def test_every_layer_with_constants_stays_on_the_cpu():
         soft.ActuatorDynamics(time_constant=0.1),
         soft.Tendon(BAR, [[0.1, 0.5, 0.5], [0.9, 0.5, 0.5]], axial_stiffness=1.0),
         contact.BodyContact(BAR, BAR, stiffness=1.0),
+        Hover(weights=torch.ones(4, dtype=torch.float64)),
         LQR(torch.ones(2).double(), torch.ones(1).double()),
         shapes.Box((1.0, 1.0, 1.0)),
         stokes.StokesFlow(stokes.Grid((4, 4), size=1.0)),

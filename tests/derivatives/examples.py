@@ -483,6 +483,7 @@ MAKE |= {
     copter.FlightState: lambda: {k: getattr(tumbling(1, 5), k) for k in
                                  ("position", "quaternion", "velocity", "body_rates", "thrusts",
                                   "charge")},
+    copter.Hover: lambda: {"weights": real(1.0, 1.1, 0.9, 1.2, 1.0)},
     copter.LQR: lambda: {"q": real(1.0, 2.0, 3.0), "r": real(1.0, 2.0)},
     copter.MotorLag: lambda: {"time_constants": real(0.04, 0.05)},
     copter.Multicopter: lambda: {k: getattr(crooked_copter(5), k) for k in
@@ -571,6 +572,7 @@ CALL |= {
     "BezierCurve2d.point": lambda: {"tau": real(0.2, 0.7)},
     "NurbsSurface.point": lambda: {"uv": real([[0.2, 0.3], [0.6, 0.7]])},
     "SplineBasis.__call__": lambda: {"u": real(0.2, 0.7)},
+    "interface": lambda: {"phi": _flow_inputs()["phi"], "nodes": small_flow(2).grid.nodes},
     "sample": lambda: {"shape": shapes.Sphere(0.4, (0.5, 0.5)), "nodes": small_flow(2).grid.nodes},
 }  # fmt: skip
 

@@ -102,6 +102,7 @@ def figures(folder: Path) -> dict[str, Any]:
         "speed": flow.speed_map(flat, lines=5),
         "second case": flow.speed_map(flat, case=1, lines=0),
         "compared": flow.compare([("a", flat), ("b", channel(2))], case=1),
+        "slices": flow.slices(tube),
         "view": flow.view([("a", tube), ("b", tube)], lines=4),
         "plane": flow.compare([("tube", tube)], plane=("x", 1.0)),
         "motors": flight_figures.motor_outputs([("a", log), ("b", log)]),

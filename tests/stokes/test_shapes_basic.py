@@ -21,7 +21,6 @@ from diffsim.stokes.shapes import (
     Sphere,
     Translate,
     Union,
-    sample,
 )
 from tests.helpers import random, tensor
 
@@ -133,15 +132,7 @@ def test_modules_are_level_sets_and_show_their_parameters():
     torch.testing.assert_close(shape(POINTS.T.contiguous().T), shape(POINTS))
 
 
-def test_nodes_are_indexed_by_x_y_z():
-    nodes = Grid((4, 3, 2), 0.5, origin=(1.0, 2.0, 3.0)).nodes
-    assert nodes.shape == (5, 4, 3, 3)
-    torch.testing.assert_close(nodes[4, 1, 2], tensor([3.0, 2.5, 4.0]))
-
-
 def test_errors_say_what_to_do():
-    with pytest.raises(ValueError, match="solid everywhere"):
-        sample(Plane((0.0, 1.0), 3.0), Grid((8, 8), 1 / 8).nodes)
     with pytest.raises(ValueError, match="normal must not be zero"):
         Plane((0, 0, 0))
     with pytest.raises(ValueError, match="use Extrude"):

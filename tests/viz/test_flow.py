@@ -45,8 +45,13 @@ def test_panels_share_a_color_scale():
     assert [ax.get_title(loc="left") for ax in (first, second)] == ["initial", "optimized"]
 
 
-def test_planes_and_views_of_three_dimensions(tmp_path):
+def test_slices_and_view_of_three_dimensions(tmp_path):
     field = channel(3)
+    figure = flow.slices(field, title="tube")
+    titles = [ax.get_title(loc="left") for ax in figure.axes[:3]]
+    assert titles == ["z = 0.5 m", "y = 0.5 m", "x = 1 m"]
+    assert [len(ax.collections) for ax in figure.axes[:3]].count(2) == 1  # no flow within x = 1
+    flow.save(figure, tmp_path / "slices.png", dpi=50)
     figure = flow.view([("initial", field), ("optimized", field)], lines=6)
     flow.save(figure, tmp_path / "view.png", dpi=50)
     flow.save(flow.compare([("tube", field)], plane=("x", 1.0)), tmp_path / "plane.svg")
@@ -71,9 +76,11 @@ def test_short_sides_of_a_view_have_few_labels(size):
 
 def test_wrong_arguments_say_what_to_do():
     with pytest.raises(ValueError, match="in 3D, got 2D"):
+        flow.slices(channel(2))
+    with pytest.raises(ValueError, match="in 3D, got 2D"):
         flow.view(channel(2))
     with pytest.raises(ValueError, match=r"plane must be an axis"):
-        flow.compare([("tube", channel(3))], plane=("w", 0.5))
+        flow.slices(channel(3), [("w", 0.5)])
     with pytest.raises(ValueError, match=r"case must lie in \[0, 2\)"):
         flow.speed_map(channel(2), case=2)
     with pytest.raises(ValueError, match="at least one flow"):

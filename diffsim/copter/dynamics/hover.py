@@ -18,6 +18,7 @@ from diffsim.core.check import (
     require_threads,
 )
 from diffsim.core.checked import checked
+from diffsim.core.module import Float64Module
 from diffsim.core.record import announce, is_recording
 from diffsim.core.rotation import roll_pitch_of_thrust
 from diffsim.core.values import scalar
@@ -168,6 +169,37 @@ def hover(
     if not torch.compiler.is_compiling():
         report(result, on_infeasible)
     return result
+
+
+class Hover(Float64Module):
+    """``hover`` with its options, for designs that change.
+
+    Args:
+        weights, smoothing, on_infeasible: See ``hover``.
+    """
+
+    def __init__(
+        self,
+        *,
+        weights: Tensor | None = None,
+        smoothing: float = 0.0,
+        on_infeasible: str = "return",
+    ):
+        super().__init__()
+        self.weights: Tensor | None
+        self.register_buffer("weights", weights)
+        self.smoothing = require_number("smoothing", smoothing, at_least=0.0)
+        self.on_infeasible = require_choice("on_infeasible", on_infeasible, ["return", "raise"])
+
+    def forward(self, copter: Multicopter, load: float | Tensor = 0.0) -> HoverResult:
+        """Hover of one design with a load [N]."""
+        return hover(
+            copter,
+            weights=self.weights,
+            smoothing=self.smoothing,
+            load=load,
+            on_infeasible=self.on_infeasible,
+        )
 
 
 @torch.no_grad()

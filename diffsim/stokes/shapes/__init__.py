@@ -16,7 +16,7 @@ from diffsim.stokes.shapes.base import (
 from diffsim.stokes.shapes.bezier import BezierCurve2d
 from diffsim.stokes.shapes.nurbs import NurbsSurface
 from diffsim.stokes.shapes.primitives import Box, Plane, Sphere
-from diffsim.stokes.shapes.sampling import sample
+from diffsim.stokes.shapes.sampling import interface, sample
 from diffsim.stokes.shapes.smooth import SmoothIntersection, SmoothUnion
 from diffsim.stokes.shapes.spline_basis import SplineBasis
 from diffsim.stokes.shapes.transform import Extrude, Rotate, Translate
@@ -39,5 +39,6 @@ __all__ = [
     "SplineBasis",
     "Translate",
     "Union",
+    "interface",
     "sample",
 ]

@@ -10,6 +10,7 @@ import scipy.optimize
 import torch
 
 from diffsim.copter import (
+    Hover,
     HoverError,
     HoverWarning,
     hover,
@@ -309,6 +310,15 @@ def test_batch_is_its_entries():
         assert torch.equal(batch.thrusts.reshape(4, 5)[k], single.thrusts)
         assert torch.equal(batch.attitude.reshape(4, 2)[k], single.attitude)
         assert int(batch.rank.flatten()[k]) == int(single.rank) == 4
+
+
+def test_module():
+    copter = random_copter(1)
+    h = torch.linspace(1.0, 2.0, 6, dtype=torch.float64)
+    layer = Hover(weights=h, smoothing=1e-4)
+    expected = hover(copter, weights=h, smoothing=1e-4, load=2.0)
+    assert torch.equal(layer(copter, 2.0).thrusts, expected.thrusts)
+    assert "weights" in dict(layer.named_buffers())
 
 
 @pytest.mark.parametrize(
