@@ -6,7 +6,7 @@ large it may be without surprise, in magnitudes of the recordings (``scales``). 
 what a described system tells of itself; from it ``list_causes`` lists the rows that suit it.
 """
 
-from diffsim.causes.catalogue import domains, rows
+from diffsim.causes.catalogue import all_rows, domains, rows
 from diffsim.causes.commands import CommandGroup, command_cause
 from diffsim.causes.listing import list_causes
 from diffsim.causes.own import OwnRow, own_causes
@@ -25,6 +25,7 @@ __all__ = [
     "Row",
     "Scales",
     "Scene",
+    "all_rows",
     "command_cause",
     "domains",
     "list_causes",

@@ -11,7 +11,7 @@ of its description.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -104,3 +104,10 @@ def _list_included(given: Mapping[str, Any]) -> list[tuple[str, Row]]:
         for of, row in rows_in_order(table)
         if not one or row.name == one
     ]
+
+
+def all_rows() -> Iterator[tuple[str, Row]]:
+    """Domain and row of every cause, domain after domain."""
+    for domain in domains():
+        for row in rows(domain).values():
+            yield domain, row

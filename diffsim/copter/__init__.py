@@ -13,6 +13,7 @@ from diffsim.copter.design.spec_file import shipped_designs
 from diffsim.copter.dynamics.control_metrics import (
     control_authority,
     controllability,
+    hover_map_singular_value,
     max_hover_weight,
     response_time,
     rotor_out_margins,
@@ -75,6 +76,7 @@ __all__ = [
     "disc_clearances",
     "fly",
     "hover",
+    "hover_map_singular_value",
     "hover_thrusts",
     "import_xml",
     "linearize",

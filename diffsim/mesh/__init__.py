@@ -8,7 +8,7 @@ from diffsim.mesh.core import HexMesh, Mesh, TetMesh
 from diffsim.mesh.distance import SurfaceDistance
 from diffsim.mesh.files import load, load_arrays, load_surface, save
 from diffsim.mesh.from_surface import tetrahedralize, voxelize
-from diffsim.mesh.measure import Quality, element_volumes, quality, total_volume
+from diffsim.mesh.measure import Quality, element_size, element_volumes, quality, total_volume
 from diffsim.mesh.reference import HEX_FROM_VTK, VTK_FROM_HEX
 from diffsim.mesh.regions import RegionMesh, load_regions
 from diffsim.mesh.repair import (
@@ -52,6 +52,7 @@ __all__ = [
     "SurfaceDistance",
     "TetMesh",
     "cavities",
+    "element_size",
     "element_volumes",
     "flip_inverted",
     "hex_box",

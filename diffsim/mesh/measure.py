@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from diffsim.core.arrays import Array
@@ -27,6 +28,12 @@ def element_volumes(mesh: HexMesh | TetMesh) -> Tensor:
 def total_volume(mesh: HexMesh | TetMesh) -> float:
     """Volume of the mesh [m^3]."""
     return float(element_volumes(mesh).sum())
+
+
+@checked
+def element_size(mesh: HexMesh | TetMesh) -> Tensor:
+    """Mean edge length of each element, (num_elements,) [m]."""
+    return torch.from_numpy(_edge_lengths(mesh).mean(axis=1))
 
 
 @dataclass(frozen=True)

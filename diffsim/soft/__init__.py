@@ -4,6 +4,8 @@ from diffsim.soft._solves import SolveStats
 from diffsim.soft.actuators import (
     ActuatorDynamics,
     ActuatorState,
+    FirstOrderLag,
+    RateLimit,
 )
 from diffsim.soft.body import SoftBody
 from diffsim.soft.chambers import PressureChamber, sealed_pressure
@@ -32,6 +34,7 @@ __all__ = [
     "ContactOptions",
     "Damping",
     "Directions",
+    "FirstOrderLag",
     "HydroForces",
     "Hydrodynamics",
     "Masses",
@@ -39,6 +42,7 @@ __all__ = [
     "Muscle",
     "Physics",
     "PressureChamber",
+    "RateLimit",
     "SoftBody",
     "SolveStats",
     "SolverOptions",

@@ -162,6 +162,28 @@ class ActuatorDynamics(Float64Module):
                 require_range(name, value, above=0.0, hint=f"unit is {unit}")
 
 
+class FirstOrderLag(ActuatorDynamics):
+    """da/dt = (command - a) / time_constant, exact over a step; see :class:`ActuatorDynamics`.
+
+    Args:
+        time_constant: Scalar or (num_actuators,) [s], > 0.
+    """
+
+    def __init__(self, time_constant: Value):
+        super().__init__(time_constant=time_constant)
+
+
+class RateLimit(ActuatorDynamics):
+    """Actuation that follows its command by at most max_rate dt; see :class:`ActuatorDynamics`.
+
+    Args:
+        max_rate: Scalar or (num_actuators,) [unit of the command / s], > 0.
+    """
+
+    def __init__(self, max_rate: Value):
+        super().__init__(max_rate=max_rate)
+
+
 def _error_after(error: Tensor, lag: Tensor | None, rate: Tensor | None, dt: float) -> Tensor:
     """The error c - a that is left of ``error`` (..., m) after dt, see ActuatorDynamics."""
     if rate is None:

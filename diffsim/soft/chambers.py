@@ -89,6 +89,11 @@ class PressureChamber:
             )
         return cls(found[index])
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the faces enclose the chamber without lids."""
+        return not self.lids
+
     @checked(x=("...", 3))
     def volume(self, x: Tensor) -> Tensor:
         """Volume of the chamber, lids included.

@@ -51,7 +51,7 @@ def test_every_layer_with_constants_stays_on_the_cpu():
     layers = [
         make_body(),
         soft.Hydrodynamics(BAR),
-        soft.ActuatorDynamics(time_constant=0.1),
+        soft.FirstOrderLag(0.1),
         soft.Tendon(BAR, [[0.1, 0.5, 0.5], [0.9, 0.5, 0.5]], axial_stiffness=1.0),
         contact.BodyContact(BAR, BAR, stiffness=1.0),
         Hover(weights=torch.ones(4, dtype=torch.float64)),

@@ -29,7 +29,7 @@ CALL: dict[str, Arguments] = {}
 USE: dict[type, Callable[[Any], Any]] = {}
 LOOK: dict[str, Callable[[Any], Any]] = {}
 FACTORIES: dict[type | str, Callable[..., Any]] = {}
-ABSTRACT = (contact.Shape, control.OpenLoop, shapes.Shape)
+ABSTRACT = (contact.Shape, control.OpenLoop, soft.ActuatorDynamics, shapes.Shape)
 """Their subclasses are what is called."""
 LATER: list[str] = []
 """Patterns of names that have no example yet; the layers that they stand on have."""
@@ -233,7 +233,7 @@ def _raw() -> dict[str, Any]:
 
 CALL |= dict.fromkeys(
     (
-        *("cavities", "element_volumes"),
+        *("cavities", "element_size", "element_volumes"),
         *("quality", "shape_gradients", "surface_quads", "surface_triangles"),
         *("surface_vertices", "total_volume"),
     ),
@@ -258,9 +258,8 @@ CALL |= {
 # --- soft bodies
 
 MAKE |= {
-    soft.ActuatorDynamics: lambda: {
-        "time_constant": real(0.2), "max_rate": real(0.8), "delay_steps": 1,
-    },
+    soft.FirstOrderLag: lambda: {"time_constant": real(0.2)},
+    soft.RateLimit: lambda: {"max_rate": real(0.8)},
     soft.Hydrodynamics: lambda: {
         "mesh": irregular_mesh("hex"), "density": real(1000.0),
         "water_velocity": real(0.1, 0.2, 0.0),
@@ -301,7 +300,7 @@ def _swimming() -> dict[str, Any]:
 CALL |= {
     "ActuatorDynamics.forward": lambda: {
         "command": real(0.5, -0.4), "dt": 0.1,
-        "state": soft.ActuatorState(real(0.45, 0.2), real([[0.6, -0.1]])),
+        "state": soft.ActuatorState(real(0.45, 0.2), torch.zeros(0, 2).double()),
     },
     "ActuatorDynamics.initial_state": lambda: {"value": real(0.5, 0.4)},
     "ActuatorDynamics.sequence": lambda: {"commands": noise(4, 2), "dt": 0.1,
@@ -403,6 +402,7 @@ CALL |= {
     "Fleet.of": lambda: {"vehicles": [crooked_copter(5), crooked_copter(5, 1)]},
     "disc_clearances": lambda: {"copter": strong_copter()},
     "min_clearance": lambda: {"copter": strong_copter()},
+    "hover_map_singular_value": lambda: {"copter": crooked_copter(5)},
     "prepare_flight": lambda: {"vehicle": crooked_copter(5), "dt": 0.03,
                                "effects": all_effects(5, 1)},
     "RotorModel.thrust": lambda: {"speed": real(300.0, 500.0)},
@@ -442,6 +442,7 @@ CALL |= {
     },
     "FlightState.at_rest": lambda: {"position": noise(2, 3), "rpy": 0.3 * noise(2, 3)},
     "FlightState.from_minimal": lambda: {"x12": 0.3 * noise(2, 12)},
+    "Hover.forward": lambda: {"copter": crooked_copter(5), "load": real(0.1)},
     "LQR.forward": lambda: {"A": noise(3, 3), "B": noise(3, 2, seed=1)},
     "Battery.current_for_power": lambda: {"charge": real(0.7), "power": real(90.0)},
     "Battery.endurance": lambda: {"power": real(90.0)},
@@ -542,6 +543,7 @@ MAKE |= {
     },
     shapes.NurbsSurface: lambda: {"control_points": _tube(),
                                   "weights": 1.0 + 0.1 * noise(6, 4).abs()},
+    shapes.BSplineSurface: lambda: {"control_points": _tube()},
     shapes.Box: lambda: {"size": real(1.0, 0.7, 0.5), "center": real(0.1, 0.2, 0.0)},
     shapes.Sphere: lambda: {"radius": real(0.6), "center": real(0.1, 0.2, 0.0)},
     shapes.Plane: lambda: {"normal": real(0.1, 0.3, 1.0), "offset": real(0.2)},
@@ -572,6 +574,7 @@ CALL |= {
     "BezierCurve2d.point": lambda: {"tau": real(0.2, 0.7)},
     "NurbsSurface.point": lambda: {"uv": real([[0.2, 0.3], [0.6, 0.7]])},
     "SplineBasis.__call__": lambda: {"u": real(0.2, 0.7)},
+    "grid_nodes": lambda: {"num_cells": (2, 2), "spacing": 0.1, "origin": real(0.1, 0.2)},
     "interface": lambda: {"phi": _flow_inputs()["phi"], "nodes": small_flow(2).grid.nodes},
     "sample": lambda: {"shape": shapes.Sphere(0.4, (0.5, 0.5)), "nodes": small_flow(2).grid.nodes},
 }  # fmt: skip

@@ -126,3 +126,6 @@ def test_quality_and_sizes():
     regular = m.quality(m.TetMesh(*m.flip_inverted(x, torch.tensor([[0, 1, 2, 3]]))))
     assert regular.scaled_jacobian.minimum == pytest.approx(1.0, rel=1e-12)
     assert regular.dihedral_angle.maximum == pytest.approx(np.degrees(np.arccos(1 / 3)), rel=1e-12)
+    torch.testing.assert_close(
+        m.element_size(m.hex_box((1, 1, 1), (1, 2, 3))), torch.tensor([2.0], dtype=torch.float64)
+    )

@@ -26,19 +26,14 @@ def step_response(dynamics, steps, dt=DT):
 def test_lag_is_exponential_at_any_step(dt):
     t = dt * torch.arange(1, 9, dtype=torch.float64)
     expected = 1.0 - torch.exp(-t / 0.05)
-    torch.testing.assert_close(
-        step_response(soft.ActuatorDynamics(time_constant=0.05), 8, dt), expected
-    )
+    torch.testing.assert_close(step_response(soft.FirstOrderLag(0.05), 8, dt), expected)
 
 
 @pytest.mark.reference
 def test_rate_limit_is_a_ramp_that_stops_at_the_command():
-    limited = soft.ActuatorDynamics(max_rate=20.0)
-    response = step_response(limited, 4)  # 0.4 a step
+    response = step_response(soft.RateLimit(20.0), 4)  # 0.4 a step
     torch.testing.assert_close(response, torch.tensor([0.4, 0.8, 1.0, 1.0]).double())
-    back = soft.ActuatorDynamics(max_rate=20.0).sequence(
-        column(-1.0, -1.0, -1.0), DT, column(0.0)[0]
-    )[:, 0]
+    back = soft.RateLimit(20.0).sequence(column(-1.0, -1.0, -1.0), DT, column(0.0)[0])[:, 0]
     torch.testing.assert_close(back, torch.tensor([-0.4, -0.8, -1.0]).double())
 
 
@@ -86,13 +81,9 @@ def test_splitting_a_step_changes_nothing():
 def test_limits_of_the_combination():
     commands = noise(8, 2, seed=4)
     both = soft.ActuatorDynamics(time_constant=0.05, max_rate=1e6).sequence(commands, DT)
-    torch.testing.assert_close(
-        both, soft.ActuatorDynamics(time_constant=0.05).sequence(commands, DT)
-    )
+    torch.testing.assert_close(both, soft.FirstOrderLag(0.05).sequence(commands, DT))
     both = soft.ActuatorDynamics(time_constant=1e-9, max_rate=9.0).sequence(commands, DT)
-    torch.testing.assert_close(
-        both, soft.ActuatorDynamics(max_rate=9.0).sequence(commands, DT), atol=1e-7, rtol=0
-    )
+    torch.testing.assert_close(both, soft.RateLimit(9.0).sequence(commands, DT), atol=1e-7, rtol=0)
     none = soft.ActuatorDynamics().sequence(commands, DT)
     torch.testing.assert_close(none, commands, rtol=0, atol=1e-15)
 
@@ -162,7 +153,7 @@ def test_kink_of_the_pure_rate_limit():
     rate = leaf(0.5)
     command = leaf([0.25, 0.25, -0.25])
     state = soft.ActuatorState(leaf([0.0, -0.1, 0.1]), torch.zeros(0, 3, dtype=torch.float64))
-    value, _ = soft.ActuatorDynamics(max_rate=rate)(command, state, 0.5)
+    value, _ = soft.RateLimit(rate)(command, state, 0.5)
     d_command, d_value, d_rate = torch.autograd.grad(value.sum(), (command, state.value, rate))
     assert d_command.tolist() == [1.0, 0.0, 0.0]
     assert d_value.tolist() == [0.0, 1.0, 1.0]
@@ -177,7 +168,7 @@ def test_time_constant_is_found_through_a_rollout():
     commands = torch.full((5, 1), 0.7, dtype=torch.float64)
 
     def tip(time_constant):
-        lag = soft.ActuatorDynamics(time_constant=time_constant)
+        lag = soft.FirstOrderLag(time_constant)
         activation = lag.sequence(commands, body.dt, torch.ones(1, dtype=torch.float64))
         motion = soft.rollout(body, body.rest_state(), 5, activation=lambda k, s: activation[k])
         return motion.final.x[-1, 0]

@@ -93,6 +93,7 @@ def test_volume_follows_an_affine_map(shape, kind):
     m, chamber = hollow(kind, shape, amount=0.0)
     expected = {"cavity": 1.0, "pocket": 2.0, "tunnel": 3.0}[shape]
     assert len(chamber.lids) == {"cavity": 0, "pocket": 1, "tunnel": 2}[shape]
+    assert chamber.is_closed == (shape == "cavity")
     torch.testing.assert_close(float(chamber.volume(m.x_rest)), expected, rtol=1e-14, atol=0.0)
     F = torch.eye(3, dtype=torch.float64) + 0.3 * noise(3, 3, seed=1)
     moved = m.x_rest @ F.T + noise(3, seed=2)

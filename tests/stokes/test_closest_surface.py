@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from diffsim.stokes import _ops_surface
-from diffsim.stokes.shapes import NurbsSurface
+from diffsim.stokes.shapes import BSplineSurface, NurbsSurface
 from diffsim.stokes.shapes.closest_surface import SurfaceSamples
 from tests.helpers import random
 
@@ -148,7 +148,7 @@ def test_folds_closer_than_samples_are_told_apart(height):
     x, y = torch.meshgrid(*[torch.linspace(0, 1, 6, dtype=F64)] * 2, indexing="ij")
     z = height * torch.tensor([0.0, 1.0, 0.0, 1.0, 0.0, 1.0], dtype=F64)[:, None].expand(6, 6)
     options = {"degree": (1, 1), "periodic": (False, False), "fluid": "front", "ends": "stop"}
-    folded = NurbsSurface(torch.stack([x, y, z], 2), samples=(2, 2), **options)
+    folded = BSplineSurface(torch.stack([x, y, z], 2), samples=(2, 2), **options)
     p = random(7, 2000, 3) * torch.tensor([1.0, 1.0, 0.3], dtype=F64)
     a, b = folded.control_points[:-1, 0, ::2], folded.control_points[1:, 0, ::2]
     q = p[:, None, ::2]
@@ -162,7 +162,7 @@ def test_beyond_the_band_stands_the_nearest_sample_the_first_of_equals():
     x, y = torch.meshgrid(*[torch.linspace(0, 1, 7, dtype=F64)] * 2, indexing="ij")
     flat = torch.stack([x, y, torch.zeros_like(x)], 2)
     options = {"degree": (1, 1), "periodic": (False, False), "fluid": "front", "ends": "stop"}
-    surface = NurbsSurface(flat, samples=(2, 2), **options)
+    surface = BSplineSurface(flat, samples=(2, 2), **options)
     between = (torch.cartesian_prod(torch.arange(12), torch.arange(12)).to(F64) + 0.5) / 12
     between = torch.cat([between, torch.full((144, 1), 0.5, dtype=F64)], 1)
     p = torch.cat([between, 3.0 * random(5, 300, 3) - 1.0 + torch.tensor([0.0, 0.0, 2.0])])

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from diffsim.mesh import sdf
-from diffsim.stokes.grid import Grid
 from diffsim.stokes.shapes import (
     BezierCurve2d,
     Box,
@@ -21,6 +20,7 @@ from diffsim.stokes.shapes import (
     Sphere,
     Translate,
     Union,
+    grid_nodes,
 )
 from tests.helpers import random, tensor
 
@@ -75,7 +75,7 @@ def test_motions_and_extrusion_are_identities():
         torch.testing.assert_close(Extrude(outline, axis)(POINTS), outline(POINTS[:, across]))
         tracked = POINTS.clone().requires_grad_()  # takes the other way through Extrude
         torch.testing.assert_close(Extrude(outline, axis)(tracked), outline(POINTS[:, across]))
-    nodes = Grid((4, 5, 6), 0.3, origin=(-0.6, -0.7, 0.0)).nodes
+    nodes = grid_nodes((4, 5, 6), 0.3, (-0.6, -0.7, 0.0))
     torch.testing.assert_close(Extrude(outline)(nodes), outline(nodes[..., :2]))
     body = Extrude(outline) & Sphere(0.4, (0.1, 0.2, 0.3))
     torch.testing.assert_close(Rotate(body, 2 * math.pi, axis=(1, 1, 0))(POINTS), body(POINTS))

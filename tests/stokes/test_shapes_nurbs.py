@@ -8,11 +8,12 @@ import torch
 from scipy.interpolate import BSpline
 from torch import Tensor
 
-from diffsim.stokes.grid import Grid
 from diffsim.stokes.shapes import (
+    BSplineSurface,
     NurbsSurface,
     Plane,
     SplineBasis,
+    grid_nodes,
 )
 from tests.gradients import check_directions
 from tests.helpers import random, tensor
@@ -160,7 +161,7 @@ def test_distance_is_that_of_dense_sampling(rational):
 def test_between_two_sheets_the_nearer_one_is_found():
     # a flat tunnel, coarsely sampled: the nearest sample is often on the farther sheet
     points = tunnel_points(14) * tensor([1.0, 0.3, 1.0])
-    surface = NurbsSurface(points, ends="stop", samples=(4, 24))
+    surface = BSplineSurface(points, ends="stop", samples=(4, 24))
     p = tensor([0.3, 0.006, 0.5]) * random(15, 150, 3) + tensor([0.35, 0.147, 0.0])
     want = sampled_distance(surface, p, 0.0, 1.0)
     torch.testing.assert_close(surface(p), want, atol=1e-8, rtol=0)
@@ -168,7 +169,7 @@ def test_between_two_sheets_the_nearer_one_is_found():
 
 @pytest.mark.reference
 def test_tangent_ends_against_dense_sampling():
-    surface = NurbsSurface(tunnel_points(3))
+    surface = BSplineSurface(tunnel_points(3))
     p = tensor([1.0, 1.0, 0.8]) * random(13, 40, 3) - tensor([0.0, 0.0, 0.15])
     want = sampled_distance(surface, p, -0.5, 1.5)
     torch.testing.assert_close(surface(p).abs(), want, atol=1e-8, rtol=0)
@@ -186,8 +187,8 @@ def test_tangent_ends_against_dense_sampling():
 def test_too_few_samples_are_refused(samples, message):
     """A plate of one span sampled by 2 and 6 was off by 9 % of its size, without a word."""
     with pytest.raises(ValueError, match=message):
-        NurbsSurface(tunnel_points(3), samples=samples)
-    assert NurbsSurface(tunnel_points(3), samples=(3, 24)).samples == (3, 24)
+        BSplineSurface(tunnel_points(3), samples=samples)
+    assert BSplineSurface(tunnel_points(3), samples=(3, 24)).samples == (3, 24)
 
 
 @pytest.mark.reference
@@ -198,14 +199,14 @@ def test_the_fewest_samples_find_what_many_find(seed):
     plate = torch.stack([x, y, 0.8 * random(60 + seed, 4, 4)], 2)
     options = {"periodic": (False, False), "fluid": "front", "ends": "stop"}
     p = random(70 + seed, 200, 3)
-    few, many = (NurbsSurface(plate, samples=(n, n), **options)(p).abs() for n in (24, 60))
+    few, many = (BSplineSurface(plate, samples=(n, n), **options)(p).abs() for n in (24, 60))
     torch.testing.assert_close(few, many, atol=1e-12, rtol=0)
 
 
 def test_band_changes_only_what_is_far():
-    points, nodes = tunnel_points(4), Grid((16, 16, 8), 1 / 16).nodes
-    exact = NurbsSurface(points)(nodes)
-    near = NurbsSurface(points, band=0.1)(nodes)
+    points, nodes = tunnel_points(4), grid_nodes((16, 16, 8), 1 / 16)
+    exact = BSplineSurface(points)(nodes)
+    near = BSplineSurface(points, band=0.1)(nodes)
     inside = exact.abs() < 0.1
     assert 0.1 < inside.double().mean() < 0.9
     torch.testing.assert_close(near[inside], exact[inside], atol=1e-13, rtol=0)
@@ -215,7 +216,7 @@ def test_band_changes_only_what_is_far():
 
 
 def test_on_the_surface_phi_is_zero_and_its_gradient_the_normal():
-    surface = NurbsSurface(tunnel_points(5))
+    surface = BSplineSurface(tunnel_points(5))
     p = surface.point(0.05 + 0.9 * random(6, 50, 2)).detach().requires_grad_()
     phi = surface(p)
     (grad,) = torch.autograd.grad(phi.sum(), p)
@@ -229,10 +230,10 @@ def test_bottom_plate_and_lidded_obstacle():
     i, j = torch.meshgrid(torch.arange(5.0), torch.arange(6.0), indexing="ij")
     heights = 0.1 * random(8, 5, 6)
     plate = torch.stack([i / 4, j / 5, heights], 2).to(F64)
-    bottom = NurbsSurface(plate, periodic=(False, False), fluid="front")
+    bottom = BSplineSurface(plate, periodic=(False, False), fluid="front")
     assert bottom(tensor([0.5, 0.5, 0.6])).item() > 0.4
     assert bottom(tensor([-0.05, -0.05, -0.5])).item() < -0.4
-    obstacle = NurbsSurface(tunnel_points(9), fluid="outside") | Plane((0, 0, 1), 0.4)
+    obstacle = BSplineSurface(tunnel_points(9), fluid="outside") | Plane((0, 0, 1), 0.4)
     p = tensor([[0.5, 0.5, 0.2], [0.5, 0.5, 0.45], [0.95, 0.95, 0.2]])
     assert (obstacle(p).sign() == tensor([-1, 1, 1])).all()
 
@@ -254,7 +255,7 @@ def test_gradients_of_control_points_weights_and_points(band):
 
 def test_second_derivatives_raise():
     points = tunnel_points(1).requires_grad_()
-    phi = NurbsSurface(points)(random(3, 5, 3))
+    phi = BSplineSurface(points)(random(3, 5, 3))
     (grad,) = torch.autograd.grad(phi.sum(), points, create_graph=True)
     with pytest.raises(RuntimeError, match="second derivatives"):
         grad.sum().backward()
@@ -263,13 +264,15 @@ def test_second_derivatives_raise():
 def test_errors_say_what_to_do():
     points = tunnel_points(0)
     with pytest.raises(ValueError, match="at least 4 control points"):
-        NurbsSurface(points[:, :3])
+        BSplineSurface(points[:, :3])
     with pytest.raises(ValueError, match="all be at one place"):
-        NurbsSurface(torch.ones(8, 4, 3, dtype=F64))
+        BSplineSurface(torch.ones(8, 4, 3, dtype=F64))
     with pytest.raises(ValueError, match="fluid must be one of"):
-        NurbsSurface(points, periodic=(False, False), fluid="inside")
+        BSplineSurface(points, periodic=(False, False), fluid="inside")
     with pytest.raises(ValueError, match="knots must not fall"):
-        NurbsSurface(points, knots=([0, 2, 1, 3, 4, 5, 6, 7, 8], None))
+        BSplineSurface(points, knots=([0, 2, 1, 3, 4, 5, 6, 7, 8], None))
+    with pytest.raises(ValueError, match="has no weights"):
+        BSplineSurface(points, weights=torch.ones(8, 4, dtype=F64))
     with pytest.raises(ValueError, match="encloses nothing"):
         NurbsSurface(points * tensor([0.0, 1.0, 1.0]))
 

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.stokes.grid import Grid
-from diffsim.stokes.shapes import Box, Complement, Plane, Sphere, interface, sample
+from diffsim.stokes.shapes import Box, Complement, Plane, Sphere, grid_nodes, interface, sample
 
 F64 = torch.float64
 
 
 def test_nodes_are_indexed_by_x_y_z():
-    nodes = Grid((4, 3, 2), 0.5, origin=(1.0, 2.0, 3.0)).nodes
+    nodes = grid_nodes((4, 3, 2), 0.5, (1.0, 2.0, 3.0))
     assert nodes.shape == (5, 4, 3, 3)
     want = torch.tensor([3.0, 2.5, 4.0], dtype=F64)
     torch.testing.assert_close(nodes[4, 1, 2], want)
@@ -26,7 +25,7 @@ def test_interface_of_a_ball_converges(dim):
     errors = []
     cells = [8, 16, 32]
     for n in cells:
-        nodes = Grid((n,) * dim, 1.0 / n).nodes
+        nodes = grid_nodes((n,) * dim, 1.0 / n)
         points, elements = interface(sample(Sphere(0.3, [0.5] * dim), nodes), nodes)
         corners = points[elements]
         first = corners[:, 1] - corners[:, 0]
@@ -42,7 +41,7 @@ def test_interface_of_a_ball_converges(dim):
 
 @pytest.mark.property
 def test_interface_is_watertight_and_faces_the_fluid():
-    nodes = Grid((12, 12, 12), 1 / 12).nodes
+    nodes = grid_nodes((12, 12, 12), 1 / 12)
     for shape, sign in ((Sphere(0.3, (0.5, 0.5, 0.5)), 1), (Box((0.5, 0.4, 0.6), (0.5,) * 3), 1)):
         for solid, turn in ((shape, sign), (Complement(shape), -sign)):
             points, faces = interface(solid(nodes), nodes)
@@ -56,7 +55,7 @@ def test_interface_is_watertight_and_faces_the_fluid():
 
 
 def test_segments_have_the_fluid_on_their_left():
-    nodes = Grid((8, 8), 1 / 8).nodes
+    nodes = grid_nodes((8, 8), 1 / 8)
     points, segments = interface(sample(Plane((0.0, 1.0), 0.3), nodes), nodes)
     along = points[segments[:, 1]] - points[segments[:, 0]]
     assert (along[:, 0] > 0).all()
@@ -65,7 +64,7 @@ def test_segments_have_the_fluid_on_their_left():
 
 @pytest.mark.grad
 def test_interface_moves_with_the_shape():
-    nodes = Grid((8, 8), 1 / 8).nodes
+    nodes = grid_nodes((8, 8), 1 / 8)
     offset = torch.tensor(0.3, dtype=F64, requires_grad=True)
     points, _ = interface(sample(Plane((0.0, 1.0), offset), nodes), nodes)
     (grad,) = torch.autograd.grad(points[:, 1].sum(), offset)
@@ -73,8 +72,10 @@ def test_interface_moves_with_the_shape():
 
 
 def test_errors_say_what_to_do():
-    nodes = Grid((8, 8), 1 / 8).nodes
+    nodes = grid_nodes((8, 8), 1 / 8)
     with pytest.raises(ValueError, match="solid everywhere"):
         sample(Plane((0.0, 1.0), 3.0), nodes)
+    with pytest.raises(ValueError, match="num_cells must be"):
+        grid_nodes((8,), 0.1)
     points, segments = interface(sample(Plane((0.0, 1.0), -3.0), nodes), nodes)
     assert points.shape == (0, 2) and segments.shape == (0, 2)

@@ -62,6 +62,22 @@ def controllability(A: Tensor, B: Tensor) -> Controllability:
 
 
 @checked
+def hover_map_singular_value(copter: Multicopter) -> Tensor:
+    """Smallest singular value of thrusts to lift, roll, pitch and yaw, () [-].
+
+    Torques in units of the mean lever, thrusts in shares of their sum. Zero where a hover is not
+    controllable (rotors in a line), with a gradient that leads away unless the design is symmetric
+    there; a barrier on it keeps a search controllable.
+    """
+    torque = copter.torque_matrix
+    lever = torch.linalg.vector_norm(torque) / copter.num_rotors**0.5
+    lever = torch.where(lever > 0.0, lever, 1.0)
+    rows = torch.cat([_lift(copter), torque / lever]) / copter.num_rotors**0.5
+    values = torch.linalg.svdvals(rows)
+    return values[-1] if copter.num_rotors >= 4 else 0.0 * values[-1]
+
+
+@checked
 def max_hover_weight(
     copter: Multicopter,
     *,

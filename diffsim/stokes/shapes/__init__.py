@@ -14,14 +14,15 @@ from diffsim.stokes.shapes.base import (
     Union,
 )
 from diffsim.stokes.shapes.bezier import BezierCurve2d
-from diffsim.stokes.shapes.nurbs import NurbsSurface
+from diffsim.stokes.shapes.nurbs import BSplineSurface, NurbsSurface
 from diffsim.stokes.shapes.primitives import Box, Plane, Sphere
-from diffsim.stokes.shapes.sampling import interface, sample
+from diffsim.stokes.shapes.sampling import grid_nodes, interface, sample
 from diffsim.stokes.shapes.smooth import SmoothIntersection, SmoothUnion
 from diffsim.stokes.shapes.spline_basis import SplineBasis
 from diffsim.stokes.shapes.transform import Extrude, Rotate, Translate
 
 __all__ = [
+    "BSplineSurface",
     "BezierCurve2d",
     "Box",
     "Complement",
@@ -39,6 +40,7 @@ __all__ = [
     "SplineBasis",
     "Translate",
     "Union",
+    "grid_nodes",
     "interface",
     "sample",
 ]

@@ -247,6 +247,15 @@ class NurbsSurface(Shape):
             )
 
 
+class BSplineSurface(NurbsSurface):
+    """``NurbsSurface`` without weights."""
+
+    def __init__(self, control_points: Tensor, **options):  # type: ignore[no-untyped-def]
+        if options.get("weights") is not None:
+            raise ValueError("a B-spline has no weights; use NurbsSurface")
+        super().__init__(control_points, **options)
+
+
 def _unit_normal(patch: SurfacePatch, uv: Tensor) -> Tensor:
     _, su, sv = patch.derivatives(uv)
     front = torch.linalg.cross(su, sv)

@@ -8,10 +8,29 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require
+from diffsim.core.check import require, require_counts, require_number
 from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, require_unmapped
-from diffsim.stokes.shapes.base import LevelSet, as_shape
+from diffsim.stokes.shapes.base import LevelSet, Vector, as_shape, vector
+
+
+@checked
+def grid_nodes(num_cells: Sequence[int], spacing: float, origin: Vector | None = None) -> Tensor:
+    """Nodes of a Cartesian grid.
+
+    Args:
+        num_cells: Cells along each of 2 or 3 axes.
+        spacing: Edge of a cell [m].
+        origin: Lowest corner, (d,) [m]; zero if None.
+
+    Returns:
+        (num_cells[0] + 1, ..., d) [m], indexed x, y(, z).
+    """
+    cells = require_counts("num_cells", num_cells, (2, 3))
+    h = require_number("spacing", spacing, above=0.0)
+    low = vector("origin", [0.0] * len(cells) if origin is None else origin, (len(cells),))
+    axes = [h * torch.arange(n + 1, dtype=torch.float64) for n in cells]
+    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1) + low
 
 
 @checked
@@ -20,7 +39,7 @@ def sample(shape: LevelSet, nodes: Tensor) -> Tensor:
 
     Args:
         shape: Level set, or a callable as in ``Custom``.
-        nodes: Positions of the nodes, (..., d) float64 [m].
+        nodes: Positions of the nodes, (..., d) float64 [m], as from :func:`grid_nodes`.
 
     Returns:
         phi (...) [m]. Gradients: the shape's parameters and the nodes.
@@ -43,7 +62,7 @@ def interface(phi: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
 
     Args:
         phi: Level set at the nodes of a grid, (nx + 1, ny + 1(, nz + 1)) [m].
-        nodes: Positions of the nodes, (..., d) [m].
+        nodes: Positions of the nodes, (..., d) [m], as from :func:`grid_nodes`.
 
     Returns:
         Points (P, d) [m] with gradient to phi, and segments (E, 2) or triangles (E, 3), int64,

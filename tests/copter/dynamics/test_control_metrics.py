@@ -12,6 +12,7 @@ from diffsim.copter import (
     controllability,
     disc_clearances,
     hover,
+    hover_map_singular_value,
     linearize,
     lqr,
     max_hover_weight,
@@ -155,13 +156,33 @@ def test_smoothing_tends_to_the_linear_program_from_below():
 
 def test_rotors_in_a_line_are_not_controllable():
     copter = in_a_line()
+    assert float(hover_map_singular_value(copter)) < 1e-12
+    assert float(hover_map_singular_value(plus_quadcopter())) > 0.05
     level = torch.zeros(2, dtype=torch.float64)
     thrusts = torch.full((4,), float(copter.weight) / 4, dtype=torch.float64)
     found = controllability(*linearize(copter, thrusts, level))
     assert found.rank == 8  # sideways motion, its velocity, roll and roll rate are missing
     assert math.isinf(float(found.condition))
+    assert float(hover_map_singular_value(random_copter(0, n=3))) == 0.0
     three = random_copter(0, n=3, tilt=0.0)
     assert controllability(*linearize(three, thrusts[:3], level)).rank < 12
+
+
+@pytest.mark.grad
+def test_gradient_leads_out_of_the_line():
+    """From next to the line, ascent on the singular value makes the hover controllable."""
+    positions = in_a_line().positions + torch.tensor(
+        [[0, 1e-3, 0], [0, -1e-3, 0], [0, -1e-3, 0], [0, 1e-3, 0]], dtype=torch.float64
+    )
+    first = None
+    for _ in range(200):
+        positions = positions.detach().requires_grad_()
+        value = hover_map_singular_value(plus_quadcopter().replace(positions=positions))
+        first = float(value.detach()) if first is None else first
+        (slope,) = torch.autograd.grad(value, positions)
+        positions = positions + 2e-3 * slope / slope.norm()
+    assert first < 0.01
+    assert float(value.detach()) > 10.0 * first
 
 
 def test_response_time_of_a_first_order_lag():
