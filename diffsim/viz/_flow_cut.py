@@ -17,9 +17,11 @@ FINE = 4
 class Cut:
     """A 2D flow, or a plane of a 3D one, sampled finely for drawing."""
 
-    def __init__(self, field: FlowField, case: int, axes: list[int], fixed: float | None):
+    def __init__(
+        self, field: FlowField, case: int, axes: list[int], fixed: float | None, name: str
+    ):
         grid = field.grid
-        self.axes = axes
+        self.name, self.axes = name, axes
         self.scale, self.unit = length_unit(field)
         starts = [grid.origin[a] for a in axes]
         self.sides = [grid.size[a] for a in axes]
@@ -50,13 +52,15 @@ def cut_through(field: FlowField, case: int, plane: Plane | None) -> Cut:
     if not 0 <= case < cases:
         raise ValueError(f"case must lie in [0, {cases}), got {case}")
     if field.grid.dim == 2:
-        return Cut(field, case, [0, 1], None)
+        return Cut(field, case, [0, 1], None, "")
     name, share = plane or ("z", 0.5)
     if name not in ("x", "y", "z") or not 0.0 <= share <= 1.0:
         raise ValueError(f"plane must be an axis and a share in [0, 1], got {(name, share)}")
     axis = "xyz".index(name)
     at = field.grid.origin[axis] + share * field.grid.size[axis]
-    return Cut(field, case, [a for a in range(3) if a != axis], at)
+    scale, unit = length_unit(field)
+    axes = [a for a in range(3) if a != axis]
+    return Cut(field, case, axes, at, f"{name} = {scale * at:.3g} {unit}")
 
 
 def _level(field: FlowField) -> FlowField:

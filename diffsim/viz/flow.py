@@ -1,4 +1,4 @@
-"""Pictures of Stokes flows: speed maps of planes with streamlines, views in three dimensions.
+"""Pictures of Stokes flows: speed maps with streamlines, slices, views in three dimensions.
 
 Every function returns a ``matplotlib.figure.Figure`` in the style of ``diffsim.viz.figures``;
 ``diffsim.viz.figures.data_uri`` turns it into text, ``save`` into a file.
