@@ -211,7 +211,7 @@ class Windows:
                 break
             last = change, step
             if max_steps >= MAX_STEPS:
-                step = windows._shorten_step(predict, shooting, secants.ahead(step))
+                step = windows._shorten_step(predict, change, secants.ahead(step))
             else:
                 step = step / max(1.0, size)
             states = states + step
@@ -238,14 +238,12 @@ class Windows:
         """The same windows with the thrusts before the record as guessed."""
         return replace(self, held=torch.ones_like(self.held), is_at_zero=False)
 
-    def _shorten_step(self, predict: Predict, at: FlightShooting, step: Tensor) -> Tensor:
+    def _shorten_step(self, predict: Predict, change: Tensor, step: Tensor) -> Tensor:
         """A step as long as it may be: beyond the spread only in windows that it makes better."""
         sizes = (step / self.spread).abs().amax(1)
         if float(sizes.max()) <= 1.0:
             return step
-        change = at.change[..., 0]
-        there = predict((self.guess + change + step)[None])[0]
-        better = self._costs_of(there, change + step) < self._costs_of(at.predicted, change)
+        better = self._costs(predict, change + step) < self._costs(predict, change)
         return step / torch.where(better, 1.0, sizes.clamp(min=1.0))[:, None]
 
     def _wants_thrust(self, predict: Predict, states: Tensor) -> Tensor:
@@ -273,11 +271,9 @@ class Windows:
             size = self._measure_step(step := shooting.step)
             if size < _SETTLED:
                 break
-            here = self._costs_of(shooting.predicted, change).sum()
-            share = 1.0 / max(1.0, size)
+            here, share = self._costs(predict, change).sum(), 1.0 / max(1.0, size)
             while share > _LEAST_SHARE:
-                tried = change + share * step
-                if self._costs_of(predict((self.guess + tried)[None])[0], tried).sum() <= here:
+                if self._costs(predict, change + share * step).sum() <= here:
                     break
                 share *= 0.5
             if share <= _LEAST_SHARE:
@@ -295,14 +291,10 @@ class Windows:
             windows = replace(self, guess=guess).with_thrusts_held()
         return windows.find_starts(predict, near=states), 0.0
 
-    def _costs_of(self, predicted: Tensor, change: Tensor) -> Tensor:
-        """Misfit and departure from the guess over their spreads, squared, (num_windows,).
-
-        Args:
-            predicted: Channels, (num_windows, length, num_channels).
-            change: Of the initial states from the guess, (num_windows, m).
-        """
-        off = (predicted - self.measured) / self.sd
+    def _costs(self, predict: Predict, change: Tensor) -> Tensor:
+        """Misfit and departure from the guess over their spreads, squared, (num_windows,); each
+        change is flown alone: forces settle to less than a small step gains, not to nothing."""
+        off = (predict((self.guess + change)[None])[0] - self.measured) / self.sd
         off = off.where(torch.isfinite(self.measured), 0.0)
         return off.square().sum((1, 2)) + (change @ self.precision * change).sum(1)
 
@@ -321,13 +313,14 @@ class Windows:
         tangent[1:, :, RIGID:] = 0.0
         tangent[:, :, RIGID:] *= ~self.held
         weight = (torch.isfinite(self.measured) / self.sd**2).reshape(windows, -1, 1)
-        weighted = (weight * tangent).mT
+        weighted = weight * tangent
+        normal = tangent.mT @ weighted + self.precision
         return FlightShooting(
             self,
             self.measured.nan_to_num(0.0).reshape(windows, -1, 1),
             change[..., None],
             tangent,
-            torch.linalg.solve(weighted @ tangent + self.precision, weighted),
+            torch.linalg.solve(normal, weighted.mT),
             there[0][..., None],
         )
 
@@ -368,11 +361,6 @@ class FlightShooting:
         change = torch.zeros_like(windows.guess)[..., None]
         still = here.new_zeros(*here.shape[:2], change.shape[1])
         return cls(windows, torch.zeros_like(here), change, still, still.mT, here)
-
-    @property
-    def predicted(self) -> Tensor:
-        """Prediction of that model at d, (num_windows, length, num_channels)."""
-        return self.here.reshape_as(self.windows.measured)
 
     @property
     def step(self) -> Tensor:
