@@ -22,6 +22,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.ode.first_commands import stood_before
 from diffsim.systems.ode.gaps import Gap
 from diffsim.systems.ode.keys import Events, FormulaKeys, Place, Store, Swing
 from diffsim.systems.ode.names import data_values, facts_of, scalars
@@ -114,6 +115,23 @@ class FormulaSystem:
     from_zero: Memo[bool] = memo_field()
 
     @property
+    def priors(self) -> dict[str, Tensor]:
+        """Base parameters as they are stated."""
+        return {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base.base}
+
+    @cached_property
+    def stood_before(self) -> bool:
+        """Whether the first inputs of fitted runs that start at rest had been heard before."""
+        sd = np.array([np.nan if c.sd is None else c.sd for c in self.study.channels])
+        records = []
+        for run in self.study.fit_runs:
+            scene = _make_scene(self, self.priors, run, Numerics())
+            with torch.no_grad():
+                if scene.rests_without_inputs():
+                    records.append((scene.simulate().numpy(), run.measured))
+        return stood_before(records, sd)
+
+    @property
     def step(self) -> float:
         """Longest step of the integrator [s]."""
         return self.motion.time_step or self.usual_interval / self.parts
@@ -148,11 +166,12 @@ def _build_scene(
     system: FormulaSystem, values: Mapping[str, Tensor], run: Run, numerics: Numerics
 ) -> OdeScene:
     """A scene whose inputs were zero before the run if it rests so where the run starts, and not
-    with their first values; this is asked at the priors, so that no fit changes it."""
+    with their first values, unless records of such runs move at once; this is asked at the priors,
+    so that no fit changes it."""
 
     def ask() -> bool:
-        priors = {p.name: torch.tensor(p.value, dtype=torch.float64) for p in system.base.base}
-        return _make_scene(system, priors, run, numerics).rests_without_inputs()
+        scene = _make_scene(system, system.priors, run, numerics)
+        return scene.rests_without_inputs() and not system.stood_before
 
     is_from_zero = bool(system.motion.states and system.inputs) and system.from_zero(run, ask)
     return _make_scene(system, values, run, numerics, is_from_zero=is_from_zero)

@@ -1,0 +1,43 @@
+"""Whether the first commands of recordings stood before them, or came with them.
+
+A start that rests without commands, and not with the first ones, says that these came with the
+record: what is late hears them later. Unless the record moves at once: then the drives were let go
+with commands that had long been heard, and no delay shows before these change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from diffsim.core.arrays import Array
+
+SAMPLES = 20  # from the first one, by which a record moves at once or late
+LATE = (0.5, 1.0, 2.0, 3.0)  # [samples] that are tried
+CLEAR = 9.0  # of chi2, three standard deviations, by which the record moves at once
+
+
+def stood_before(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
+    """Whether records clearly move at once, as first commands that had stood before ask for.
+
+    Args:
+        records: Of each run that begins at rest, channels as predicted without any delay and as
+            measured, (num_samples, num_channels) each; NaN where nothing was measured.
+        sd: Noise of the channels, (num_channels,); NaN: of a channel that tells nothing here.
+    """
+    left = np.zeros(1 + len(LATE))
+    for predicted, measured in records:
+        for channel in np.flatnonzero(np.isfinite(sd)):
+            seen = measured[:SAMPLES, channel] / sd[channel]
+            there = np.flatnonzero(np.isfinite(seen))
+            if len(there) < 4:
+                continue
+            for k, late in enumerate((0.0, *LATE)):
+                places = np.arange(len(predicted), dtype=np.float64)
+                moved = np.interp(there - late, places, predicted[:, channel] / sd[channel])
+                # gains and starts may be off by what nobody knows yet
+                ways = np.column_stack([moved, np.ones(len(there))])
+                found = np.linalg.lstsq(ways, seen[there], rcond=None)[0]
+                left[k] += float(np.sum((seen[there] - ways @ found) ** 2))
+    return bool(left[0] + CLEAR < left[1:].min())

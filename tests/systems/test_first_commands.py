@@ -1,0 +1,64 @@
+"""First commands of recordings that start at rest: heard before, or come with the record."""
+
+import numpy as np
+import pytest
+
+from diffsim.data.study import Channel, Run, Study
+from diffsim.systems.ode.first_commands import stood_before
+from diffsim.systems.registry import setup_of
+
+TIME = 0.01 * np.arange(200)
+LATE = 0.024  # [s]
+MODEL = {
+    "system": "ode",
+    "parameters": {"k": {"value": 60.0, "percent": 5}, "d": {"value": 9.0, "percent": 10}},
+    "inputs": [{"name": "goal", "held": True}],
+    "states": {"q": 0, "w": 0},
+    "rates": {"q": "w", "w": "k*(goal - q) - d*w"},
+    "readings": {"angle": "q"},
+}
+
+
+def servo(seed: int, *, before: float | None, late: float = LATE) -> Study:
+    """A servo whose first goals are 0.5 and -0.4 rad, at rest at zero; None: they stood before."""
+    rng, runs = np.random.default_rng(seed), []
+    for name, first in (("up", 0.5), ("down", -0.4)):
+        goal = np.where(TIME < 0.9, first, 0.1)
+        q = w = 0.0
+        seen = []
+        for t in TIME:
+            seen.append(q)
+            for part in range(20):
+                now = t + 0.0005 * part - late
+                there = goal[int(now / 0.01 + 1e-9)] if now >= 0.0 else before
+                push = 61.0 * ((first if there is None else there) - q) - 9.2 * w
+                q, w = q + 0.0005 * w, w + 0.0005 * push
+        measured = np.array(seen)[:, None] + rng.normal(0.0, 1e-3, (len(TIME), 1))
+        runs.append(Run(name, TIME, measured, {"goal": goal}, name))
+    channel = Channel("angle", "rad", "angle", sd=1e-3)
+    return Study("servo", "ode", (channel,), tuple(runs), model=MODEL)
+
+
+@pytest.mark.parametrize("before", [None, 0.0])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_record_tells_whether_its_first_command_stood_before(before, seed):
+    """A delay of a goal that had long been heard shows at its next change alone; a log that begins
+    with its goal moves late."""
+    study = servo(seed, before=before)
+    model = setup_of(study).model
+    scene = model.scene(study.runs[0], model.at_prior())
+    known = scene.commands.before
+    assert (known is None) is (before is None)
+    assert known is None or known.tolist() == [0.0]
+
+
+def test_without_a_delay_or_noise_that_is_stated_nothing_is_told():
+    rng = np.random.default_rng(5)
+    moved = 1.0 - np.exp(-6.0 * TIME)[:, None]
+    still = np.zeros_like(moved)
+    noise = 1e-3 * rng.normal(size=moved.shape)
+    assert stood_before([(moved, moved + noise)], np.array([1e-3]))
+    assert not stood_before([(moved, moved + noise)], np.array([np.nan]))
+    assert not stood_before([(still, noise)], np.array([1e-3]))
+    assert not stood_before([(moved, np.full_like(moved, np.nan))], np.array([1e-3]))
+    assert not stood_before([], np.array([1e-3]))
