@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -167,7 +168,7 @@ class Commands:
         names: Sequence[str],
         values: Tensor,
         known: Iterable[Command] = (),
-        default: float = math.nan,
+        usual: Mapping[str, float] = MappingProxyType({}),
     ) -> Commands:
         """A name for each row of the values; a name may stand for several, "" is no name.
 
@@ -175,12 +176,12 @@ class Commands:
             names: Name of each row.
             values: (..., width, num_times).
             known: What the study says of its commands: their values before the run.
-            default: Of those of which it says nothing; NaN: the first one.
+            usual: Of those of which it says nothing, where they had not their first ones.
         """
         rows = dict.fromkeys(name for name in names if name)
         found = {name: tuple(i for i, own in enumerate(names) if own == name) for name in rows}
-        stated = {c.name: c.before for c in known if c.before is not None}
-        earlier = [stated.get(name, default) for name in names]
+        stated = {**usual, **{c.name: c.before for c in known if c.before is not None}}
+        earlier = [stated.get(name, math.nan) for name in names]
         if all(map(math.isnan, earlier)):
             return cls(values, found)
         return cls(values, found, before=torch.tensor(earlier, dtype=torch.float64))

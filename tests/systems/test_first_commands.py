@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Channel, Run, Study
-from diffsim.systems.ode.first_commands import stood_before
+from diffsim.systems.ode.first_commands import LATE as TRIED
+from diffsim.systems.ode.first_commands import is_heard_at_once
 from diffsim.systems.registry import setup_of
 
 TIME = 0.01 * np.arange(200)
@@ -52,13 +53,15 @@ def test_the_record_tells_whether_its_first_command_stood_before(before, seed):
     assert known is None or known.tolist() == [0.0]
 
 
-def test_without_a_delay_or_noise_that_is_stated_nothing_is_told():
+def test_without_motion_or_noise_that_is_stated_nothing_is_told():
     rng = np.random.default_rng(5)
-    moved = 1.0 - np.exp(-6.0 * TIME)[:, None]
-    still = np.zeros_like(moved)
-    noise = 1e-3 * rng.normal(size=moved.shape)
-    assert stood_before([(moved, moved + noise)], np.array([1e-3]))
-    assert not stood_before([(moved, moved + noise)], np.array([np.nan]))
-    assert not stood_before([(still, noise)], np.array([1e-3]))
-    assert not stood_before([(moved, np.full_like(moved, np.nan))], np.array([1e-3]))
-    assert not stood_before([], np.array([1e-3]))
+    moved = [1.0 - np.exp(-6.0 * np.maximum(TIME - 0.01 * d, 0.0)) for d in (0.0, *TRIED)]
+    every = np.array(moved)[..., None]
+    noise = 1e-3 * rng.normal(size=every[0].shape)
+    sd = np.array([1e-3])
+    assert is_heard_at_once([(every, every[0] + noise)], sd)
+    assert not is_heard_at_once([(every, every[2] + noise)], sd)
+    assert not is_heard_at_once([(every, every[0] + noise)], np.array([np.nan]))
+    assert not is_heard_at_once([(0.0 * every, noise)], sd)
+    assert not is_heard_at_once([(every, np.full_like(noise, np.nan))], sd)
+    assert not is_heard_at_once([], sd)

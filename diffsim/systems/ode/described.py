@@ -22,7 +22,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.ode.first_commands import stood_before
+from diffsim.systems.ode.first_commands import LATE, is_heard_at_once
 from diffsim.systems.ode.gaps import Gap
 from diffsim.systems.ode.keys import Events, FormulaKeys, Place, Store, Swing
 from diffsim.systems.ode.names import data_values, facts_of, scalars
@@ -120,16 +120,28 @@ class FormulaSystem:
         return {p.name: torch.tensor(p.value, dtype=torch.float64) for p in self.base.base}
 
     @cached_property
-    def stood_before(self) -> bool:
-        """Whether the first inputs of fitted runs that start at rest had been heard before."""
+    def heard_before(self) -> frozenset[str]:
+        """Inputs whose first values had been heard before fitted runs that start at rest."""
         sd = np.array([np.nan if c.sd is None else c.sd for c in self.study.channels])
-        records = []
-        for run in self.study.fit_runs:
-            scene = _make_scene(self, self.priors, run, Numerics())
-            with torch.no_grad():
-                if scene.rests_without_inputs():
-                    records.append((scene.simulate().numpy(), run.measured))
-        return stood_before(records, sd)
+        late = torch.tensor(LATE, dtype=torch.float64)
+        runs = [
+            (run, _make_scene(self, self.priors, run, Numerics())) for run in self.study.fit_runs
+        ]
+        resting = [run for run, scene in runs if scene.rests_without_inputs()]
+        found = set()
+        for name in self.inputs if resting else ():
+            records = []
+            for run in resting:
+                scene = _make_scene(self, self.priors, run, Numerics(), zero=frozenset(self.inputs))
+                delay = late * float(np.median(np.diff(run.time_s)))
+                comes = late_by(delay[:, None], held=self.held[name])
+                later = scene.changed(commands=scene.commands.changed((name,), comes))
+                with torch.no_grad():
+                    every = torch.cat([scene.simulate()[None], later.simulate()])
+                records.append((every.numpy(), run.measured))
+            if is_heard_at_once(records, sd):
+                found.add(name)
+        return frozenset(found)
 
     @property
     def step(self) -> float:
@@ -166,15 +178,16 @@ def _build_scene(
     system: FormulaSystem, values: Mapping[str, Tensor], run: Run, numerics: Numerics
 ) -> OdeScene:
     """A scene whose inputs were zero before the run if it rests so where the run starts, and not
-    with their first values, unless records of such runs move at once; this is asked at the priors,
+    with their first values, unless such runs move with these at once; this is asked at the priors,
     so that no fit changes it."""
 
     def ask() -> bool:
         scene = _make_scene(system, system.priors, run, numerics)
-        return scene.rests_without_inputs() and not system.stood_before
+        return scene.rests_without_inputs()
 
     is_from_zero = bool(system.motion.states and system.inputs) and system.from_zero(run, ask)
-    return _make_scene(system, values, run, numerics, is_from_zero=is_from_zero)
+    zero = frozenset(system.inputs) - system.heard_before if is_from_zero else frozenset()
+    return _make_scene(system, values, run, numerics, zero=zero)
 
 
 def _make_scene(
@@ -183,7 +196,7 @@ def _make_scene(
     run: Run,
     numerics: Numerics,
     *,
-    is_from_zero: bool = False,
+    zero: frozenset[str] = frozenset(),
 ) -> OdeScene:
     keys, motion, study = system.keys, system.motion, system.study
     if PLAY_START in system.base.quantities:
@@ -203,7 +216,7 @@ def _make_scene(
         grid=grid,
         numbers=known,
         starts=system.starts,
-        commands=_evaluate_inputs(system, run, grid, known, values, is_from_zero),
+        commands=_evaluate_inputs(system, run, grid, known, values, zero),
         channels=tuple(c.name for c in study.channels),
         ranges=keys.ranges,
         columns={
@@ -226,15 +239,16 @@ def _evaluate_inputs(
     grid: Grid,
     known: Mapping[str, Tensor],
     values: Mapping[str, Tensor],
-    is_from_zero: bool,
+    zero: frozenset[str],
 ) -> Commands:
     """Inputs (..., num_inputs, num_times), with points in front where any of them has some."""
     found = [_evaluate_input(system, n, run, grid, known, values) for n in system.inputs]
     lead = np.broadcast_shapes(*(u.shape for u in found)) if found else (len(grid.times),)
     none = torch.zeros(0, len(grid.times), dtype=torch.float64)
     stacked = torch.stack([u.expand(lead) for u in found], -2) if found else none
-    names, default = tuple(system.inputs), 0.0 if is_from_zero else math.nan
-    commands = Commands.named(names, stacked, system.study.commands, default)
+    commands = Commands.named(
+        tuple(system.inputs), stacked, system.study.commands, dict.fromkeys(zero, 0.0)
+    )
     for name in system.inputs:
         if (late := known.get(f"{name}_delay")) is not None:
             commands = commands.changed((name,), late_by(late[..., None], held=system.held[name]))

@@ -15,15 +15,17 @@ from diffsim.core.arrays import Array
 
 SAMPLES = 20  # from the first one, by which a record moves at once or late
 LATE = (0.5, 1.0, 2.0, 3.0)  # [samples] that are tried
+FEWEST_READINGS = 4  # of a channel: two are spent on its gain and start
 CLEAR = 9.0  # of chi2, three standard deviations, by which the record moves at once
 
 
-def stood_before(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
-    """Whether records clearly move at once, as first commands that had stood before ask for.
+def is_heard_at_once(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
+    """Whether records clearly move as they would if a first command is heard at once.
 
     Args:
-        records: Of each run that begins at rest, channels as predicted without any delay and as
-            measured, (num_samples, num_channels) each; NaN where nothing was measured.
+        records: Of each run that begins at rest, channels as predicted where the command comes
+            after zero by ``LATE`` and before that without a delay, (1 + len(LATE), num_samples,
+            num_channels), and as measured, (num_samples, num_channels); NaN: not measured.
         sd: Noise of the channels, (num_channels,); NaN: of a channel that tells nothing here.
     """
     left = np.zeros(1 + len(LATE))
@@ -31,11 +33,9 @@ def stood_before(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
         for channel in np.flatnonzero(np.isfinite(sd)):
             seen = measured[:SAMPLES, channel] / sd[channel]
             there = np.flatnonzero(np.isfinite(seen))
-            if len(there) < 4:
+            if len(there) < FEWEST_READINGS:
                 continue
-            for k, late in enumerate((0.0, *LATE)):
-                places = np.arange(len(predicted), dtype=np.float64)
-                moved = np.interp(there - late, places, predicted[:, channel] / sd[channel])
+            for k, moved in enumerate(predicted[:, there, channel] / sd[channel]):
                 # gains and starts may be off by what nobody knows yet
                 ways = np.column_stack([moved, np.ones(len(there))])
                 found = np.linalg.lstsq(ways, seen[there], rcond=None)[0]
