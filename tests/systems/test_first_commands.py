@@ -60,8 +60,9 @@ def test_without_motion_or_noise_that_is_stated_nothing_is_told():
     noise = 1e-3 * rng.normal(size=every[0].shape)
     sd = np.array([1e-3])
     assert is_heard_at_once([(every, every[0] + noise)], sd)
-    assert not is_heard_at_once([(every, every[2] + noise)], sd)
+    assert not is_heard_at_once([(every, every[1] + noise)], sd)
     assert not is_heard_at_once([(every, every[0] + noise)], np.array([np.nan]))
     assert not is_heard_at_once([(0.0 * every, noise)], sd)
     assert not is_heard_at_once([(every, np.full_like(noise, np.nan))], sd)
     assert not is_heard_at_once([], sd)
+    assert not is_heard_at_once([(np.full_like(every, np.inf), noise)], sd)  # at the priors

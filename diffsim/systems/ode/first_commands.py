@@ -14,7 +14,7 @@ import numpy as np
 from diffsim.core.arrays import Array
 
 SAMPLES = 20  # from the first one, by which a record moves at once or late
-LATE = (0.5, 1.0, 2.0, 3.0)  # [samples] that are tried
+LATE = (1.0, 2.0, 3.0)  # [samples] that are tried; half of one, a gain that is off can look like
 FEWEST_READINGS = 4  # of a channel: two are spent on its gain and start
 CLEAR = 9.0  # of chi2, three standard deviations, by which the record moves at once
 
@@ -33,9 +33,10 @@ def is_heard_at_once(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
         for channel in np.flatnonzero(np.isfinite(sd)):
             seen = measured[:SAMPLES, channel] / sd[channel]
             there = np.flatnonzero(np.isfinite(seen))
-            if len(there) < FEWEST_READINGS:
+            every = predicted[:, there, channel] / sd[channel]
+            if len(there) < FEWEST_READINGS or not np.isfinite(every).all():
                 continue
-            for k, moved in enumerate(predicted[:, there, channel] / sd[channel]):
+            for k, moved in enumerate(every):
                 # gains and starts may be off by what nobody knows yet
                 ways = np.column_stack([moved, np.ones(len(there))])
                 found = np.linalg.lstsq(ways, seen[there], rcond=None)[0]
