@@ -15,6 +15,7 @@ from torch import Tensor
 from diffsim.causes.readings import with_play_start
 from diffsim.causes.scene import PLAY_START, Commands
 from diffsim.causes.signals import Grid, late_by
+from diffsim.core.arrays import Array
 from diffsim.core.expression import Expression
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run, Study
@@ -22,7 +23,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.ode.first_commands import LATE, is_heard_at_once
+from diffsim.systems.ode.first_commands import FEWEST_READINGS, LATE, is_heard_at_once
 from diffsim.systems.ode.gaps import Gap
 from diffsim.systems.ode.keys import Events, FormulaKeys, Place, Store, Swing
 from diffsim.systems.ode.names import data_values, facts_of, scalars
@@ -123,25 +124,23 @@ class FormulaSystem:
     def heard_before(self) -> frozenset[str]:
         """Inputs whose first values had been heard before fitted runs that start at rest."""
         sd = np.array([np.nan if c.sd is None else c.sd for c in self.study.channels])
-        late = torch.tensor(LATE, dtype=torch.float64)
-        runs = [
-            (run, _make_scene(self, self.priors, run, Numerics())) for run in self.study.fit_runs
-        ]
-        resting = [run for run, scene in runs if scene.rests_without_inputs()]
-        found = set()
-        for name in self.inputs if resting else ():
-            records = []
-            for run in resting:
-                scene = _make_scene(self, self.priors, run, Numerics(), zero=frozenset(self.inputs))
-                delay = late * float(np.median(np.diff(run.time_s)))
-                comes = late_by(delay[:, None], held=self.held[name])
-                later = scene.changed(commands=scene.commands.changed((name,), comes))
-                with torch.no_grad():
-                    every = torch.cat([scene.simulate()[None], later.simulate()])
-                records.append((every.numpy(), run.measured))
-            if is_heard_at_once(records, sd):
-                found.add(name)
-        return frozenset(found)
+        late, every = torch.tensor(LATE, dtype=torch.float64), frozenset(self.inputs)
+        records: dict[str, list[tuple[Array, Array]]] = {name: [] for name in self.inputs}
+        for run in self.study.fit_runs:
+            if len(run.time_s) < FEWEST_READINGS:
+                continue
+            if not _make_scene(self, self.priors, run, Numerics()).rests_without_inputs():
+                continue
+            scene = _make_scene(self, self.priors, run, Numerics(), zero=every)
+            delay = (late * float(np.median(np.diff(run.time_s))))[:, None]
+            with torch.no_grad():
+                at_once = scene.simulate()[None]
+                for name in self.inputs:
+                    comes = late_by(delay, held=self.held[name])
+                    later = scene.changed(commands=scene.commands.changed((name,), comes))
+                    moved = torch.cat([at_once, later.simulate()])
+                    records[name].append((moved.numpy(), run.measured))
+        return frozenset(name for name in self.inputs if is_heard_at_once(records[name], sd))
 
     @property
     def step(self) -> float:
@@ -182,8 +181,7 @@ def _build_scene(
     so that no fit changes it."""
 
     def ask() -> bool:
-        scene = _make_scene(system, system.priors, run, numerics)
-        return scene.rests_without_inputs()
+        return _make_scene(system, system.priors, run, numerics).rests_without_inputs()
 
     is_from_zero = bool(system.motion.states and system.inputs) and system.from_zero(run, ask)
     zero = frozenset(system.inputs) - system.heard_before if is_from_zero else frozenset()

@@ -186,7 +186,7 @@ class OutsideScene(Scene):
         values = {name: float(v.detach()) for name, v in self.numbers.items() if name not in own}
         acting = replace(self.commands, changes=_list_acting(self.commands.changes))
         delays: dict[str, float] = {}
-        if "delays" in offers_of(model.predict_run):
+        if model.takes_delays:
             acting, delays = _without_delays(acting, tuple(self.run.command))
         heard = acting.heard(self.grid).detach().numpy()
         run = replace(self.run, command=dict(zip(self.run.command, heard, strict=True)))
@@ -209,8 +209,8 @@ def _list_acting(acts: Sequence[tuple[Any, Any]]) -> tuple[tuple[Any, Any], ...]
 
 
 def _without_delays(commands: Commands, names: Sequence[str]) -> tuple[Commands, dict[str, float]]:
-    """Commands without the delays at the end of their way, and these by name [s]: read at samples,
-    straight lines lose their corners. What a command was before the run samples alone know.
+    """Commands without the delays at the end of their way, and these by name [s]: told at samples,
+    a step that comes between them is a ramp. What a command was before the run they alone know.
 
     Args:
         commands: Of one point, with all that changes them.
@@ -277,7 +277,9 @@ class OutsideModel(SimModel):
         self.channels, self.commands, self.workers = tuple(channels), tuple(commands), workers
         self.known, self.places = tuple(known), dict(places or {})
         self.predict_run, self.one_at_a_time = source.make(), Lock()
-        if places and "force" not in offers_of(self.predict_run):
+        offers = offers_of(self.predict_run)
+        self.takes_delays = "delays" in offers
+        if places and "force" not in offers:
             raise ValueError(
                 f"hooks.force names {', '.join(places)}, but predict of simulator {source.label} "
                 "takes no force; write predict(parameters, run, force) and call "
