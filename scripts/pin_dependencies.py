@@ -46,6 +46,7 @@ def requirements() -> list[str]:
     """What the project, its extras and its build ask for, without the project itself."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     asked = list(project["project"]["dependencies"]) + list(project["build-system"]["requires"])
+    asked.append("uv")  # scripts/setup installs with it
     for extra in project["project"]["optional-dependencies"].values():
         asked += [r for r in extra if not r.startswith(project["project"]["name"])]
     return asked

@@ -4,12 +4,15 @@ import ast
 import hashlib
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from diffsim.cli import catalog
 from diffsim.core import paths
+from tests.scripts import load_script
 
 ROOT = Path(__file__).resolve().parents[1]
 SETUP = ast.parse((ROOT / "setup.py").read_text(encoding="utf-8"))
@@ -157,3 +160,39 @@ def test_all_pages_and_scripts_of_templates_are_packaged():
     patterns = re.findall(r'"templates/\*\.(\w+)"', project)
     present = {p.suffix[1:] for p in (ROOT / "diffsim" / "viz" / "templates").iterdir()}
     assert present == set(patterns)
+
+
+PIP_LISTS = """\
+:env:.cert='/etc/ssl/own.crt'
+global.extra-index-url='https://one.example/simple https://two.example/simple'
+global.find-links='/opt/wheels'
+install.find-links='/home/me/wheels /opt/wheels'
+:env:.disable-pip-version-check='1'
+wheel.no-index='1'
+"""
+
+
+def test_uv_installs_from_where_pip_would():
+    settings = load_script("uv_settings.py")
+    assert settings.environment_of(settings.settings_of(PIP_LISTS)) == {
+        "UV_INDEX_STRATEGY": "unsafe-best-match",
+        "UV_INDEX": "https://one.example/simple https://two.example/simple",
+        "UV_FIND_LINKS": "/home/me/wheels,/opt/wheels",  # the section of `pip install` is nearer
+        "SSL_CERT_FILE": "/etc/ssl/own.crt",
+    }
+
+
+@pytest.mark.parametrize("name", ["client-cert", "no-binary", "pre", "target"])
+def test_pip_installs_where_uv_has_no_twin_of_a_setting(name):
+    settings = load_script("uv_settings.py")
+    listed = f"{PIP_LISTS}global.{name}='x'\n"
+    assert settings.environment_of(settings.settings_of(listed)) is None
+
+
+def test_settings_that_pip_lists_here_are_read():
+    settings = load_script("uv_settings.py")
+    pip = [sys.executable, "-m", "pip", "config", "list"]
+    env = {**os.environ, "PIP_INDEX_URL": "https://own.example/simple", "PIP_TIMEOUT": "7"}
+    listed = subprocess.run(pip, env=env, capture_output=True, text=True, check=True).stdout
+    found = settings.settings_of(listed)
+    assert (found["index-url"], found["timeout"]) == ("https://own.example/simple", "7")
