@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from diffsim import contact, mesh, soft
+from diffsim import contact, soft
 from diffsim.core.errors import ConvergenceError
 from diffsim.soft import _ops_contact
 from tests.contact.scenes import moving, slab
@@ -121,8 +121,3 @@ def call(**changes):
 def test_the_op_checks_sizes_before_the_kernel_reads(changes, error, message):
     with pytest.raises(error, match=message):
         call(**changes)
-
-
-def test_detection_is_not_asked_of_meshes_of_another_kind():
-    with pytest.raises(TypeError, match="mesh must be a HexMesh or TetMesh"):
-        contact.check_clear([FLOOR], mesh, torch.zeros(1, 3, dtype=torch.float64))

@@ -189,12 +189,6 @@ def test_mistakes_are_named(change, message):
         Ode(**({"rates": {"x": "-x"}, "readings": {"y": "x"}} | change))
 
 
-def test_times_must_increase():
-    ode = Ode(rates={"x": "-x"}, readings={"x": "x"})
-    with pytest.raises(ValueError, match="increase"):
-        ode.solve(torch.tensor([0.0, 1.0, 1.0]).double(), torch.ones(1).double())
-
-
 @pytest.mark.parametrize(("rate", "start"), [("log(x) - 1", 0.5), ("-x**2.5 - 1", 0.1)])
 def test_a_formula_without_a_value_is_an_error_with_its_time(rate, start):
     ode = Ode(rates={"x": rate}, readings={"y": "x"})

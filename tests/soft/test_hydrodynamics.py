@@ -396,12 +396,6 @@ def test_water_velocity_per_call_and_batch():
         hydro(x, v, water_velocity=water[:2])
 
 
-def test_bad_states_and_meshes():
-    m = plate("hex")
-    with pytest.raises(TypeError, match="mesh must be a HexMesh or TetMesh, got Tensor"):
-        soft.Hydrodynamics(m.x_rest)
-
-
 # buoyancy and added mass
 
 

@@ -135,23 +135,6 @@ def test_a_table_is_a_curve_of_straight_lines():
     np.testing.assert_allclose(predicted, 2.0 * np.interp(SPEED / 100, [1, 3, 9], [0, 4, 1]))
 
 
-MISTAKES = {
-    "laws[0].name: no definition 'push'": {"laws": [{"name": "push", "of": "speed"}]},
-    "laws[0].of: formula 'sped'": {"laws": [{"name": "thrust", "of": "sped"}]},
-    "tables.a: at must increase": {
-        "tables": {"a": {"of": "speed", "at": [1, 1], "values": [0, 1]}}
-    },
-    "no key 'states' here": {"states": {"x": 0}},
-}
-
-
-@pytest.mark.parametrize("message", MISTAKES)
-def test_a_mistake_is_told_with_its_place(message):
-    with pytest.raises(ValueError) as refused:
-        setup_of(bench(model={**copy.deepcopy(MODEL), **MISTAKES[message]}))
-    assert message in str(refused.value)
-
-
 ZEROS = (0.3, -0.2, 0.15, -0.35, 0.25)  # of a scale that is tared by hand before each sweep [N]
 SWEEPS = (*(("A", "fit"),) * 4, ("A", "test"))
 

@@ -270,27 +270,6 @@ def test_hidden_causes_of_the_laboratory_are_named_and_nothing_else(cause):
     assert report.verdict == ("none" if cause is None else "named")
 
 
-WRONG = {
-    "hanging": ({"sources": [{"node": "in", "flow": "pump"}]}, "no pressure is known anywhere"),
-    "meter": ({"meters": [{"channel": "p", "flow_in": "b"}]}, "meter p: no 'b'; known: a"),
-    "sizes": (
-        {"channels": [{"name": "a", "from": "in", "to": "out", "width": 1e-4, "length": 1}]},
-        "channels[0]: channel a: give width and height, or the diameter",
-    ),
-    "unit": ({"viscosity": "5 mbar"}, "model.viscosity: unit 'mbar' is no unit"),
-    "source": ({"sources": [{"node": "in"}]}, "sources[0]: give one of flow, pressure, got none"),
-    "key": ({"chanels": []}, "did you mean 'channels'"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_keys_are_named(case):
-    keys, message = WRONG[case]
-    with pytest.raises(ValueError) as error:
-        description_of(study({**ONE, **keys}, ["p"], pump=[1e-9]))
-    assert message in str(error.value)
-
-
 def test_channels_and_commands_that_are_not_there_are_named():
     s = study(ONE, ["q"], pumps=[1e-9])
     said = "\n".join(str(p) for p in description_of(s).problems(s))

@@ -287,34 +287,6 @@ def test_slow_motors_settle_in_windows_shorter_than_their_memory():
     assert 0.6 < misfit(s) < 1.3
 
 
-WRONG = {
-    "model: frames: ": ({"frames": None}, "model.frames"),
-    "sensors.positon": (
-        {"sensors": {"positon": ["x", "y", "z"]}},
-        "no key 'positon' here; did you mean 'position'",
-    ),
-    "unit": ({"motor_lag": "40 mm"}, "model.motor_lag: unit 'mm' is no unit"),
-    "rotor": ({"rotors": [{"at": [0, 0], "spin": "cw"}]}, "model.rotors[0].at: a place needs 3"),
-    "spin": ({"rotors": [{"at": [0, 0, 0], "spin": "left"}]}, "model.rotors[0].spin"),
-    "count": ({"rotors": MODEL["rotors"][:3]}, "commands.columns names 4 columns for 3 rotors"),
-    "throttle": (
-        {"commands": {"columns": SPEEDS, "as": "throttle"}, "thrust": None},
-        "throttle needs thrust",
-    ),
-    "torque": ({"torque_ratio": None}, "give torque_ratio or torque_coefficient"),
-    "design": ({"design": "quadcopter"}, "leave these keys out"),
-    "weightless": ({"mass": 0}, "model.mass: value must be above 0, got 0"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_keys_are_named(case):
-    keys, message = WRONG[case]
-    with pytest.raises(ValueError) as error:
-        description_of(_bare({**MODEL, **keys}))
-    assert message in str(error.value)
-
-
 def test_channels_and_commands_that_do_not_fit_are_named():
     s = study()
     said = [str(p) for p in description_of(s).problems(s)]

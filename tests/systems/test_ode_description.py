@@ -452,51 +452,6 @@ def test_values_per_run_and_from_the_data():
     assert s.model.predict(moved, s.model.at_prior())[0, 0] == pytest.approx(0.5, abs=1e-9)
 
 
-MISTAKES = {
-    "rates.v: formula '(force - c*v - kk*x)/m', column 16: 'kk' is not known here": {
-        "rates": {"x": "v", "v": "(force - c*v - kk*x)/m"}
-    },
-    "rates.v: formula '(force' cannot be read at column 1": {"rates": {"x": "v", "v": "(force"}},
-    "rates: state v has no rate": {"rates": {"x": "v"}},
-    "readings: channel position_m has no formula": {"readings": {}},
-    "readings.position: no channel 'position'; did you mean 'position_m'?": {
-        "readings": {"position_m": "x", "position": "x"}
-    },
-    "inputs[0]: no command 'forc'": {"inputs": ["forc"]},
-    "places[0].velocity: no state 'w'": {"places": [{"position": "x", "velocity": "w"}]},
-    "parameters.m.sd: must be above 0": {"parameters": {"m": {"value": 1, "sd": -1}}},
-    "parameters.m: value must lie within [2, 3] kg, got 1": {
-        "parameters": {"m": {"value": "1 kg", "sd": 1, "lower": 2, "upper": 3, "unit": "kg"}}
-    },
-    "parameters.k: unit 'parsnips' is unknown": {"parameters": {"k": "3 parsnips"}},
-    "parameters.k: per: run step states no frame in its setup": {
-        "parameters": {"k": {"value": 1, "sd": 1, "per": "frame"}, "m": 1, "c": 1}
-    },
-    "define: definitions need each other in a circle: a -> b -> a": {
-        "define": {"a": "b", "b": "a"}
-    },
-    "define: 'x' is also a name of states": {"define": {"x": "1"}},
-    "effects.own[0].term: formula 'size*y'": {
-        "effects": {"own": [{"name": "a", "adds_to": "v", "term": "size*y", "typical": 1}]}
-    },
-    "effects.own[0].adds_to: 'w' is no state": {
-        "effects": {"own": [{"name": "a", "adds_to": "w", "term": "size", "typical": 1}]}
-    },
-    "effects.only: no cause 'dry_fiction'; did you mean 'dry_friction'": {
-        "effects": {"only": ["dry_fiction"]}
-    },
-    "no key 'state' here; did you mean 'states'": {"state": {}},
-}
-
-
-@pytest.mark.parametrize("message", MISTAKES)
-def test_a_mistake_is_told_with_its_place_in_the_file(message):
-    with pytest.raises(ValueError) as refused:
-        setup_of(cart_study(model=described(**MISTAKES[message])))
-    assert message in str(refused.value)
-    assert str(refused.value).startswith(("study.yaml: model", "model", "effects"))
-
-
 @pytest.mark.parametrize(
     ("level", "message"),
     [

@@ -108,27 +108,6 @@ def test_typical_drag_is_that_of_the_ball():
     assert effects["air_drag"].typical == pytest.approx(0.5 * 1.2 * 0.5 * shadow / 0.0027)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"bodies": [{"name": "ball", "sphere": "40 mm", "box": ["1 m"]}]}, "one of box, sphere"),
-        ({"bodies": [{"name": "ball"}]}, "give a box, a sphere, or mass and inertia"),
-        ({"contacts": [{"between": ["bal", "ground"]}]}, "did you mean 'ball'"),
-        ({"measures": [{"body": "ball", "pixels": ["x", "y"]}]}, "describe the ``camera``"),
-        ({"measures": [{"body": "ball", "position": {"q": "x"}}]}, "position has no 'q'"),
-        ({"gravty": 9.81}, "did you mean 'gravity'"),
-        ({"gravity": "9.81 kg"}, "gravity"),
-        ({"bodies": [{"name": "ball", "sphere": "0 mm"}]}, r"bodies\[0\].sphere: .* above 0"),
-        ({"bodies": [{"name": "box", "box": ["1 m", "-1 m", "1 m"]}]}, r"box\[1\]: .* above 0"),
-        ({"bodies": [{"name": "ball", "sphere": "1 m", "mass": "-1 kg"}]}, r"mass: .* above 0"),
-    ],
-)
-def test_mistakes_are_told_by_their_key(change, message):
-    study = bouncing()
-    with pytest.raises(ValueError, match=message.replace("(", "\\(")):
-        description_of(replace(study, model={**study.model, **change}))
-
-
 def test_channels_that_nothing_shows_are_told():
     study = bouncing()
     position = {"x": "x", "y": "why", "z": "z"}

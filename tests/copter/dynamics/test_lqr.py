@@ -251,7 +251,6 @@ def test_lyapunov_without_solution():
 @pytest.mark.parametrize(
     ("which", "value", "message"),
     [
-        (0, torch.ones(5, 4, dtype=torch.float64), "A must be square"),
         (1, torch.ones(4, 2, dtype=torch.float64), "B must have shape"),
         (2, -eye(5), "Q must be positive semidefinite, got smallest eigenvalue -1"),
         (2, torch.triu(torch.ones(5, 5, dtype=torch.float64)), "Q must be symmetric"),

@@ -73,8 +73,6 @@ def test_weight():
         ({"inertia": [[0.02, 1e-3, 0], [0, 0.022, 0], [0, 0, 0.04]]}, "asymmetry"),
         ({"directions": [[0.0, 0.0, -2.0]] + [[0.0, 0.0, -1.0]] * 3}, "rotor 0 has length 2"),
         ({"spins": [1.0, 0.5, 1.0, -1.0]}, "spins must be"),
-        ({"radii": [0.1] * 3}, "radii"),
-        ({"max_thrusts": [7.2, 7.2, 7.2, float("nan")]}, "max_thrusts"),
     ],
 )
 def test_bad_input(changes, message):

@@ -26,7 +26,7 @@ def batch(name, filled, period, use="fit"):
     return Run(name, TIME, (filled - gone + noise)[:, None], {"valve": valve}, name, use=use)
 
 
-@pytest.mark.cpu(12)  # a whole diagnosis, then another one with the laws that it found
+@pytest.mark.story  # a whole diagnosis with laws; those of a plain run: test_stage, test_ports
 def test_a_flow_that_does_not_know_the_level_is_a_power_of_it():
     """The flow's number falls with the root of the mass: a curve of the scale fits as well, but
     was bent by all runs."""

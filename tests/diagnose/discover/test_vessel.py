@@ -31,7 +31,7 @@ def filling(name, seed, use="fit"):
     return Run(name, TIME, (np.array(seen) + noise)[:, None], {"inflow": inflow}, name, use=use)
 
 
-@pytest.mark.cpu(15)  # a whole diagnosis, then another one with the laws that it found
+@pytest.mark.story  # a whole diagnosis with laws; those of a plain run: test_stage, test_ports
 def test_a_leak_is_the_root_of_the_pressure_though_the_plain_fit_left_its_sheet():
     """The plain fit triples the volume; a noisy pressure goes through zero. Neither hides it."""
     runs = [filling("a", 0), filling("b", 1), filling("c", 2, "select"), filling("d", 3, "test")]

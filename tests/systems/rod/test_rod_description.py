@@ -84,27 +84,6 @@ def test_the_description_is_complete():
     assert {"drive_loss", "tendon_friction", "clamp_tilt", "moved_tip", "tip_mass"} <= set(names)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda m: m["tendons"][0].update(command="lift"), "no command 'lift'; did you mean"),
-        (lambda m: m["markers"].pop("tip"), "tip_x: is not described"),
-        (lambda m: m["markers"]["tip"].update(at="0.4 m"), "beyond the rod's end"),
-        (lambda m: m["base"].update(across=[0, 1, 1]), "right angles"),
-        (lambda m: m["stations"][0].update(at="0.1 m"), "the first is at 0"),
-        (lambda m: m["tendons"][0].update(name="right"), "used twice"),
-        (lambda m: m["material"].update(density=0), "material.density: .* above 0"),
-        (lambda m: m.update(channels={"tip_x": {"marker": "tp", "axis": "x"}}), "no marker 'tp'"),
-    ],
-)
-def test_mistakes_are_said_with_their_place(change, said):
-    good = plain_study()
-    model = copy.deepcopy(MODEL)
-    change(model)
-    with pytest.raises(ValueError, match=said):
-        setup_of(replace(good, model=model))
-
-
 def test_a_session_that_no_run_states_is_said():
     made = study({**MODEL, "sessions": "week"})
     said = [p.message for p in description_of(made).problems(made) if p.severity == "warning"]
