@@ -5,6 +5,7 @@ From the repository's root:
 python -m benchmarks.contact_large                    a rolling sphere of 172,000 DoF, five minutes
 python -m benchmarks.contact_large --spacing 0.005    a coarser one
 python -m benchmarks.contact_large --landing 76       a drilled ball that lands, 76 cells across
+python -m benchmarks.contact_large --resting 38       a block that stands on all nodes of one side
 
 The rolling sphere is the thesis's (benchmarks/contact_scenes.py). With a contrast its half x > 0 is
 so many times stiffer. Every row is a process of its own; one thread. The first step is not counted,
@@ -32,7 +33,8 @@ from examples.applications.bouncing_ball import ABOVE, FRICTION, SPEED, holed_ba
 RTOL = 1e-4
 CONTRASTS, FRICTIONS = (1.0, 100.0), (math.inf, 0.3)
 YOUNG = 2e6  # of the softer half [Pa]
-ROLLING_STEPS = 6
+ROLLING_STEPS = RESTING_STEPS = 6
+BLOCK = 0.1  # edge of the block [m]
 LANDING_TIME, LANDING_GAP = 0.024, 2e-3  # [s], half of it in contact; of the ball's box [m]
 LIMIT = 1800.0  # of a row [s]
 
@@ -70,6 +72,14 @@ def landing(settings: dict[str, Any]) -> dict[str, Any]:
     body = rubber(type(ball)(lowered, ball.hexes), settings["dt"], settings["contrast"])
     num_steps = round(LANDING_TIME / settings["dt"])
     return measure(body, started(body, SPEED), settings["friction"], num_steps, peak)
+
+
+def resting(settings: dict[str, Any]) -> dict[str, Any]:
+    """Steps of a block on the ground, which settles under its weight."""
+    peak = reset_peak_memory()
+    block = mesh.hex_box(cells=(settings["cells"],) * 3, size=(BLOCK,) * 3)
+    body = rubber(block, settings["dt"], settings["contrast"])
+    return measure(body, started(body, (0.0, 0.0, 0.0)), settings["friction"], RESTING_STEPS, peak)
 
 
 def measure(
@@ -121,14 +131,16 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--spacing", type=float, default=0.00271, help="of the sphere's cells [m]")
     parser.add_argument("--landing", type=int, help="the drilled ball instead, cells across")
-    parser.add_argument("--dt", type=float, default=2e-3, help="of the landing [s]")
+    parser.add_argument("--resting", type=int, help="the block instead, cells along an edge")
+    parser.add_argument("--dt", type=float, default=2e-3, help="of landing and resting [s]")
     parser.add_argument("--contrast", type=float, nargs="+", default=CONTRASTS)
     args = parser.parse_args(argv)
     print("| scene | DoF | nodes | a step in contact, CPU s | longest | backward | factors | GiB |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     scene, frictions, size = rolling, FRICTIONS, {"spacing": args.spacing}
-    if args.landing:
-        scene, frictions, size = landing, (FRICTION,), {"cells": args.landing, "dt": args.dt}
+    for other, cells in ((landing, args.landing), (resting, args.resting)):
+        if cells:
+            scene, frictions, size = other, (FRICTION,), {"cells": cells, "dt": args.dt}
     for friction in frictions:
         for contrast in args.contrast:
             settings = {"contrast": contrast, "friction": friction, **size}
