@@ -324,7 +324,7 @@ def _judge(args: argparse.Namespace) -> None:
     require_same_kind(saved, study)
     inputs, _ = _inputs(args, saved.framed(study))
     found = judge_saved(inputs, saved, args.runs)
-    for line in found.differences:
+    for line in filter(None, (*found.differences, found.left_out_words)):
         print(line)
     heads = (f"{h:>9}" for h in JUDGED_ERRORS)
     print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")

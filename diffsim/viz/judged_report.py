@@ -85,6 +85,7 @@ def _collect_predictions(found: Unseen, study: Study, *, extended: bool) -> list
 def _errors(found: Unseen) -> page.Section:
     text = [f"Run {name} could not be simulated: {why}" for name, why in found.failed.items()]
     outside = tables.outside(found.outside, "judge.json")
+    text += [found.left_out_words] if found.left_out else []
     text += [*found.differences, *no_skill_words(found.errors), *own_words(found.own)]
     if not outside and found.errors:
         text.append("All runs lie inside of what was fitted.")
