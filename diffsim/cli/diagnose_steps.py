@@ -324,7 +324,7 @@ def _judge(args: argparse.Namespace) -> None:
     require_same_kind(saved, study)
     inputs, _ = _inputs(args, saved.framed(study))
     found = judge_saved(inputs, saved, args.runs)
-    for line in found.differences:
+    for line in filter(None, (*found.differences, found.left_out_words)):
         print(line)
     heads = (f"{h:>9}" for h in JUDGED_ERRORS)
     print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
@@ -341,7 +341,8 @@ def _judge(args: argparse.Namespace) -> None:
         single = {} if len(found.gains) < 2 else {f"Run {n}": g for n, g in found.gains.items()}
         for what, gain in {**single, **{f"Runs {n}": g for n, g in found.kinds.items()}}.items():
             share = f"{gain.value:.0%} ({gain.low:.0%} to {gain.high:.0%})"
-            print(f"{what}: {share} of the error above the noise is removed: {gain.status}")
+            said = f"{share} of the error above the noise is removed: " if gain.has_share else ""
+            print(f"{what}: {said}{gain.status}")
         print(found.gain.words)
     for line in cause_words(found.causes, {name: words_of(name) for name in found.causes}):
         print(line)

@@ -39,16 +39,20 @@ def error_numbers(errors: Sequence[ErrorRow]) -> list[page.Number]:
     return shown
 
 
-def gain_number(gain: Gain) -> page.Number:
-    """The gain on test runs as a key figure."""
-    return page.Number(
-        label=f"share of the error above the noise removed on test runs: {gain.status}",
-        value=f"{100 * gain.value:.0f}",
-        unit="%",
-        note=f"90 % interval {100 * gain.low:.0f} to {100 * gain.high:.0f} %"
-        + (_beyond_all(gain) if gain.value > 1.0 else ""),
-        tone=_TONES.get(gain.status, "fair"),
-    )
+def gain_numbers(gain: Gain | None) -> list[page.Number]:
+    """The gain on test runs as a key figure; none where a share says nothing."""
+    if gain is None or not gain.has_share:
+        return []
+    return [
+        page.Number(
+            label=f"share of the error above the noise removed on test runs: {gain.status}",
+            value=f"{100 * gain.value:.0f}",
+            unit="%",
+            note=f"90 % interval {100 * gain.low:.0f} to {100 * gain.high:.0f} %"
+            + (_beyond_all(gain) if gain.value > 1.0 else ""),
+            tone=_TONES.get(gain.status, "fair"),
+        )
+    ]
 
 
 def _beyond_all(gain: Gain) -> str:

@@ -24,7 +24,7 @@ from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_laws import laws_section
 from diffsim.viz.diagnosis_motion import moving_runs
-from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_number, runs_section
+from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_numbers, runs_section
 from diffsim.viz.diagnosis_series import (
     CONFOUNDED,
     PredictedRun,
@@ -146,7 +146,7 @@ def _numbers(r: Report) -> list[page.Number]:
         note=LIKELY_ONLY[r.verdict] if is_likely_only else MEANINGS[r.verdict],
         tone="fair" if is_likely_only else TONES[r.verdict],
     )
-    gained = [] if r.gain is None else [gain_number(r.gain)]
+    gained = gain_numbers(r.gain)
     return [verdict, *error_numbers(r.errors), *gained, *band_numbers(r.errors)]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from diffsim.core.figures import figure, unit_of, with_sd
 from diffsim.data.study import Channel, Study
 from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import own_words
 from diffsim.diagnose.judge.records import no_skill_words
 from diffsim.diagnose.judge.rivals import cause_words
@@ -17,7 +18,7 @@ from diffsim.identify.model_file import SavedModel
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
-from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_number, runs_section
+from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_numbers, runs_section
 from diffsim.viz.diagnosis_series import PredictedRun, with_noise
 
 
@@ -41,7 +42,7 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
     sd = {name: entry["sd"] for name, entry in saved.facts["noise"].items()}
     channels = with_noise(study.channels, sd)
     runs = _collect_predictions(found, study, extended=bool(saved.components))
-    gained = [] if found.gain is None or not saved.components else [gain_number(found.gain)]
+    gained = gain_numbers(found.gain) if saved.components else []
     sections = [_gains(found, saved), _errors(found)]
     if runs:
         sections += [
@@ -85,6 +86,7 @@ def _collect_predictions(found: Unseen, study: Study, *, extended: bool) -> list
 def _errors(found: Unseen) -> page.Section:
     text = [f"Run {name} could not be simulated: {why}" for name, why in found.failed.items()]
     outside = tables.outside(found.outside, "judge.json")
+    text += [found.left_out_words] if found.left_out else []
     text += [*found.differences, *no_skill_words(found.errors), *own_words(found.own)]
     if not outside and found.errors:
         text.append("All runs lie inside of what was fitted.")
@@ -100,7 +102,7 @@ def _gains(found: Unseen, saved: SavedModel) -> page.Section:
             title=title, text=["The saved model names no cause: it is the plain one."]
         )
     rows = [
-        [name, f"{100 * g.value:.0f}", f"{100 * g.low:.0f} to {100 * g.high:.0f}", g.status]
+        [name, *_share_cells(g), g.status]
         for name, g in {**found.gains, **{f"all {n}": g for n, g in found.kinds.items()}}.items()
     ]
     table = page.Table(
@@ -111,6 +113,13 @@ def _gains(found: Unseen, saved: SavedModel) -> page.Section:
     )
     text = cause_words(found.causes, {name: words_of(name) for name in found.causes})
     return page.Section(title=title, text=text, content=[table] if rows else [])
+
+
+def _share_cells(gain: Gain) -> tuple[str, str]:
+    """A gain and its interval in percent; dashes where a share says nothing."""
+    if not gain.has_share:
+        return "–", "–"
+    return f"{100 * gain.value:.0f}", f"{100 * gain.low:.0f} to {100 * gain.high:.0f}"
 
 
 def _build_misfit_section(

@@ -17,7 +17,7 @@ from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.gain import held_out_residual
-from diffsim.diagnose.judge.records import ErrorRow, no_skill_words
+from diffsim.diagnose.judge.records import ErrorRow, OutsideRow, no_skill_words
 from diffsim.diagnose.judge.rivals import beside_no_skill
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.refit import extend, fit_null
@@ -155,6 +155,23 @@ def test_what_was_fitted_proves_nothing(model_folder, study, tmp_path):
         judge_saved(inputs, saved)
     with pytest.raises(ValueError, match="--runs must be one of"):
         judge_saved(inputs, saved, ["old_name"])
+
+
+def test_runs_that_a_first_answer_left_out_are_called_so(study, model_folder):
+    """Judged like tests, they passed for runs that nobody had meant to fit."""
+    saved, run = read_extended(model_folder), study.fit_runs[0]
+    seen = {name: k for name, k in saved.facts["seen_runs"].items() if name != run.name}
+    saved = replace(saved, facts={**saved.facts, "seen_runs": seen})
+    inputs = inputs_of(study, seed=0, setup_file=Path(SETUP))
+    found = judge_saved(inputs, saved, [run.name, study.test_runs[0].name])
+    assert found.left_out == (run.name,) == tuple(found.to_dict()["left_out"])
+    assert found.left_out_words == (
+        "1 of 2 runs here have use: fit, but the saved model was not fitted to them: unseen, of "
+        "kinds that were fitted."
+    )
+    new = OutsideRow(run.name, "payload_kg", 0.5, 0.1, 0.2, 7.0)
+    assert replace(found, outside=(new,)).left_out_words.endswith("fitted to them: unseen.")
+    assert not replace(found, left_out=()).left_out_words
 
 
 def test_a_part_of_what_was_fitted_proves_nothing(model_folder, study):

@@ -143,5 +143,15 @@ def test_a_judgment_praises_no_gain_that_is_not_there():
     unsure = judged_headline([error("a")], Gain(0.2, -0.1, 0.5, 2.0, 9), extended=True)
     assert unsure == (
         "With the extended model the error on unseen runs falls from 2.5 to 1.1 mm, noise 1 mm. "
-        "Not certain: no gain is confirmed on unseen runs."
+        "Not certain: the gain may be chance on unseen runs."
     )
+
+
+def test_a_share_of_next_to_nothing_is_no_number():
+    """A card "nothing to gain" showed 0 %, with an interval up to 577 %."""
+    nothing = Gain(0.0, 0.0, 5.77, -0.08, 80)
+    page = judgment_page(found(gain=nothing, gains={"slow": nothing, "fast": GAIN}), STUDY, SAVED)
+    assert [n.value for n in page.numbers] == ["1.1"]
+    (gains,) = sections(page)["Gain, run by run"].content
+    assert gains.rows[0] == ["slow", "–", "–", "nothing to gain"]
+    assert gains.rows[1][1:3] == ["90", "70 to 110"]

@@ -299,14 +299,20 @@ def budget_gates(
         )
         yield GateResult(PLAIN, False, 0.0, 0.0, note, applies=False)
     if num_unscanned:
-        most = f"{settings.scan_steps:,.0f} steps or {settings.scan_points} sizes"
+        most = f"{_steps_words(settings.scan_steps)} or {settings.scan_points} sizes"
         note = f"groups of causes not tried over decades: {most} were spent before"
         yield GateResult(SCANS, False, float(num_unscanned), 0.0, note, applies=False)
     if num_unfitted:
         steps = min(settings.scan_steps, settings.refit_steps)
-        most = f"{steps:,.0f} steps or {settings.max_rounds} moves to a better set"
+        most = f"{_steps_words(steps)} or {settings.max_rounds} moves to a better set"
         note = f"{num_unfitted} rival sets were not refitted, as {most} were spent"
         yield GateResult(LATE, False, float(num_unfitted), 0.0, note, applies=False)
+
+
+def _steps_words(steps: float) -> str:
+    """A budget; a search that begins when all is spent, as one with a law among the causes, has 1
+    for what it must do."""
+    return f"{steps:,.0f} steps" if steps > 1.0 else "all steps"
 
 
 def law_gate(steps: float) -> GateResult:

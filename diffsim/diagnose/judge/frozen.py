@@ -113,7 +113,8 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
     found = compare(plain, half_widths=half_widths)
     causes = {name: compare(other) for name, other in zip(bare, others, strict=True)}
     errors = beside_no_skill(found, study)
-    return replace(found, errors=errors, differences=said, causes=causes)
+    left_out = tuple(run.name for run in runs if run.use == "fit")
+    return replace(found, errors=errors, differences=said, causes=causes, left_out=left_out)
 
 
 def _half_widths(

@@ -92,6 +92,11 @@ class Gain:
         return self.num_blocks >= MIN_BLOCKS and min(self.low, self.value) > 0.0
 
     @property
+    def has_share(self) -> bool:
+        """Whether its share says anything: of next to nothing any share can be removed."""
+        return self.status not in ("nothing to gain", "cannot be judged")
+
+    @property
     def is_below_noise(self) -> bool:
         """Whether so much is removed that the noise must be less than was stated; of a small excess
         a share says little, so what is left must be below the noise as well."""

@@ -246,9 +246,10 @@ def why_unconfirmed(total: Gain) -> str:
     if total.status == "confirmed":
         return ""
     far, what = total.farthest
-    is_bought = far > FAR_OFF and total.is_above_zero
-    bought = f"with {what} {figure(far, 2)} standard deviations off, " if is_bought else ""
-    return f"{bought}no gain is confirmed"
+    if far > FAR_OFF and total.is_above_zero:
+        return f"the gain needs {what} {figure(far, 2)} standard deviations off"
+    # beside an error that falls "no gain" would contradict itself
+    return "the gain may be chance" if total.value > 0.0 else "no gain is confirmed"
 
 
 def _evidence_does_without(g: Grounds, i: int) -> str:

@@ -226,6 +226,8 @@ class Unseen:
             a letter at their end.
         causes: By name of a cause, the extended model without it as the plain one; empty where
             nothing was asked of single causes.
+        left_out: Runs that their study gives to be fitted, which this model was not fitted to: a
+            first answer leaves out some of many.
     """
 
     runs: tuple[str, ...]
@@ -242,6 +244,19 @@ class Unseen:
     differences: tuple[str, ...] = ()
     kinds: Mapping[str, Gain] = field(default_factory=dict)
     causes: Mapping[str, Unseen] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def left_out_words(self) -> str:
+        """What ``left_out`` proves, in a sentence; empty where there is none."""
+        if not self.left_out:
+            return ""
+        beyond = {row.run for row in self.outside if row.is_fact}
+        kinds = "" if beyond & set(self.left_out) else ", of kinds that were fitted"
+        return (
+            f"{len(self.left_out)} of {len(self.runs)} runs here have use: fit, but the saved "
+            f"model was not fitted to them: unseen{kinds}."
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Content of ``judge.json``."""
@@ -263,6 +278,7 @@ class Unseen:
             "outside": [asdict(row) for row in self.outside],
             "fitted": [asdict(row) for row in self.own],
             "differences": list(self.differences),
+            "left_out": list(self.left_out),
             "num_spikes": self.num_spikes,
             "num_misread": self.num_misread,
             "failed": dict(self.failed),

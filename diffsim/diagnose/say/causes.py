@@ -432,7 +432,9 @@ def _unknown_rows(known: CauseEvidence) -> list[CauseRow]:
             status = CERTAIN if is_sure else LIKELY if p >= PROBABLE else UNTOLD
             named = tuple(known.effects[i].name for i in sorted(decision.best))
             rivals = named if status == UNTOLD else ()
-            row = CauseRow(cause.name, cause.name, UNKNOWN, status, p, {}, "-", rivals=rivals)
+            row = CauseRow(
+                cause.name, words_of(cause.name), UNKNOWN, status, p, {}, "-", rivals=rivals
+            )
             why = known.doubts_of_fit if is_verdict and status == LIKELY else ()
             rows.append(replace(row, doubts=why))
     return rows

@@ -10,7 +10,7 @@ from typing import Any
 from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
 from diffsim.core.files import to_plain, write_json_atomic
-from diffsim.data.study import Study
+from diffsim.data.study import USES, Study
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.band import Band
@@ -166,6 +166,7 @@ class Report(Answer):
             plain[name] = None if value is None else asdict(value)
         plain["band"] = None if self.band is None else self.band.to_dict()
         plain["study"], plain["model"] = self.study.name, self.model.name
+        plain["runs"] = {use: [r.name for r in self.study.runs_for(use)] for use in USES}
         for name in ("null", "best"):
             plain[name] = fit_to_dict(getattr(self, name))
         return to_plain(plain)

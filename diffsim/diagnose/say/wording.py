@@ -27,6 +27,7 @@ from diffsim.diagnose.checks.gates import (
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.apart import ALL
+from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import EXPLAINED, Decision
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER as ONLY_FIRST
@@ -220,7 +221,7 @@ def capital(text: str) -> str:
 def opened(name: str) -> str:
     """A name at the begin of a sentence; m and M are two parameters, "a pulse" is a cause."""
     first = name.partition(" ")[0]
-    return name if len(first) <= 2 and first != "a" else capital(name)
+    return name if len(first) <= 2 and first not in ("a", "an") else capital(name)
 
 
 def sentences(
@@ -256,8 +257,7 @@ def sentences(
     if np.isnan(answer.floor.scatter_ratio).all():
         out.append("Repeatability was not judged: that needs repeats and a stated sensor noise.")
     out += [
-        f"A check failed: {g.name.replace(':', ' of ').replace('_', ' ')} {figure(g.value)}, "
-        f"wanted {g.limit:g} ({g.note})."
+        _failed_check(g)
         for g in answer.gates
         if g.applies
         and not g.passed
@@ -269,6 +269,14 @@ def sentences(
     first = (COARSE, PLAIN, SCANS, LATE, LAWS)
     out += [f"A first answer: {g.note}." for g in answer.gates if g.name in first]
     return tuple(out)
+
+
+def _failed_check(gate: GateResult) -> str:
+    """A failed check: what it asks, and how far off it is where that is a number."""
+    name = gate.name.replace(":", " of ").replace("_", " ")
+    if (gate.value, gate.limit) == (0.0, 1.0):
+        return f"A check failed: {name} ({gate.note})."
+    return f"A check failed: {name} {figure(gate.value)}, wanted {gate.limit:g} ({gate.note})."
 
 
 def _first(answer: Answer) -> str:
@@ -420,7 +428,8 @@ def _rest(answer: Answer) -> list[str]:
     decision, out = answer.decision, []
     if answer.verdict in ("ambiguous", "named", "unknown"):
         beside = [
-            f", {figure(v, 2)} with an {name} beside" for name, v in answer.with_unknown.items()
+            f", {figure(v, 2)} with an {words_of(name)} beside"
+            for name, v in answer.with_unknown.items()
         ]
         out.append(f"The fit leaves {figure(answer.left, 2)} times the noise{''.join(beside)}.")
     open_ = [r for r in effects_of(answer) if r.status not in (CERTAIN, LIKELY) and r.rivals]
@@ -435,8 +444,8 @@ def _rest(answer: Answer) -> list[str]:
         )
     if answer.beside:
         out.append(
-            f"With an {answer.beside} the evidence is {decision.lead:.0f} nats better: the names "
-            "carry most of the misfit, but the record holds more than the library does."
+            f"With an {words_of(answer.beside)} the evidence is {decision.lead:.0f} nats better: "
+            "the names carry most of the misfit, but the record holds more than the library does."
         )
     return out
 

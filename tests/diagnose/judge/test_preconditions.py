@@ -126,7 +126,8 @@ BROKEN = {
     "first answer": lambda g: with_search(g, num_late=1),
     "is 4 times the noise": lambda g: replace(g, fit=replace(g.fit, chi2=16.0 * g.fit.num_samples)),
     "24 standard deviations off": lambda g: replace(g, base=[own_value(24.0)]),
-    "no gain is confirmed": lambda g: with_judgment(g, gain=gained(0.3, -0.1, 0.6)),
+    "no gain is confirmed": lambda g: with_judgment(g, gain=gained(-0.1, -0.3, 0.6)),
+    "the gain may be chance": lambda g: with_judgment(g, gain=gained(0.3, -0.1, 0.6)),
     "no gain by it": lambda g: with_judgment(g, gains={0: gained(0.3, 0.0, 0.6, fall=-0.1)}),
     "could not be tested on what was not fitted": lambda g: with_judgment(g, gain=None, gains={}),
     "the others explain nearly as much without it": lambda g: with_posterior(
