@@ -34,7 +34,7 @@ from diffsim.systems.outside.mjcf_payloads import put_payload, put_unbalance, re
 KINDS = {
     "body": ("mass", "inertia", "pos", "payload", "payload_at", "unbalance"),
     "joint": ("damping", "armature", "frictionloss", "stiffness", "start", "start_rate"),
-    "actuator": ("kp", "kv", "gain", "gainprm", "biasprm", "forcerange", "weakness", "delay"),
+    "actuator": ("kp", "kv", "gain", "gainprm", "biasprm", "forcerange", "delay", "weakness"),
 }
 WORLD = ("gravity", "density", "viscosity")
 FIRST = ("mass", "kp", "gain", "forcerange")  # set before what others say of the same arrays
