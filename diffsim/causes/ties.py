@@ -93,7 +93,7 @@ def ties(members: Sequence[Member], what: str) -> Iterator[Effect]:
         # a name without a unit where there is none, or where a time is the size
         is_plain = unit is None or unit == "s" or found == everything
         ending = "" if is_plain else f"_in_{spell_plainly(unit or '')}"
-        name = f"{row}_{what}" if row.endswith("_at") else f"{row}_of_{what}"
+        name = f"{row}_{what}" if row.endswith(("_at", "_of")) else f"{row}_of_{what}"
         yield tie([m.effect for m in own], name + ending)
 
 

@@ -61,7 +61,7 @@ _ACTUAL = r"measured|meas|ist|istwert|actual|present|observed|obs|feedback"
 #: Sensors by their names, and motion by names that mean it with a unit of motion.
 SENSOR = re.compile(
     rf"(^|_)({_ACTUAL}|observations?|gyro|acc|accel|accelerometer|imu|mocap|vicon|optitrack|"
-    r"encoder|odom|gps|baro|bat|battery|emf|temp|temperature)(_|\d|$)",
+    r"encoder|odom|gps|baro|bat|battery|emf|temp|temperatur[ea]?|température)(_|\d|$)",
     re.I,
 )
 _MOTION = re.compile(

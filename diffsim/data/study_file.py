@@ -49,7 +49,7 @@ from diffsim.data.study_schema import ChannelEntry, CommandEntry, StudyFile
 
 STUDY_FILE = "study.yaml"
 MAX_LINES = 20  # of problems; more of them say no more
-_TABLES = ("*.csv", "*.tsv", "*.txt", "*.dat")
+_TABLES = ("*.csv", "*.tsv", "*.txt", "*.dat", "*.log", "*.asc")
 _KINDS = {
     "m": "position",
     "rad": "angle",

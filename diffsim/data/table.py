@@ -189,9 +189,12 @@ def _number_rows(
         if len(row) == len(header) + 1 and not row[-1].strip():
             row = row[:-1]  # loggers end a row with a delimiter
         if len(row) != len(header):
+            if row[0].lstrip().startswith("#"):
+                continue  # a remark of the logger
             raise ValueError(
                 f"{path}, row {line}: {len(row)} cells, but the header has {len(header)} "
-                "columns; a cell without a value must still have its comma"
+                "columns; a cell without a value must still have its comma, a line of text begin "
+                "with #"
             )
         if comma_is_point:
             row = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row]

@@ -13,7 +13,7 @@ from diffsim.data.table import cells_of, delimiter_of, is_list, names_of, open_t
 
 FIRST_LINES = 60  # in which the header must be
 FEWEST_ROWS = 5  # of numbers, that a file without a header must have
-TABLES = (".csv", ".tsv", ".txt", ".dat")
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".asc")
 _PLACE = "column_{}"  # name of a column without any
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
 _ENTRY = re.compile(r"^(.*[^\]])((?:\[\d+\])+)$")

@@ -38,7 +38,7 @@ from diffsim.diagnose.discover.stage import Begin, FoundLaws, at_data_sheet, fin
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, SURE_SD
 from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
@@ -468,7 +468,9 @@ def _answer(
     null, checks, simulations = _check_null(null, gates, cache, once)
     at = checks.center.evidence
     screened = screen(at)
-    is_coarse = could_be_misfit(null.fit, checks.gates)
+    # where nothing is left, refined settings leave more: they are no part of a misfit
+    left, spread = null.fit.chi2 - null.fit.num_samples, math.sqrt(2.0 * null.fit.num_samples)
+    is_coarse = left > SURE_SD * spread and could_be_misfit(null.fit, checks.gates)
     if is_coarse and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         return _Answer(report_of(null, checks, Judgment(decision), screened, seed, bank))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from diffsim import cli
 from diffsim.data import load_study
@@ -735,3 +736,33 @@ def test_a_unit_of_the_clock_that_is_guessed_says_how_long_runs_would_be(tmp_pat
     assert said == (
         "time.unit: column Time states none; ms is a guess by its steps: r0.csv would take 0.59 s"
     )
+
+
+def test_a_serial_log_with_remarks_is_a_table(tmp_path):
+    """A banner above the names, a remark between rows: `.log` was no table, a remark an error."""
+    rows = [f"{2000 * k},{20.0 + 0.1 * (k % 7):.2f},{0.6 * (k % 9 < 4):.1f}" for k in range(60)]
+    rows.insert(31, "# wifi reconnect, 2 tries")
+    text = "\n".join(["boot: mode 3", "millis,probe_C,pwm", *rows]) + "\n"
+    (tmp_path / "boiler.log").write_text(text)
+    assert init(tmp_path, "--system", "ode") == 0
+    text = (tmp_path / "study.yaml").read_text()
+    assert "file: boiler.log" in text and "{name: pwm" in text.partition("commands:")[2]
+
+
+def test_a_temperature_beside_a_motor_is_no_command(tmp_path):
+    """It rose by its last digit: "held for many samples", and all runs were repeats of one."""
+    for k in range(4):
+        current = 2.0 * np.sin(0.03 * (k + 1) * T) + noisy(k, 0.01)
+        speed = np.cumsum(current) + noisy(9 + k, 0.5)
+        warm = np.round(24.0 + 5e-4 * T, 1)
+        columns = (T, speed, current, warm)
+        names = "Zeit [s];Drehzahl [1/min];Strom [A];Temperatur [°C]"
+        write(tmp_path / f"Messung_{k}.csv", names, columns, ";", ",")
+    assert init(tmp_path, "--system", "ode") == 0
+    stated = load_text(tmp_path)
+    assert [c["name"] for c in stated["commands"]] == ["Strom"]
+    assert not any("repeat_of" in run for run in stated["runs"])
+
+
+def load_text(folder: Path) -> dict:
+    return yaml.safe_load((folder / "study.yaml").read_text())

@@ -297,7 +297,7 @@ def test_what_a_drive_can_do_at_most_is_a_number_of_the_model(tmp_path):
     numbers = yaml.safe_load((folder / "study.yaml").read_text())["model"]["parameters"]
     assert numbers["joint.shoulder.armature"] == {"value": 0.02, "percent": 50}
     assert numbers["actuator.m1.kv"] == {"value": 4.0, "percent": 50}
-    assert numbers["actuator.m1.forcerange"] == {"value": 2.5, "percent": 20}
+    assert numbers["actuator.m1.forcerange"] == {"value": 2.5, "percent": 10}
     assert "actuator.m2.forcerange" not in numbers
     assert load_study(folder).model is not None
 

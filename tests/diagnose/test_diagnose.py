@@ -96,6 +96,13 @@ def test_coarse_time_step_is_numerical():
     assert not gate.passed and gate.value > 2.0
 
 
+def test_a_step_that_leaves_nothing_is_no_misfit(monkeypatch):
+    """A servo in MuJoCo that its own step explains to the noise was `numerical`: refined steps move
+    friction, and then explain it no more."""
+    monkeypatch.setattr("diffsim.diagnose.diagnosis.could_be_misfit", lambda fit, gates: True)
+    assert solve(11).verdict == "none"
+
+
 def test_a_coarse_step_ends_an_answer_only_where_it_could_be_the_misfit():
     failed = GateResult("time_step", False, 3.0, 2.0, "")
     gates = (failed, GateResult("data", False, 99.0, 1.0, ""))

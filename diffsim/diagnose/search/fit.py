@@ -32,13 +32,14 @@ from diffsim.diagnose.checks.numerics import (
     refine_within,
 )
 from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.scan import groups, num_points
 from diffsim.diagnose.search.store import Store
 from diffsim.identify import Fit, Problem, Whitener, WhiteNoise
 from diffsim.identify.correction import Correction
 from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import Linearization, linearization_at, residuals_by_run
-from diffsim.identify.model import NOTHING, SimModel, Work
+from diffsim.identify.model import NOTHING, SimModel, Work, slopes_are_simulated
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown
 
@@ -369,10 +370,11 @@ def check_numerics(null: Null) -> RefinedNull | None:
         numerics, finer, found, ratio = refine_within(
             null.fit, settings.refine_budget, changes, gates, once
         )
-        if names_of_failed(found) and not could_be_misfit(null.fit, gates):
+        finest = replace(null.wide, numerics=numerics)
+        is_in_vain = bool(names_of_failed(found)) or _leaves_no_scans(finest, settings)
+        if is_in_vain and not could_be_misfit(null.fit, gates):
             break
-        table = replace(null.wide, numerics=numerics).cost_of_table()
-        if table > TABLE_SHARE * settings.search.refit_steps:
+        if finest.cost_of_table() > TABLE_SHARE * settings.search.refit_steps:
             return None
         changes, gates = finer, found
         paid = max(paid, ratio)
@@ -386,6 +388,16 @@ def check_numerics(null: Null) -> RefinedNull | None:
     return RefinedNull(
         null, changes, note_numerics(gates, null.fit.problem.numerics, paid, settings.refine_budget)
     )
+
+
+def _leaves_no_scans(finer: Problem, settings: DiagnosisSettings) -> bool:
+    """Whether sizes over decades would take, with finer settings and slopes that are simulations,
+    what is for them: what is missing is found first, and settings are checked again with it."""
+    if not slopes_are_simulated(finer.model):
+        return False
+    tried = groups(finer.effects, frozenset(), settings.search.max_effects)
+    points = sum(num_points([finer.effects[i] for i in group]) for group in tried)
+    return finer.cost_of_table(points) > TABLE_SHARE * settings.search.refit_steps
 
 
 def refit_under(null: Null, numerics: Numerics) -> Null:

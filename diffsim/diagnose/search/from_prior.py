@@ -34,7 +34,7 @@ PAIRED = 12  # causes that are best alone, each paired with every other
 
 
 def is_prior_too_dear(
-    simulations: Simulations, settings: SearchSettings, *, with_scans: bool = False
+    simulations: Simulations, settings: SearchSettings, *, most_scanned: int = 0
 ) -> bool:
     """Whether slopes at the prior, which nobody simulated yet, would take all that is left: a table
     of which nothing is fitted is in vain.
@@ -42,16 +42,20 @@ def is_prior_too_dear(
     Args:
         simulations: Simulations made so far.
         settings: Effort of the search.
-        with_scans: Whether they with all scans would take what is for both and fits from there.
+        most_scanned: Number of effects that are scanned together, at most; 0: none are. With
+            them it is what is for scans and slopes, and fits from there.
     """
     wide, spent = simulations.wide, simulations.scan_steps
-    points, share = 0, FROM_PRIOR if with_scans else 1.0
+    points, share = 0, FROM_PRIOR if most_scanned else 1.0
     left = min(settings.scan_steps - spent, share * settings.refit_steps)
-    if with_scans:
-        tried = groups(wide.effects, NONE, settings.max_effects)
+    if most_scanned:
+        tried = groups(wide.effects, NONE, most_scanned)
         points = sum(num_points([wide.effects[i] for i in group]) for group in tried)
         points = min(points, settings.scan_points)
-    is_made = bool(simulations.prior_scans) if with_scans else simulations.at_prior is not None
+    is_made = simulations.at_prior is not None
+    if most_scanned:
+        together = min(most_scanned, 2)
+        is_made = any(len(group) >= together for _, group in simulations.prior_scans)
     return not is_made and wide.cost_of_table(points) > left
 
 
@@ -74,14 +78,19 @@ def center_at_prior(
     x = np.clip(np.zeros(len(wide.names)), *wide.bounds)
     # kept apart: scans are known by the set that they start from, here as at the plain model's fit
     apart = replace(simulations, scans=simulations.prior_scans, place=" at the data sheet")
-    is_short = is_prior_too_dear(simulations, settings, with_scans=True)
-    settings = replace(settings, scan_steps=simulations.scan_steps + budget)
+    # what alone has a threshold, such as a limit, comes before pairs: its slope at zero is zero
+    sizes = (settings.max_effects, 1)
+    affordable = (n for n in sizes if not is_prior_too_dear(simulations, settings, most_scanned=n))
+    most = next(affordable, 0)
+    settings = replace(
+        settings, scan_steps=simulations.scan_steps + budget, max_effects=max(most, 1)
+    )
     try:
         at = simulations.at_prior or apart.remembered(
             f"slopes{apart.place}", lambda: _slopes(wide, x)
         )
         center, made = apart.center(NONE, at, num_families), apart
-        if not is_short:
+        if most:
             center, made = apart.scanned(center, settings, num_families)
     except DiffsimError:
         return None, simulations

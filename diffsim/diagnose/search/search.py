@@ -53,6 +53,7 @@ MAX_MENDED = 3  # fits of the best set, each with better slopes along weak direc
 # of the plain model's misfit, that a cause takes by its slopes to be fitted alone
 MOST_OF_PLAIN = 0.5
 MAX_ALONE = 8  # of these
+WRONG_SHEET = 3.0  # the same, from which it may be a finding that a data sheet is wrong
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 
 
@@ -265,9 +266,45 @@ def fitted_exactly(search: Search, members: Members) -> Search:
         if better is at:
             break
         at, is_exact = better, False
+    if model.moves and not slopes_are_simulated(model) and _leaves_sheets(fit):
+        made, fit = _fitted_along_weak(made, members, fit, until)
     if made is search.simulations:
         return search
     return replace(search, simulations=made).with_fit(members, fit)
+
+
+def _leaves_sheets(fit: Fit) -> bool:
+    """Whether a fit would say that a data sheet is wrong."""
+    base = zip(fit.problem.model.base, fit.x, strict=False)
+    return any("@" not in p.name and abs(x) > WRONG_SHEET for p, x in base)
+
+
+def _fitted_along_weak(
+    made: Simulations, members: Members, fit: Fit, until: float
+) -> tuple[Simulations, Fit]:
+    """A set fitted on by steps along weak directions: where all forces may be larger by one factor,
+    slopes across edges, wrong by a percent, hold a fit far from its data sheets.
+
+    Args:
+        made: Simulations made so far, the set's fit among them.
+        members: Effects of the set, by index.
+        fit: Its fit.
+        until: Count of weighted steps after which no further step is tried.
+    """
+    tally = made.wide.model.simulations
+    for _ in range(MAX_MENDED):
+        here, start = made.along_weak(members)
+        if start is not None and tally.steps < until:
+            after, end = made.fitted_from(members, start, np.inf, most=until - tally.steps)
+            if after.chi2 + after.prior < fit.chi2 + fit.prior - 2.0 * FIT_NATS:
+                made, fit = made.kept(members, end), after
+                continue
+        # right slopes say how little is known along such directions
+        after, end = made.fitted_from(members, here, np.inf, most=max(until - tally.steps, 0.0))
+        if after.chi2 + after.prior <= fit.chi2 + fit.prior + 2.0 * FIT_NATS:
+            made, fit = made.kept(members, end), after
+        break
+    return made, fit
 
 
 def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE) -> Search:

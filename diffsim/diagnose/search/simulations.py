@@ -23,7 +23,7 @@ from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.located import course_at, scan_located
 from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
 from diffsim.diagnose.search.store import Arrays, Store, gauss_newton_kept, packed, unpacked
-from diffsim.diagnose.search.weak_slopes import descended, mended
+from diffsim.diagnose.search.weak_slopes import descended, mended, stepped
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.effort import SearchSettings
@@ -193,6 +193,17 @@ class Simulations:
             return here if better is at else replace(here, columns=better.columns)
         better = descended(narrow, at)
         return here if better is at else self.kept(members, better).fitted[members]
+
+    def along_weak(self, members: Members) -> tuple[Linearization, Linearization | None]:
+        """A fitted set's linearization with right slopes along weak directions, and where these
+        lead; None: nowhere."""
+        here, narrow = self.fitted[members], self.narrow(members)
+        own = np.array(here.idx)
+        at = mended(narrow, replace(here, x=here.x[own], idx=tuple(range(len(own)))))
+        point, kept = stepped(narrow, at), self.kept(members, at).fitted[members]
+        if point is None:
+            return kept, None
+        return kept, self.kept(members, linearization_at(narrow, point)).fitted[members]
 
     def near(self, members: Members, x: Array, step: float) -> Linearization | None:
         """A set's linearization beside some unknown cause, no further away in any coordinate.

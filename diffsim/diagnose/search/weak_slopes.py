@@ -69,8 +69,21 @@ def descended(problem: Problem, at: Linearization) -> Linearization:
     return mended(problem, at)
 
 
-def _lower(problem: Problem, at: Linearization) -> Array | None:
-    """A point of less cost along weak directions, (n,); None: nothing is to be had there."""
+def stepped(problem: Problem, at: Linearization) -> Array | None:
+    """Where slopes that are right along weak directions lead, (n,); None: nothing is promised.
+
+    Valleys are curved: the point may cost more until a fit from there has come back to the bottom.
+
+    Args:
+        problem: Model, runs, noise and effects that are fitted.
+        at: As of ``mended``, with slopes that are right.
+    """
+    step, promised, _ = _weak_step(problem, at)
+    return None if promised < FIT_NATS else np.clip(at.x + step, *problem.bounds)
+
+
+def _weak_step(problem: Problem, at: Linearization) -> tuple[Array, float, Array]:
+    """The step along weak directions by slopes, (n,), the nats that it promises, the residual."""
     residual = problem.residual_of(at.record)
     slopes = problem.whiten_all(at.columns) * problem.stretch(at.x)
     _, strength, axes = linalg.svd(slopes, full_matrices=False)
@@ -78,7 +91,13 @@ def _lower(problem: Problem, at: Linearization) -> Array | None:
     ahead = slopes @ weak.T
     pull = ahead.T @ residual - weak @ at.x
     step = weak.T @ linalg.solve(ahead.T @ ahead + np.eye(len(weak)), pull)
-    if 0.5 * float(pull @ (weak @ step)) < FIT_NATS:
+    return step, 0.5 * float(pull @ (weak @ step)), residual
+
+
+def _lower(problem: Problem, at: Linearization) -> Array | None:
+    """A point of less cost along weak directions, (n,); None: nothing is to be had there."""
+    step, promised, residual = _weak_step(problem, at)
+    if promised < FIT_NATS:
         return None
     points = np.clip(at.x + np.outer(SHARES, step), *problem.bounds)
     left = problem.whiten_all((records_at(problem, points) - at.record).T).T

@@ -28,6 +28,7 @@ from diffsim.systems.ode.joint_effects import (
     current_of,
     elastic_coupling,
     late_inside,
+    limited_inside,
     loses_by_sign,
     pose_of,
 )
@@ -38,6 +39,7 @@ from diffsim.systems.ode.refresh_effects import refresh_effects
 from diffsim.systems.ode.store_effects import FLOWS_ON, flow_of
 
 COUPLING = "elastic_coupling"
+LIMIT = "limit_inside"
 ODE = "ode"  # the kind of system, and its table
 
 
@@ -49,7 +51,7 @@ def ode_effects(library: Library, periods: Mapping[str, float]) -> tuple[Effect,
         periods: Period of each channel's own clock [s]; 0 where there is none.
     """
     return (
-        *(_say_frequency(effect, library) for effect in list_causes(plant_of(library))),
+        *(_say_well(effect, library) for effect in list_causes(plant_of(library))),
         *refresh_effects(library, periods),
         *event_effects(library),
         *law_effects(library),
@@ -57,8 +59,14 @@ def ode_effects(library: Library, periods: Mapping[str, float]) -> tuple[Effect,
     )
 
 
-def _say_frequency(effect: Effect, library: Library) -> Effect:
-    """An elastic coupling with words for its size; other causes as they are."""
+def _say_well(effect: Effect, library: Library) -> Effect:
+    """An elastic coupling with words for its size, a limit as what it is; other causes as they
+    are."""
+    if effect.name.startswith(f"{LIMIT}_"):
+        usual = library.usual[effect.name.removeprefix(f"{LIMIT}_")]
+        units = {place.unit for place, _ in library.places}
+        unit = units.pop() if len(units) == 1 else "-"
+        return replace(effect, shown_unit=unit, shown_times=usual, shown_power=-1)
     if not effect.name.startswith(COUPLING) or effect.members:
         return effect
     place = next(
@@ -95,6 +103,7 @@ def plant_of(library: Library) -> Plant:
         "extra_inertia": inertia,
         COUPLING: coupling,
         "delay_inside": partial(late_inside, library),
+        LIMIT: partial(limited_inside, library),
         "slow_share": come_slowly,
         "held_between_samples": partial(between_samples, held=True),
         "straight_between_samples": partial(between_samples, held=False),

@@ -25,6 +25,7 @@ _USUAL_LOSS = 0.02  # damping ratio of a coupling, times e^loss
 _QUICKEST = 4.0
 _DELAY = 1.5  # steps: what delays less is said by its slope alone
 _SIGN = 0.02  # of a current's range: within it its sign fades
+_NO_LIMIT = 1e-9  # times the usual value: a limit is so far beyond that there is none
 
 _COUPLING = {
     "part": _SHARE,
@@ -161,6 +162,20 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
     )
     late_names = {n: f"{n} for {name}" for n in inputs}
     return with_inputs(change, symbol(name), partial(_come_late, late_names, network.inputs))
+
+
+def limited_inside(library: Library, definition: str, name: str) -> Apply:
+    """A definition that goes no further than a limit either way, such as the torque of a motor.
+
+    Args:
+        library: Names and magnitudes of the system.
+        definition: Name of the definition.
+        name: Name of the effect.
+    """
+    parts = {"now": named(definition), "size": named(symbol(name))}
+    most = f"{library.usual[definition]!r}/max(size, {_NO_LIMIT!r})"
+    formula = filled(parse_expression(f"clip(now, -{most}, {most})"), parts)
+    return by_formulas(Change(names={definition: formula}), symbol(name))
 
 
 def _come_late(

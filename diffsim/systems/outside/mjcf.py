@@ -179,6 +179,28 @@ class Mjcf:
         of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
         return Steps.count(run.time_s, float(self.plain.opt.timestep)) * of_step
 
+    def strengths(self, reaches: Mapping[str, float]) -> dict[str, tuple[float, str]]:
+        """What each commanded actuator with a name may push with, and its unit, by its name: no
+        more than its gain times the largest command, or than the file's limit.
+
+        Args:
+            reaches: Largest magnitude of each command, by its name.
+        """
+        out, plain = dict[str, tuple[float, str]](), self.plain
+        hinge = int(self.mujoco.mjtJoint.mjJNT_HINGE)
+        for command, reach in reaches.items():
+            i = 0 if self._is_single(len(reaches)) else self._find_actuator(command)
+            if i is None or not plain.actuator(i).name:
+                continue
+            most = float(np.abs(plain.actuator_gainprm[i, 0])) * reach
+            if plain.actuator_forcelimited[i]:
+                most = min(most, float(np.abs(plain.actuator_forcerange[i]).max()))
+            if most > 0.0:
+                joint = int(plain.actuator_trnid[i, 0]) if self._is_at_joint(i) else -1
+                is_turn = joint >= 0 and int(plain.jnt_type[joint]) == hinge
+                out[plain.actuator(i).name] = most, "N m" if is_turn else "N"
+        return out
+
     def value_of(self, path: str) -> float:
         """What the file states for a parameter of a joint, such as "joint.hinge.damping".
 
@@ -428,12 +450,22 @@ class Mjcf:
 
     def _control_of(self, command: str, run: Run) -> int | None:
         """Index of the control that a command of a run drives; None: it drives none."""
-        if self.commands is None and len(run.command) == 1 and self.plain.nu == 1:
+        if self._is_single(len(run.command)):
             return 0
+        actuator = self._find_actuator(command)
+        return None if actuator is None else int(self._ctrl_of(actuator))
+
+    def _is_at_joint(self, actuator: int) -> bool:
+        return int(self.plain.actuator_trntype[actuator]) == int(self.mujoco.mjtTrn.mjTRN_JOINT)
+
+    def _is_single(self, num_commands: int) -> bool:
+        """Whether the one command drives the one actuator, whatever their names."""
+        return bool(self.commands is None and num_commands == 1 and self.plain.nu == 1)
+
+    def _find_actuator(self, command: str) -> int | None:
+        """Index of the actuator that a command drives; None: it drives none."""
         name = command if self.commands is None else self.commands.get(command)
-        if name is None:
-            return None
-        return int(self._ctrl_of(self.numbers.find("actuator", name, "options.commands")))
+        return None if name is None else self.numbers.find("actuator", name, "options.commands")
 
     def _push_joints(self, force: PlaceForces) -> Callable[[Any, Any], None]:
         """What MuJoCo calls for passive forces: the forces at the joints that are the places."""

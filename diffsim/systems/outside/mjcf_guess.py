@@ -23,6 +23,7 @@ MAX_XML_BYTES = 5_000_000  # of a file that is looked into
 AT_REST = 2  # rows of a run, in which a joint has not moved yet
 STILL = 0.05  # of the way that a joint makes: less is rest
 MASS_PERCENT, DAMPING_PERCENT, GAIN_PERCENT = 10, 50, 20  # of a file that nobody measured
+LIMIT_PERCENT = 10  # of a largest force: 0.7 of what a maker states is a finding
 SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no surprise
 SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same without a drive
 SMALLEST_SD = 1e-4  # of a start [rad or m]
@@ -117,9 +118,9 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     }
     made.keys = {key: value for key, value in made.keys.items() if value}
     made.todo.append(
-        f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass), "
-        f"{DAMPING_PERCENT} % (damping, friction, armature), {GAIN_PERCENT} % (gain, force): state "
-        "what you know of them"
+        f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass, "
+        f"largest force), {DAMPING_PERCENT} % (damping, friction, armature), {GAIN_PERCENT} % "
+        "(gain): state what you know of them"
     )
     return made
 
@@ -289,7 +290,7 @@ def _parameters(simulator: Any) -> dict[str, Any]:
             out[f"actuator.{name}.kv"] = _quantity(float(gain[0]), GAIN_PERCENT)
         low, high = plain.actuator_forcerange[i]
         if name and plain.actuator_forcelimited[i] and 0.0 < high == -low:
-            out[f"actuator.{name}.forcerange"] = _quantity(float(high), GAIN_PERCENT)
+            out[f"actuator.{name}.forcerange"] = _quantity(float(high), LIMIT_PERCENT)
     return out
 
 

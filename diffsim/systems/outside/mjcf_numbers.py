@@ -14,6 +14,7 @@
 | ``actuator.NAME.gain`` | gain with the bias that belongs to it: of a position servo its kp |
 | ``actuator.NAME.gainprm[k]``, ``.biasprm[k]`` | an entry of MuJoCo's own, nothing else |
 | ``actuator.NAME.forcerange`` | largest force either way |
+| ``actuator.NAME.weakness`` | 1 over a largest force below that of the file; 0: there is none |
 | ``actuator.NAME.delay`` | time by which it hears its command late |
 """
 
@@ -33,10 +34,10 @@ from diffsim.systems.outside.mjcf_payloads import put_payload, put_unbalance, re
 KINDS = {
     "body": ("mass", "inertia", "pos", "payload", "payload_at", "unbalance"),
     "joint": ("damping", "armature", "frictionloss", "stiffness", "start", "start_rate"),
-    "actuator": ("kp", "kv", "gain", "gainprm", "biasprm", "forcerange", "delay"),
+    "actuator": ("kp", "kv", "gain", "gainprm", "biasprm", "forcerange", "delay", "weakness"),
 }
 WORLD = ("gravity", "density", "viscosity")
-FIRST = ("mass", "kp", "gain")  # set before what others say of the same arrays
+FIRST = ("mass", "kp", "gain", "forcerange")  # set before what others say of the same arrays
 NOT_NEGATIVE = (
     "mass",
     "inertia",
@@ -45,6 +46,7 @@ NOT_NEGATIVE = (
     "frictionloss",
     "damping",
     "forcerange",
+    "weakness",
     "delay",
 )
 _VECTORS = {
@@ -178,13 +180,13 @@ class Numbers:
 
     def value_of(self, text: str) -> float:
         """What the file states for damping, armature, friction or stiffness of a joint; a payload
-        or unbalance of a body is none.
+        or unbalance of a body, or weakness of an actuator, is none.
 
         Raises:
             ValueError: there is no such parameter.
         """
         path = Path.of(text)
-        if path.what in ("payload", "unbalance"):
+        if path.what in ("payload", "unbalance", "weakness"):
             return 0.0
         joint = self.find(path.kind, path.name, "parameters")
         if path.what == "stiffness":
@@ -325,6 +327,13 @@ class Numbers:
                 )
             m.actuator_forcerange[i] = (-value, value)
             m.actuator_forcelimited[i] = True
+        elif what == "weakness":
+            if value > 0.0:
+                stated = (
+                    m.actuator_forcerange[i] if m.actuator_forcelimited[i] else (-np.inf, np.inf)
+                )
+                m.actuator_forcerange[i] = np.clip(stated, -1.0 / value, 1.0 / value)
+                m.actuator_forcelimited[i] = True
         elif what in ("gainprm", "biasprm"):
             getattr(m, f"actuator_{what}")[i, path.entry] = value
         else:

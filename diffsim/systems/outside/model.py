@@ -237,6 +237,7 @@ def _is_nothing(act: SignalMap | Tensor) -> bool:
     return isinstance(act, SignalChange) and act.is_none
 
 
+Strengths = Callable[[Mapping[str, float]], Mapping[str, tuple[float, str]]]
 SAMPLE = 20.0  # weighted steps of a sample: simulators take some of their own
 
 
@@ -290,6 +291,8 @@ class OutsideModel(SimModel):
         self._count_steps = getattr(simulator, "count_steps", None)
         #: Bodies that may carry a payload, with mass and length, where the simulator says so
         self.carriers: Mapping[str, Carrier] = getattr(simulator, "carriers", {})
+        #: Function of the largest commands by name: what actuators push with at most, and its unit
+        self.strengths: Strengths | None = getattr(simulator, "strengths", None)
         names, ways = [p.name for p in base], getattr(simulator, "drives", ())
         if all(way & set(names) for way in ways):
             self.drives = tuple(n for n in names if any(n in way for way in ways))

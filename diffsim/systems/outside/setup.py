@@ -33,6 +33,7 @@ from diffsim.systems.outside.source import Source
 from diffsim.systems.quantities import START_IN_PLAY
 
 OUTSIDE = "outside"  # the kind of system, and its table
+LIMIT = "force_limit_of"  # row whose sizes are read as what they are the inverse of
 InRun = Callable[[Mapping[str, Tensor], Run], Mapping[str, Tensor]]
 
 
@@ -97,35 +98,54 @@ def outside_setup(
         workers=workers,
     )
     model.frame = {SCALES: plant.scales.saved()}
-    plant = _with_carriers(plant, model)
+    plant, units = _with_parts(plant, model)
     return DiagnosisSetup(
         model=model,
-        effects=(*list_causes(plant), *more_effects),
+        effects=(*(_say_limit(e, units) for e in list_causes(plant)), *more_effects),
         unknowns=unknown_forces(plant.places, study.runs),
         settings=settings or DiagnosisSettings(),
     )
 
 
-def _with_carriers(plant: Plant, model: OutsideModel) -> Plant:
-    """The plant with the bodies that the simulator says may carry a payload."""
-    carriers = model.carriers
-    if not carriers:
-        return plant
-    paths = {name: f"body.{name}" for name in carriers}
-    parts = {spell_plainly(name): path for name, path in paths.items()}
-    model.zeros = numbers_added(OUTSIDE, {"body": parts})
+def _with_parts(plant: Plant, model: OutsideModel) -> tuple[Plant, dict[str, str]]:
+    """The plant with the bodies that the simulator says may carry a payload, and the actuators that
+    may have a limit; and the unit of such a limit by the name of its cause."""
+    carriers, strengths = model.carriers, dict[str, tuple[float, str]]()
+    if model.strengths is not None:
+        reaches = {n: plant.scales.of_commands((n,))["reach"] for n in plant.commands}
+        strengths = dict(model.strengths(reaches))
+    named = {"body": carriers, "actuator": strengths}
+    parts = {
+        kind: {spell_plainly(name): f"{kind}.{name}" for name in of}
+        for kind, of in named.items()
+        if of
+    }
+    if not parts:
+        return plant, {}
+    model.zeros = numbers_added(OUTSIDE, parts)
     fitted = tuple(n for n in model.zeros if any(n == p.name.split("@")[0] for p in model.base))
-    return replace(
+    plant = replace(
         plant,
         numbers=(*plant.numbers, *model.zeros),
         fitted=(*plant.fitted, *fitted),
-        parts={**plant.parts, "body": parts},
+        parts={**plant.parts, **parts},
         magnitudes={
             **plant.magnitudes,
-            "carrier": fmean(c.mass for c in carriers.values()),
-            "carrier_moment": fmean(c.mass * c.length for c in carriers.values()),
+            "carrier": fmean([c.mass for c in carriers.values()] or [1.0]),
+            "carrier_moment": fmean([c.mass * c.length for c in carriers.values()] or [1.0]),
+            "strength": fmean([force for force, _ in strengths.values()] or [1.0]),
         },
     )
+    return plant, {f"{LIMIT}_{spell_plainly(n)}": unit for n, (_, unit) in strengths.items()}
+
+
+def _say_limit(effect: Effect, units: Mapping[str, str]) -> Effect:
+    """The limit of an actuator as the force that it is; other causes as they are."""
+    if not effect.name.startswith(LIMIT):
+        return effect
+    own = {units[name] for name in effect.members or (effect.name,)}
+    unit = own.pop() if len(own) == 1 else "N"
+    return replace(effect, unit=f"1/({unit})", shown_unit=unit, shown_power=-1)
 
 
 def outside_plant(

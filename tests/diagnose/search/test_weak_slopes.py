@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.diagnose.search.weak_slopes import descended, mended
+from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.search import _fitted_along_weak
+from diffsim.diagnose.search.simulations import Simulations
+from diffsim.diagnose.search.weak_slopes import descended, mended, stepped
 from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import linearization_at
@@ -78,3 +81,24 @@ def test_where_bounds_leave_no_step_slopes_stay():
     assert mended(problem, at) is at
     away = linearization_at(problem, np.full(3, 5.0))  # room on both sides
     assert mended(problem, away) is not away
+
+
+def test_a_full_step_along_weak_directions_leads_back_to_the_data_sheets():
+    """A servo's weight stood 5 prior sd off, as all its forces may be larger by one factor: shares
+    of a step cost more in a curved valley, and a fit stayed where it was."""
+    problem = problem_of(edges=0.01)
+    at = mended(problem, linearization_at(problem, np.array([6.0, 6.0, 0.0])))
+    point = stepped(problem, at)
+    assert point is not None and np.abs(point[:2]).max() < 0.1
+
+
+def test_a_finding_rests_on_slopes_that_are_right():
+    """Of a right sheet an answer said: weight is 1.11 to 1.19 N m, the data sheet says 0.88."""
+    problem = problem_of(edges=0.01)
+    fit, at = gauss_newton(problem, linearization_at(problem, np.array([6.0, 6.0, 0.0])))
+    assert fit.x[:2].min() > 1.0, "slopes alone hold it away from the sheets"
+    made = Simulations(problem).kept(frozenset(), at)
+    _, after = _fitted_along_weak(made, frozenset(), fit, np.inf)
+    assert np.abs(after.x[:2]).max() < 0.2
+    assert after.chi2 + after.prior < fit.chi2 + fit.prior - 1.0
+    np.testing.assert_allclose(np.sqrt(np.diag(after.covariance))[:2], np.sqrt(0.5), rtol=0.02)

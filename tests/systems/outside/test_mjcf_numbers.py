@@ -55,6 +55,8 @@ NUMBERS = [
     ("actuator.m.gain", 2.0, MOTOR, '<motor', '<motor gear="2"'),
     ("actuator.m.forcerange", 0.5, MOTOR, "-2 2", "-0.5 0.5"),
     ("actuator.m.forcerange", 0.5, POSITION, "<position", '<position forcerange="-0.5 0.5"'),
+    ("actuator.m.weakness", 2.0, POSITION, "<position", '<position forcerange="-0.5 0.5"'),
+    ("actuator.m.weakness", 2.0, MOTOR, "-2 2", "-0.5 0.5"),
     ("actuator.m.gain", 9.0, POSITION, 'kp="3"', 'kp="9"'),
     ("actuator.m.kp", 9.0, POSITION, 'kp="3"', 'kp="9"'),
     ("actuator.m.kv", 0.1, POSITION, 'kv="0.4"', 'kv="0.1"'),
@@ -302,3 +304,34 @@ def test_what_a_command_was_before_the_run_is_read_at_samples():
     before = torch.tensor([0.5], dtype=torch.float64)
     scene = replace(scene, commands=replace(scene.commands, before=before))
     assert not scene.job().delays
+
+
+@pytest.mark.parametrize(("actuator", "gain"), [(POSITION, 3.0), (MOTOR, 1.0)])
+def test_the_limit_of_an_actuator_is_a_cause_that_the_file_need_not_state(actuator, gain):
+    """A servo that saturates far below its gain times the largest command: no row asked for it."""
+    study = scenes.recorded()
+    sim = Mjcf(XML.format(actuator), CHANNELS, {"moment_Nm": "m"})
+    setup = outside_setup(study, sim, {})
+    (limit,) = [e for e in setup.effects if e.name.startswith("force_limit")]
+    reach = max(np.abs(r.command["moment_Nm"]).max() for r in study.fit_runs)
+    assert limit.typical == pytest.approx(1.0 / (gain * reach), rel=1e-6)  # below 2 N m
+    assert (limit.name, limit.shown_unit, limit.shown_power) == ("force_limit_of_m", "N m", -1)
+    run, model = study.runs[0], setup.model
+    scene = model.scene(run, model.at_prior(), {limit: model.at_prior().new_tensor([2.5])})
+    want = sim.predict({"actuator.m.weakness": 2.5}, run)
+    np.testing.assert_array_equal(scene.simulate().numpy(), want)
+    assert np.abs(want - sim.predict({}, run)).max() > 1e-3, "the limit shows"
+
+
+def test_weak_actuators_may_be_all_of_them():
+    two = POSITION + '<motor name="s" joint="shoulder"/>'
+    study = scenes.recorded()
+    study = replace(
+        study,
+        runs=tuple(
+            replace(r, command={**r.command, "other": r.command["moment_Nm"]}) for r in study.runs
+        ),
+    )
+    sim = Mjcf(XML.format(two), CHANNELS, {"moment_Nm": "m", "other": "s"})
+    names = [e.name for e in outside_setup(study, sim, {}).effects if "force_limit" in e.name]
+    assert names == ["force_limit_of_m", "force_limit_of_s", "force_limit_of_every_actuator"]

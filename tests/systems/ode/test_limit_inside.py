@@ -1,0 +1,75 @@
+"""A definition that saturates: a controller with a limit of which the study says nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim.diagnose.search.scan import scan
+from diffsim.identify import Problem, WhiteNoise
+from diffsim.identify.linearization import linearization_at
+from diffsim.systems.registry import setup_of
+from tests.systems.toy_cart import cart_study, described
+
+LIMIT = 3.0  # N
+SERVO = {
+    "inputs": [{"name": "force", "held": True}],
+    "rates": {"x": "v", "v": "(push - c*v - k*x)/m"},
+    "parameters": {
+        "m": {"value": 1.0, "percent": 15, "unit": "kg"},
+        "c": {"value": 0.8, "percent": 50, "unit": "N s/m"},
+        "k": {"value": "40 N/m", "percent": 5},
+        "kp": {"value": 60.0, "percent": 20, "unit": "N/m"},
+    },
+    "time_step": 0.005,
+}
+PUSH = "kp*(0.05*force - x) - 4*v"
+
+
+def servo(define, **more):
+    """The study, its setup and a problem with the causes of some names."""
+    numbers = {**SERVO["parameters"], **more.pop("parameters", {})}
+    study = cart_study(model=described(**SERVO | {"parameters": numbers}, define={"push": define}))
+    return study, setup_of(study)
+
+
+def problem_of(study, setup, *names):
+    effects = tuple(e for e in setup.effects if e.name in names)
+    return Problem(setup.model, study.fit_runs, WhiteNoise(study.channels), effects)
+
+
+def recorded_under(limit):
+    """What the servo with a limit does in the runs to fit, (N,) [m]."""
+    study, setup = servo(f"clip({PUSH}, -{limit}, {limit})")
+    problem = problem_of(study, setup)
+    return problem.record(np.zeros(problem.num_base))
+
+
+def test_a_limit_inside_is_the_formula_clipped():
+    study, setup = servo(PUSH)
+    (limit,) = [e for e in setup.effects if e.name == "limit_inside_push"]
+    assert (limit.shown_unit, limit.shown_power, limit.signed) == ("N", -1, False)
+    problem = problem_of(study, setup, "limit_inside_push")
+    size = limit.shown_times / LIMIT  # of the usual push, how much weaker
+    x = problem.standardized(np.array([*np.zeros(problem.num_base), size / problem.size_units[0]]))
+    np.testing.assert_allclose(problem.record(x), recorded_under(LIMIT), atol=1e-9)
+    np.testing.assert_allclose(problem.record(np.zeros(len(x))), recorded_under(1e9), atol=1e-12)
+
+
+def test_the_size_of_a_limit_is_found_although_its_slope_at_zero_is_zero():
+    """Nothing moves until the limit is reached: slopes promised nothing, and drag helped."""
+    study, setup = servo(PUSH)
+    problem = problem_of(study, setup, "limit_inside_push")
+    at = linearization_at(problem, np.zeros(problem.num_base + 1), screen=True)
+    base = list(range(problem.num_base))
+    seen = recorded_under(LIMIT)
+    (limit,) = problem.effects
+    measured = np.split(seen, np.cumsum([r.measured.size for r in problem.runs])[:-1])
+    runs = tuple(
+        replace(r, measured=m.reshape(r.measured.shape))
+        for r, m in zip(problem.runs, measured, strict=True)
+    )
+    found = scan(replace(problem, runs=runs), base, at, [0])
+    assert found.at is not None
+    size = problem.scaled(found.at.x)[-1] * problem.size_units[0]
+    assert limit.shown_times / size == pytest.approx(LIMIT, rel=0.25)
