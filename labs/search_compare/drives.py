@@ -131,6 +131,40 @@ def late_torque(seed: int, null: bool) -> Study:
     )
 
 
+def sticking(seed: int, null: bool) -> Study:
+    """A joint that rubs, and sticks where it rests, in a controller without an integral part."""
+    rng, t = np.random.default_rng(seed), 0.02 * np.arange(250.0)
+    inertia, kp = 0.05 * rng.uniform(0.96, 1.04), 8.0 * rng.uniform(0.97, 1.03)
+    kd, falls = 0.5 * rng.uniform(0.85, 1.15), rng.uniform(0.05, 0.15)
+    rub, stick = (0.0, 0.0) if null else rng.uniform((0.08, 0.1), (0.15, 0.25))
+
+    def rates(goal: Array) -> Rates:
+        def of(s: float, y: Array) -> Array:
+            friction = (rub + stick * np.exp(-((y[1] / falls) ** 2))) * np.tanh(y[1] / 0.005)
+            torque = kp * (hold(goal, s, 0.02) - y[0]) - kd * y[1] - friction
+            return np.array([y[1], torque / inertia])
+
+        return of
+
+    runs = [
+        (integrate(rates(g), np.zeros(2), t, 40)[:, :1], {"goal": g})
+        for g in draw_goals(rng, t, 0.6)
+    ]
+    return make_study(
+        "sticking",
+        {"angle": "rad"},
+        t,
+        with_noise(rng, runs, 1e-3),
+        parameters={"I": (0.05, 5), "kp": (8.0, 5), "kd": (0.5, 20)},
+        inputs=[{"name": "goal", "held": True}],
+        states={"q": 0, "w": 0},
+        define={"motor": "kp*(goal - q) - kd*w"},
+        rates={"q": "w", "w": "motor/I"},
+        readings={"angle": "q"},
+        places=[{**JOINT, "inertia": "I", "force": "motor"}],
+    )
+
+
 def exchanged(seed: int, null: bool) -> Study:
     """Three joints of which two have each other's command."""
     rng = np.random.default_rng(seed)
@@ -226,6 +260,7 @@ DRIVES: Mapping[str, Rig] = {
     "elastic": Rig(elastic, frozenset({"elastic_coupling"})),
     "profile": Rig(profile, frozenset({"acceleration_limit"})),  # which has a greatest speed
     "late_torque": Rig(late_torque, frozenset({"delay_inside_motor"})),
+    "sticking": Rig(sticking, frozenset({"dry_friction", "stribeck_friction"})),
     "exchanged": Rig(exchanged, frozenset({"exchanged"})),
     "bus": Rig(bus, frozenset({"bus_age"})),
 }

@@ -214,12 +214,47 @@ def slow(seed: int, null: bool) -> Study:
     )
 
 
+def hopper(seed: int, null: bool) -> Study:
+    """A sled on a spring that loses sand: its mass falls with time, which no library lists."""
+    rng, t = np.random.default_rng(seed), 0.02 * np.arange(400.0)
+    loss, full = 0.0 if null else rng.uniform(0.15, 0.3), 4.0 * rng.uniform(0.97, 1.03)
+    damping, stiffness = 1.5 * rng.uniform(0.85, 1.15), 20.0 * rng.uniform(0.97, 1.03)
+
+    def rates(force: Array) -> Rates:
+        def of(s: float, y: Array) -> Array:
+            push = hold(force, s, 0.02) - damping * y[1] - stiffness * y[0]
+            return np.array([y[1], push / (full - loss * s)])
+
+        return of
+
+    runs = [
+        (integrate(rates(g), np.zeros(2), t, 4)[:, :1], {"force": g})
+        for g in draw_goals(rng, t, 6.0)
+    ]
+    return make_study(
+        "hopper",
+        {"place": "m"},
+        t,
+        with_noise(rng, runs, 1e-3),
+        parameters={"m": (4.0, 5), "d": (1.5, 20), "k": (20.0, 5)},
+        inputs=[{"name": "force", "held": True}],
+        states={"x": 0, "v": 0},
+        define={"mass": "m", "pull": "force - d*v - k*x"},
+        rates={"x": "v", "v": "pull/mass"},
+        readings={"place": "x"},
+        places=[
+            {"name": "rail", "position": "x", "velocity": "v", "inertia": "mass", "force": "pull"}
+        ],
+    )
+
+
 RIGS: Mapping[str, Rig] = {
     "shoulder": Rig(shoulder, frozenset({"constant_force", "dry_friction"})),
     "tanks": Rig(tanks, frozenset({"overflow"})),
     "late": Rig(late, frozenset({"delay"})),
     "drive": Rig(drive, frozenset({"command_gain"})),
     "slow": Rig(slow, frozenset({"rate_limit", "backlash"})),
+    "hopper": Rig(hopper, frozenset({"law_of_time_at_m"}), with_laws=True),
 }
 
 
