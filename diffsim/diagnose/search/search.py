@@ -53,8 +53,8 @@ MAX_MENDED = 3  # fits of the best set, each with better slopes along weak direc
 # of the plain model's misfit, that a cause takes by its slopes to be fitted alone
 MOST_OF_PLAIN = 0.5
 MAX_ALONE = 8  # of these
-WRONG_SHEET = 3.0  # the same, from which it may be a finding that a data sheet is wrong
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
+FINDING_SD = 3.0  # the same, from which it may be a finding that a data sheet is wrong
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -276,7 +276,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
 def _leaves_sheets(fit: Fit) -> bool:
     """Whether a fit would say that a data sheet is wrong."""
     base = zip(fit.problem.model.base, fit.x, strict=False)
-    return any("@" not in p.name and abs(x) > WRONG_SHEET for p, x in base)
+    return any("@" not in p.name and abs(x) > FINDING_SD for p, x in base)
 
 
 def _fitted_along_weak(

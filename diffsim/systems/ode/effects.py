@@ -63,10 +63,11 @@ def _say_well(effect: Effect, library: Library) -> Effect:
     """An elastic coupling with words for its size, a limit as what it is; other causes as they
     are."""
     if effect.name.startswith(f"{LIMIT}_"):
-        usual = library.usual[effect.name.removeprefix(f"{LIMIT}_")]
-        units = {place.unit for place, _ in library.places}
+        of = effect.name.removeprefix(f"{LIMIT}_")
+        # of a definition that is no place's force, such as a goal of a speed, nobody states a unit
+        units = {place.unit for place, _ in library.places if place.force == of}
         unit = units.pop() if len(units) == 1 else "-"
-        return replace(effect, shown_unit=unit, shown_times=usual, shown_power=-1)
+        return replace(effect, shown_unit=unit, shown_times=library.usual[of], shown_power=-1)
     if not effect.name.startswith(COUPLING) or effect.members:
         return effect
     place = next(

@@ -22,14 +22,14 @@ SERVO = {
         "kp": {"value": 60.0, "percent": 20, "unit": "N/m"},
     },
     "time_step": 0.005,
+    "places": [{"name": "cart", "position": "x", "velocity": "v", "inertia": "m", "force": "push"}],
 }
 PUSH = "kp*(0.05*force - x) - 4*v"
 
 
-def servo(define, **more):
-    """The study, its setup and a problem with the causes of some names."""
-    numbers = {**SERVO["parameters"], **more.pop("parameters", {})}
-    study = cart_study(model=described(**SERVO | {"parameters": numbers}, define={"push": define}))
+def servo(push, **define):
+    """The study and its setup, with definitions."""
+    study = cart_study(model=described(**SERVO, define={"push": push, **define}))
     return study, setup_of(study)
 
 
@@ -54,6 +54,13 @@ def test_a_limit_inside_is_the_formula_clipped():
     x = problem.standardized(np.array([*np.zeros(problem.num_base), size / problem.size_units[0]]))
     np.testing.assert_allclose(problem.record(x), recorded_under(LIMIT), atol=1e-9)
     np.testing.assert_allclose(problem.record(np.zeros(len(x))), recorded_under(1e9), atol=1e-12)
+
+
+def test_a_limit_has_a_unit_only_where_a_place_states_that_of_its_force():
+    """The outer loop of a cascade is a speed: its limit was read in newtons."""
+    _, setup = servo("kp*(goal - v)", goal="3*(0.05*force - x)")
+    units = {e.name: e.shown_unit for e in setup.effects if e.name.startswith("limit_inside")}
+    assert units == {"limit_inside_goal": "-"}
 
 
 def test_the_size_of_a_limit_is_found_although_its_slope_at_zero_is_zero():
