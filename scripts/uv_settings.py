@@ -2,8 +2,8 @@
 
     python scripts/uv_settings.py     # one NAME=VALUE a line, for the environment of uv
 
-uv does not read pip's configuration. It ends with 1 where a setting of pip has no twin in uv: then
-pip itself has to install.
+uv does not read pip's configuration. The script ends with 1 where a setting of pip has no twin in
+uv: then pip itself has to install.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ TWINS = {
     "retries": ("UV_HTTP_RETRIES", " "),
     "no-cache-dir": ("UV_NO_CACHE", " "),
 }
-# These change what pip says or keeps, not what is installed.
+PINS = "constraints.txt"
+# These change what pip reads, says or keeps, not what is installed; versions are pinned.
 OF_PIP_ALONE = {
-    *("break-system-packages", "cache-dir", "disable-pip-version-check", "no-color", "no-input"),
-    *("no-warn-script-location", "prefer-binary", "progress-bar", "quiet", "require-virtualenv"),
-    *("root-user-action", "verbose"),
+    *("break-system-packages", "cache-dir", "config-file", "disable-pip-version-check", "no-color"),
+    *("no-input", "no-warn-script-location", "prefer-binary", "progress-bar", "quiet"),
+    *("require-virtualenv", "root-user-action", "verbose"),
 }
 
 
@@ -58,11 +59,13 @@ def environment_of(settings: dict[str, str]) -> dict[str, str] | None:
         settings: Of pip, by name.
     """
     # pip takes the best version of all indexes; uv stops at the first that knows the name
-    out = {"UV_INDEX_STRATEGY": "unsafe-best-match"}
+    out = {"UV_INDEX_STRATEGY": "unsafe-best-match", "UV_CONSTRAINT": PINS}
     for name, value in settings.items():
         if name in TWINS:
             variable, between = TWINS[name]
-            out[variable] = between.join(value.split())
+            # constraints of pip's own hold beside the pins: --constraint would replace the variable
+            own = [out[variable]] if name == "constraint" else []
+            out[variable] = between.join([*own, *value.split()])
         elif name not in OF_PIP_ALONE:
             return None
     return out

@@ -164,6 +164,8 @@ def test_all_pages_and_scripts_of_templates_are_packaged():
 
 PIP_LISTS = """\
 :env:.cert='/etc/ssl/own.crt'
+:env:.config-file='/home/me/pip.conf'
+global.constraint='/etc/pip/newest.txt'
 global.extra-index-url='https://one.example/simple https://two.example/simple'
 global.find-links='/opt/wheels'
 install.find-links='/home/me/wheels /opt/wheels'
@@ -176,6 +178,7 @@ def test_uv_installs_from_where_pip_would():
     settings = load_script("uv_settings.py")
     assert settings.environment_of(settings.settings_of(PIP_LISTS)) == {
         "UV_INDEX_STRATEGY": "unsafe-best-match",
+        "UV_CONSTRAINT": "constraints.txt /etc/pip/newest.txt",
         "UV_INDEX": "https://one.example/simple https://two.example/simple",
         "UV_FIND_LINKS": "/home/me/wheels,/opt/wheels",  # the section of `pip install` is nearer
         "SSL_CERT_FILE": "/etc/ssl/own.crt",
