@@ -12,15 +12,13 @@ import pytest
 import yaml
 
 from diffsim.systems.registry import setup_of
-from tests.studies import HERE, study_of
+from tests.studies import HERE, NAMES, study_of
 
 MISTAKES = [
     pytest.param(path.parent.name, one["change"], one["says"], id=f"{path.parent.name}-{k}")
     for path in sorted(HERE.glob("*/mistakes.yaml"))
     for k, one in enumerate(yaml.safe_load(path.read_text("utf-8")))
 ]
-
-
 read = cache(study_of)
 
 
@@ -35,3 +33,8 @@ def test_a_mistake_is_told_with_its_place_in_the_file(name, change, says):
     )
     parts = map(re.escape, says.split(" ... "))
     assert re.search(".*".join(parts), told), told
+
+
+def test_every_kind_is_asked():
+    asked = {read(str(one.values[0])).system for one in MISTAKES}
+    assert asked == {read(name).system for name in NAMES}
