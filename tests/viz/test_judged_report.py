@@ -8,6 +8,7 @@ import pytest
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import ErrorRow, OutsideRow
+from diffsim.diagnose.judge.rivals import cause_words
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.identify.model_file import SavedModel
@@ -155,3 +156,8 @@ def test_a_share_of_next_to_nothing_is_no_number():
     (gains,) = sections(page)["Gain, run by run"].content
     assert gains.rows[0] == ["slow", "–", "–", "nothing to gain"]
     assert gains.rows[1][1:3] == ["90", "70 to 110"]
+    nought, sure = cause_words(
+        {"a": found(gain=nothing), "b": found(gain=GAIN)}, {"a": "A", "b": "B"}
+    )
+    assert nought.endswith("; nothing to gain.") and "noise removed" not in nought
+    assert sure.endswith("; 90 % of the error above the noise removed: confirmed.")

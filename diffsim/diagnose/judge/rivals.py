@@ -120,8 +120,9 @@ def cause_words(causes: Mapping[str, Unseen], words: Mapping[str, str]) -> list[
                 f"Withdrawn for these runs: {words[name]} makes them worse; without it {said}."
             )
         else:
-            removed = f"{100 * found.gain.value:.0f} % of the error above the noise removed"
-            out.append(f"Without {words[name]}: {said}; {removed}: {found.gain.status}.")
+            share = f"{100 * found.gain.value:.0f} % of the error above the noise removed: "
+            share = share if found.gain.has_share else ""
+            out.append(f"Without {words[name]}: {said}; {share}{found.gain.status}.")
     return out
 
 
