@@ -397,6 +397,7 @@ def _leaves_no_scans(finer: Problem, settings: DiagnosisSettings) -> bool:
         return False
     tried = groups(finer.effects, frozenset(), settings.search.max_effects)
     points = sum(num_points([finer.effects[i] for i in group]) for group in tried)
+    points = min(points, settings.search.scan_points)
     return finer.cost_of_table(points) > TABLE_SHARE * settings.search.refit_steps
 
 
