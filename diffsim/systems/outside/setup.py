@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from statistics import fmean
 from typing import Any
@@ -98,18 +98,18 @@ def outside_setup(
         workers=workers,
     )
     model.frame = {SCALES: plant.scales.saved()}
-    plant, units = _with_parts(plant, model)
+    plant, limits = _with_parts(plant, model)
     return DiagnosisSetup(
         model=model,
-        effects=(*(_say_limit(e, units) for e in list_causes(plant)), *more_effects),
+        effects=(*_with_limits(list_causes(plant), limits), *more_effects),
         unknowns=unknown_forces(plant.places, study.runs),
         settings=settings or DiagnosisSettings(),
     )
 
 
-def _with_parts(plant: Plant, model: OutsideModel) -> tuple[Plant, dict[str, str]]:
+def _with_parts(plant: Plant, model: OutsideModel) -> tuple[Plant, dict[str, tuple[float, str]]]:
     """The plant with the bodies that the simulator says may carry a payload, and the actuators that
-    may have a limit; and the unit of such a limit by the name of its cause."""
+    may have a limit; and what each may push with, and its unit, by the name of that cause."""
     carriers, strengths = model.carriers, dict[str, tuple[float, str]]()
     if model.strengths is not None:
         reaches = {n: plant.scales.of_commands((n,))["reach"] for n in plant.commands}
@@ -136,16 +136,24 @@ def _with_parts(plant: Plant, model: OutsideModel) -> tuple[Plant, dict[str, str
             "strength": fmean([force for force, _ in strengths.values()] or [1.0]),
         },
     )
-    return plant, {f"{LIMIT}_{spell_plainly(n)}": unit for n, (_, unit) in strengths.items()}
+    return plant, {f"{LIMIT}_{spell_plainly(n)}": of for n, of in strengths.items()}
 
 
-def _say_limit(effect: Effect, units: Mapping[str, str]) -> Effect:
-    """The limit of an actuator as the force that it is; other causes as they are."""
-    if not effect.name.startswith(LIMIT):
-        return effect
-    own = {units[name] for name in effect.members or (effect.name,)}
-    unit = own.pop() if len(own) == 1 else "N"
-    return replace(effect, unit=f"1/({unit})", shown_unit=unit, shown_power=-1)
+def _with_limits(
+    effects: Iterable[Effect], limits: Mapping[str, tuple[float, str]]
+) -> Iterator[Effect]:
+    """Causes, of which limits of actuators are of the usual size of their own, and are read as the
+    force that they are. One limit of what pushes in N and in N m is none."""
+    for effect in effects:
+        if not effect.name.startswith(LIMIT):
+            yield effect
+            continue
+        own = [limits[name] for name in effect.members or (effect.name,)]
+        units = {unit for _, unit in own}
+        if len(units) == 1:
+            unit, usual = units.pop(), fmean(1.0 / force for force, _ in own)
+            unit_of_size = f"1/({unit})"
+            yield replace(effect, typical=usual, unit=unit_of_size, shown_unit=unit, shown_power=-1)
 
 
 def outside_plant(

@@ -335,3 +335,23 @@ def test_weak_actuators_may_be_all_of_them():
     sim = Mjcf(XML.format(two), CHANNELS, {"moment_Nm": "m", "other": "s"})
     names = [e.name for e in outside_setup(study, sim, {}).effects if "force_limit" in e.name]
     assert names == ["force_limit_of_m", "force_limit_of_s", "force_limit_of_every_actuator"]
+
+
+def test_limits_of_actuators_are_of_their_own_size_and_one_only_where_they_have_one_unit():
+    """By the mean of all a wrist of 3 N m had a usual limit of 60 N m beside a slide of 120 N."""
+    slide = '<body><joint name="rail" type="slide"/><geom size="0.1"/></body></worldbody>'
+    xml = XML.format(POSITION + '<motor name="s" joint="rail"/>').replace("</worldbody>", slide)
+    study = scenes.recorded()
+    runs = (
+        replace(r, command={**r.command, "other": 100.0 * r.command["moment_Nm"]})
+        for r in study.runs
+    )
+    sim = Mjcf(xml, CHANNELS, {"moment_Nm": "m", "other": "s"})
+    setup = outside_setup(replace(study, runs=tuple(runs)), sim, {})
+    limits = {e.name: e for e in setup.effects if e.name.startswith("force_limit")}
+    assert list(limits) == ["force_limit_of_m", "force_limit_of_s"]
+    reach = max(np.abs(r.command["moment_Nm"]).max() for r in study.fit_runs)
+    turn, way = limits.values()
+    assert (turn.shown_unit, way.shown_unit) == ("N m", "N")
+    assert turn.typical == pytest.approx(1.0 / (3.0 * reach), rel=1e-6)
+    assert way.typical == pytest.approx(0.01 / reach, rel=1e-6)
