@@ -172,9 +172,11 @@ def limited_inside(library: Library, definition: str, name: str) -> Apply:
         definition: Name of the definition.
         name: Name of the effect.
     """
-    parts = {"now": named(definition), "size": named(symbol(name))}
+    # what other causes add to it, such as friction, is not limited
+    plain = library.system.network.definitions[definition]
+    parts = {"now": named(definition), "plain": plain, "size": named(symbol(name))}
     most = f"{library.usual[definition]!r}/max(size, {_NO_LIMIT!r})"
-    formula = filled(parse_expression(f"clip(now, -{most}, {most})"), parts)
+    formula = filled(parse_expression(f"now + (clip(plain, -{most}, {most}) - plain)"), parts)
     return by_formulas(Change(names={definition: formula}), symbol(name))
 
 

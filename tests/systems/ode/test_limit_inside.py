@@ -56,6 +56,20 @@ def test_a_limit_inside_is_the_formula_clipped():
     np.testing.assert_allclose(problem.record(np.zeros(len(x))), recorded_under(1e9), atol=1e-12)
 
 
+def test_forces_beside_a_limited_one_are_not_limited():
+    """A weight on a motor's shaft was clipped with the motor's torque."""
+    study, setup = servo(PUSH)
+    problem = problem_of(study, setup, "constant_force", "limit_inside_push")
+    sizes = {
+        e.name: 1.5 if e.shown_times is None else e.shown_times / LIMIT for e in problem.effects
+    }
+    own = np.array([sizes[e.name] for e in problem.effects]) / problem.size_units
+    found = problem.record(problem.standardized(np.array([*np.zeros(problem.num_base), *own])))
+    study, setup = servo(f"clip({PUSH}, -{LIMIT}, {LIMIT}) + 1.5")
+    plain = problem_of(study, setup)
+    np.testing.assert_allclose(found, plain.record(np.zeros(plain.num_base)), atol=1e-9)
+
+
 def test_a_limit_has_a_unit_only_where_a_place_states_that_of_its_force():
     """The outer loop of a cascade is a speed: its limit was read in newtons."""
     _, setup = servo("kp*(goal - v)", goal="3*(0.05*force - x)")
