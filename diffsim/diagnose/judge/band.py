@@ -2,17 +2,17 @@
 
 Half of its width, by reading, is
 
-    factor * sqrt(noise^2 + posterior^2 + excess^2 posterior^2 + growth^2 rest^2),
+    factor * sqrt(noise^2 + posterior^2 + growth^2 (rest^2 + excess^2 posterior^2)),
 
-    growth = times^2.
+    growth = 2 times^2 - 1.
 
 Noise is the floor of the fit; where the calmest part leaves less than half of it, what differs
 there from reading to reading, for the rest of it is no noise and grows with the distance.
 Posterior is what parameters and sizes change in this very run, by one standard deviation along each
 principal direction. Rest is what the model leaves beyond both on parts that were not fitted: groups
 of runs left out one after the other (else blocks of time), and runs with use: select. Times is how
-far outside of the fitted runs the run lies, 1 inside: what a model lacks grows as the square of it
-at most, as the next power of a line does. The posterior has the distance in it already.
+far outside of the fitted runs the run lies, 1 inside: what a model lacks begins with its next
+power, of which a fit leaves equal ripples inside, and those are Chebyshev's polynomial T2 outside.
 
 A misfit that stays is alike over a whole run: it moves parameters farther than the posterior says,
 by the factor excess beside it. Parts tell excess and rest together, as the variances that make them
@@ -51,7 +51,7 @@ from diffsim.identify.whitening import gram_of
 
 OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated too large
 LEAST_PARTS = 2  # one does not tell how parts differ
-GROWTH = 2.0  # power of the times outside by which the rest grows
+GROWTH = np.polynomial.Polynomial((-1.0, 0.0, 2.0))  # of what is left, by times: Chebyshev's T2
 TINY = 1e-300  # added to sums of what is asked: their ratio is 1 where nothing is
 ROUNDS = 200  # of the variances: each multiplies them, three digits are settled after a hundred
 
@@ -90,8 +90,8 @@ class BandVariance:
 
     def variance(self, noise: Array, part: Part) -> Array:
         """Variance of what is left of a part, or of another run, as ``Part.spread``."""
-        grown = part.times ** (2.0 * GROWTH)
-        return np.asarray(noise**2 + (1.0 + self.excess) * part.spread + grown * self.rest)
+        more = GROWTH(part.times) ** 2 * (self.rest + self.excess * part.spread)
+        return np.asarray(noise**2 + part.spread + more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,13 +318,12 @@ def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
     left, spread = (np.where(seen, table, 0.0) for table in (left, spread))
     weight = seen / np.maximum(seen.sum(axis=1, keepdims=True), 1)
     known = 1.0 / (1.0 + np.sum(weight * spread / noise**2, axis=1, keepdims=True))
-    grown = np.array([[part.times] for part in parts]) ** (2.0 * GROWTH)
+    grown = GROWTH(np.array([[part.times] for part in parts])) ** 2
     rest, excess = np.sum(left / grown, axis=0) / np.maximum(seen.sum(axis=0), 1), 1.0
     for _ in range(ROUNDS):
-        variance = noise**2 + (1.0 + excess) * spread + grown * rest
-        told, asked = weight * left / variance**2, weight / variance
-        ahead = (known * grown * told).sum(axis=0) + TINY
-        back = (known * grown * asked).sum(axis=0) + TINY
+        variance = noise**2 + spread + grown * (rest + excess * spread)
+        told, asked = weight * grown * left / variance**2, weight * grown / variance
+        ahead, back = (known * told).sum(axis=0) + TINY, (known * asked).sum(axis=0) + TINY
         rest = rest * np.sqrt(ahead / back)
         ahead, back = (told * spread).sum() + TINY, (asked * spread).sum() + TINY
         excess *= float(np.sqrt(ahead / back))

@@ -11,6 +11,7 @@ from diffsim.core.figures import figure
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import pull_of, words_of
 from diffsim.diagnose.judge.judge import Decision, Judgment
+from diffsim.diagnose.judge.preconditions import UNCONTRADICTED
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -73,7 +74,7 @@ class CauseEvidence:
         rivals: Sets that the choice is open to.
         undone: Effects that others of the best set undo, by index.
         doubts: Why members of the best set are not certain, by index; none: they are.
-        doubts_of_names: Why no data sheet is, either.
+        doubts_of_names: Why nothing that has a name is certain.
         doubts_of_fit: Why no unknown cause is.
         wrong_gradients: Names of effects whose gradient check failed.
         left: What the extended model leaves, where that is much, else 1: sizes must show above it
@@ -94,6 +95,12 @@ class CauseEvidence:
     doubts_of_fit: tuple[str, ...] = ()
     wrong_gradients: frozenset[str] = frozenset()
     left: float = 1.0
+
+    @property
+    def doubts_of_sheets(self) -> tuple[str, ...]:
+        """Why no data sheet is certain: it is known beside the set's causes, not without them."""
+        is_alone = any(UNCONTRADICTED in self.doubts.get(i, ()) for i in self.members)
+        return (*((UNCONTRADICTED,) if is_alone else ()), *self.doubts_of_names)
 
     def why_not_judged(self, i: int) -> str:
         """Why nothing tells what sizes of an effect, by index, would do; empty: something does.
@@ -372,7 +379,7 @@ def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
         status, rivals = UNTOLD, _unknown_names(known, decision)
     else:
         half = HALF_LEVEL * row.sd / row.prior_sd if row.prior_sd else 0.0
-        is_sure = abs(row.pull) - half > row.limit and not known.doubts_of_names
+        is_sure = abs(row.pull) - half > row.limit and not known.doubts_of_sheets
         status = CERTAIN if is_sure else LIKELY
         others = _sets_without_pull(known, about, row)
         if others:
@@ -387,7 +394,7 @@ def _finding_row(known: CauseEvidence, row: BaseRow) -> CauseRow:
         size={"size": Interval(row.value, row.low, row.high)},
         unit=row.unit,
         rivals=rivals,
-        doubts=known.doubts_of_names if status == LIKELY else (),
+        doubts=known.doubts_of_sheets if status == LIKELY else (),
         note=f"data sheet: {figure(read.prior_value, 4)} +- {figure(read.prior_sd, 2)} "
         "(one standard deviation)",
         shown_unit=read.unit,

@@ -104,9 +104,9 @@ def test_half_of_the_width_is_the_root_of_a_sum_of_variances():
     slopes = slopes * [0.7, 1.5]  # by standardized coordinates
     spread = np.einsum("tci,ij,tcj->tc", slopes, found.covariance, slopes)
     rest = np.array([band.rest[c.name] for c in linear.CHANNELS])
-    for times, grown in ((1.0, 1.0), (2.0, 4.0)):
-        beyond = grown**2 * rest**2 + band.excess**2 * spread
-        expected = band.factor * np.sqrt(SD**2 + spread + beyond)
+    for times, grown in ((1.0, 1.0), (2.0, 7.0)):
+        beyond = rest**2 + band.excess**2 * spread
+        expected = band.factor * np.sqrt(SD**2 + spread + grown**2 * beyond)
         np.testing.assert_allclose(widths(band, found, new, times), expected, rtol=1e-8)
 
 
@@ -175,7 +175,7 @@ def test_known_parts_tell_the_rest_and_hardly_known_ones_the_excess():
 
 def test_the_variances_are_the_most_likely_ones():
     """Each at the other; for the rest a part counts as much as it is known."""
-    parts = [part(2.5, spread=0.1), part(9.0, spread=4.0, times=1.5), part(1.5, spread=0.1)]
+    parts = [part(2.0, spread=1.0), part(9.0, spread=4.0, times=1.5), part(1.5, spread=0.1)]
     known = np.array([1.0 / (1.0 + p.spread[0, 0]) for p in parts])
 
     def likelihood(rest, excess, weight):
@@ -190,15 +190,6 @@ def test_the_variances_are_the_most_likely_ones():
         best = likelihood(rest, excess, known), likelihood(rest, excess, 1.0)
         assert likelihood(rest + more, excess, known) < best[0]
         assert likelihood(rest, excess + more, 1.0) < best[1]
-
-
-def test_the_distance_counts_once():
-    """The posterior is of the run itself, which lies so far outside: grown again, bands of rigs
-    that hide a cause were twice as wide beyond twice the fitted range."""
-    told = BandVariance(np.zeros(1), 9.0)
-    near, far = (told.variance(ONE, part(0.0, spread=4.0, times=t)) for t in (1.0, 3.0))
-    np.testing.assert_array_equal(near, 41.0)
-    np.testing.assert_array_equal(far, 41.0)
 
 
 def test_a_hardly_known_part_says_little_of_the_rest():

@@ -63,6 +63,13 @@ def test_nothing_is_certain_by_a_single_recording(num, tests, status):
     assert causes(found)["push"].status == status
 
 
+@pytest.mark.parametrize(("tests", "status"), [(0, "likely"), (1, "certain")])
+def test_a_data_sheet_beside_a_cause_is_no_surer_than_that(tests, status):
+    found = diagnosed({PUSH: 3.0}, (PUSH,), num=1, tests=tests, base=(6.0, 0.5))
+    rows = causes(found)
+    assert (rows["push"].status, rows["mass"].status) == (status, status)
+
+
 def test_what_all_rivals_share_is_certain_though_the_rest_cannot_be_told(shared):
     found = causes(shared)
     assert (shared.verdict, shared.named) == ("named", ("push",))
