@@ -266,7 +266,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
         if better is at:
             break
         at, is_exact = better, False
-    if model.moves and not slopes_are_simulated(model) and _leaves_sheets(fit):
+    if by_differences and not slopes_are_simulated(model) and _leaves_sheets(fit):
         made, fit = _fitted_along_weak(made, members, fit, until)
     if made is search.simulations:
         return search
