@@ -139,7 +139,7 @@ def test_a_push_is_said_in_words(tmp_path):
     found = {row.name: row for row in report.causes if row.status == "likely"}
     assert list(found) == ["pulse_event_at_cart"]
     assert found["pulse_event_at_cart"].doubts == (
-        "no gain is confirmed on parts that were left out",
+        "the gain may be chance on parts that were left out",
     )
     words = found["pulse_event_at_cart"].words
     assert words.startswith("a pulse of ") and " N at cart or " in words and " at u from " in words
