@@ -41,8 +41,8 @@ def step_options(method: str, *, rtol: float, max_iters: int, atol: float = 0.0)
 
 
 def report_failure(stats: Tensor, what: str, hint: str, on_failure: str) -> None:
-    converged = stats.numpy()[:, STATS.index("converged")]  # called too often for torch
-    if converged.all():
+    # called too often for torch, and for reductions of NumPy
+    if 0.0 not in stats.numpy()[:, STATS.index("converged")].tolist():
         return
     failed = stats[:, STATS.index("converged")] == 0
     row = dict(zip(STATS, stats[failed][0].tolist(), strict=True))

@@ -10,12 +10,13 @@ from torch import Tensor, nn
 
 from diffsim.core.check import require, require_choice, require_number, require_range
 from diffsim.core.checked import checked
+from diffsim.core.layer import is_followed
 from diffsim.core.module import Float64Module
 from diffsim.core.record import warn
 from diffsim.core.torch_names import is_in_func
 from diffsim.core.values import joined
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
-from diffsim.soft._ops_water import water_force
+from diffsim.soft._ops_water import BoundWater, water_force
 from diffsim.soft.inputs import broadcast, flat
 from diffsim.soft.parameters import Value, as_tensor, hold
 
@@ -34,6 +35,65 @@ class HydroForces(NamedTuple):
 
     forces: Tensor
     limited: Tensor
+
+
+class SteadyWater(NamedTuple):
+    """Water whose force depends on nothing but where a body is and how it moves.
+
+    Attributes:
+        bound: The kernel with the water's properties.
+        velocity: Of the water, (batch, 3) [m/s].
+        gain: Factor on the forces, broadcastable to them [-]; None: 1.
+    """
+
+    bound: BoundWater
+    velocity: Tensor
+    gain: Tensor | None = None
+
+    @classmethod
+    def of(
+        cls, water: Hydrodynamics, x: Tensor, water_velocity: Tensor | None, gain: Tensor | None
+    ) -> SteadyWater | None:
+        """The water around a body in one step.
+
+        Args:
+            water: Its drag and thrust.
+            x: Positions of the batch that they are asked for, (..., num_nodes, 3) [m].
+            water_velocity: As ``water`` takes it.
+            gain: Factor on the forces, broadcastable to x; None: 1.
+
+        Returns:
+            None where forces are limited or a derivative by anything else may be asked for.
+        """
+        velocity = water.water_velocity if water_velocity is None else water_velocity
+        others = [
+            velocity,
+            *water.parameters(),
+            *water.buffers(),
+            *(() if gain is None else (gain,)),
+        ]
+        is_constant = not (torch.compiler.is_compiling() or is_followed(others))
+        if water.max_force is not None or not is_constant:
+            return None
+        velocity = require("water_velocity", velocity, ("...", 3))
+        velocity = flat(broadcast("water_velocity", velocity, (*x.shape[:-2], 3)), 1)
+        return cls(water._bind(), velocity, gain)
+
+    def tensors(self) -> list[Tensor]:
+        """What may be asked for a derivative, or change."""
+        return [self.velocity, *(() if self.gain is None else (self.gain,))]
+
+    def force(self, x: Tensor, v: Tensor) -> Tensor:
+        """Forces, shape of x (..., num_nodes, 3) [N]."""
+        force = self.bound.force(flat(x), flat(v), self.velocity).reshape(x.shape)
+        return force if self.gain is None else self.gain * force
+
+    def adjoint(self, x: Tensor, v: Tensor, grad_force: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradients of x and v from that of the forces."""
+        if self.gain is not None:
+            grad_force = self.gain * grad_force
+        grads = self.bound.adjoint(flat(x), flat(v), self.velocity, flat(grad_force))
+        return grads[0].reshape(x.shape), grads[1].reshape(x.shape)
 
 
 class Hydrodynamics(Float64Module):
@@ -131,6 +191,7 @@ class Hydrodynamics(Float64Module):
         self.warn = bool(warn)
         self._warned = False
         self._known: tuple[Tensor, ...] = ()  # parameters that were checked
+        self._bound: BoundWater | None = None  # with those
         self._check_parameters()
 
     @checked(x=("...", 3), v=("...", 3), water_velocity=("...", 3))
@@ -206,7 +267,25 @@ class Hydrodynamics(Float64Module):
         if not torch.compiler.is_compiling():
             require_range("density", self.density, above=0.0, hint="unit is kg/m^3")
         if has_numbers:  # numbers may change in place behind every counter, so copies are kept
-            self._known = tuple(v.detach().clone() for v in values)
+            self._known = tuple(
+                v.detach().clone(memory_format=torch.contiguous_format) for v in values
+            )
+            self._bound = None
+
+    def _bind(self) -> BoundWater:
+        """The kernel with the parameters as they are now."""
+        self._check_parameters()
+        if self._bound is None:
+            density, _, drag, thrust = self._known
+            self._bound = BoundWater(
+                self.faces,
+                self.mesh.num_nodes,
+                self.fade_angle,
+                density=density,
+                drag=drag,
+                thrust=thrust,
+            )
+        return self._bound
 
     def _limit_forces(self, forces: Tensor) -> HydroForces:
         if self.max_force is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -43,13 +43,11 @@ class Loads:
 
     def with_target(self, target: Tensor) -> Loads:
         """The same loads with other positions of the Dirichlet nodes."""
-        return Loads(
-            force=self.force,
-            target=target,
-            activation=self.activation,
-            pressure=self.pressure,
-            prepared=self.prepared,
-        )
+        return replace(self, target=target)
+
+    def with_force(self, force: Tensor) -> Loads:
+        """The same loads with other forces."""
+        return replace(self, force=force)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,6 +224,8 @@ def broadcast(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
 def flat(value: Tensor, trailing: int = 2) -> Tensor:
     """(batch, ...) with one leading axis, contiguous."""
     leading = value.ndim - trailing
+    if leading == 1:
+        return value.contiguous()
     if leading == 0:
         return value.contiguous().unsqueeze(0)
     batch = math.prod(value.shape[:leading])

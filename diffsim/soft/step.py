@@ -13,6 +13,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.torch_names import break_graph
 from diffsim.soft._ops_step import LINEAR
 from diffsim.soft.forces import elastic_gradient
+from diffsim.soft.hydrodynamics import Hydrodynamics, SteadyWater
 from diffsim.soft.in_contact import contact_planes, enters, in_contact, solve_in_contact
 from diffsim.soft.inputs import DampingFrame, Loads, check_loads, check_state, flat
 from diffsim.soft.integrators import (
@@ -27,7 +28,7 @@ from diffsim.soft.prepared import prepare
 from diffsim.soft.problem import solve, stage_problem
 from diffsim.soft.solid import Solid
 from diffsim.soft.state import State
-from diffsim.soft.whole_step import is_one_node, step_as_node
+from diffsim.soft.whole_step import whole_step
 
 BDF2_BREAKS_GRAPHS = (
     "BDF2 among obstacles asks at each step whether something touches, which breaks the graph: "
@@ -83,6 +84,44 @@ def step(
     return advance(state, check_loads(prepared, state.x.shape, given), obstacles)
 
 
+def step_in_water(
+    body: Solid,
+    state: State,
+    water: Hydrodynamics,
+    *,
+    water_velocity: Tensor | None = None,
+    gain: Tensor | None = None,
+    obstacles: Sequence[Obstacle] | Obstacle | None = None,
+    physics: Physics | None = None,
+    **loads: Tensor | None,
+) -> State:
+    """One time step as :func:`step` takes it, under the force of water at its start.
+
+    Args:
+        body, state, obstacles, physics: As in :func:`step`.
+        water: Drag and thrust of the water.
+        water_velocity: As ``water`` takes it.
+        gain: Factor on its force, broadcastable to x; None: 1.
+        **loads: ``activation``, ``pressure``, ``dirichlet_target`` as in :func:`step`.
+
+    Returns:
+        The next state. Gradients: as those of both, first order.
+    """
+    prepared = prepare(body, physics)
+    state = check_state(prepared, state)
+    shape = state.x.shape
+    around = None if obstacles else SteadyWater.of(water, state.x, water_velocity, gain)
+    if around is not None:
+        whole = whole_step(state, check_loads(prepared, shape, loads), around)
+        if whole is not None:
+            return whole
+    force = water(state.x, state.v, water_velocity=water_velocity)
+    force = force if gain is None else gain * force
+    return advance(
+        state, check_loads(prepared, shape, {**loads, "external_force": force}), obstacles
+    )
+
+
 def advance(
     state: State, loads: Loads, obstacles: Sequence[Obstacle] | Obstacle | None = None
 ) -> State:
@@ -107,8 +146,9 @@ def advance(
 
 
 def _free_step(body: Solid, state: State, loads: Loads) -> State:
-    if is_one_node(state, loads):
-        return step_as_node(state, loads)
+    whole = whole_step(state, loads)
+    if whole is not None:
+        return whole
     stage = make_stage(body.integrator, body.dt, state)
     problem = stage_problem(stage, state.x, loads)
     return finish_stage(body.integrator, stage, state, solve(problem), body.fixed)

@@ -11,40 +11,87 @@ with g = dL/dsolution = grad_x + kappa grad_v, and the gradients of argmin for g
 
     dL/dx = g_y + g_x_frame + g_x_velocity + g_guess - kappa grad_v,
     dL/dv = h (c / (c + alpha) g_y + g_x_frame).
+
+Water around the body, whose force f(x, v) is among the loads, adds (df/dx)' g_force to the one and
+(df/dv)' g_force to the other.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from diffsim.core.layer import also_item_by_item, first_order, is_recorded_plainly
+from diffsim.core.check import require
+from diffsim.core.layer import (
+    also_item_by_item,
+    first_order,
+    is_kernel_alone,
+    is_recorded_plainly,
+)
 from diffsim.soft._arrays import StepArrays
+from diffsim.soft._ops_step import BoundStep
+from diffsim.soft.hydrodynamics import SteadyWater
 from diffsim.soft.inputs import Loads, flat
-from diffsim.soft.integrators import finish_stage, make_stage
+from diffsim.soft.integrators import Rates, finish_stage, make_stage
 from diffsim.soft.problem import stage_problem
 from diffsim.soft.state import State
 
 
-def is_one_node(state: State, loads: Loads) -> bool:
-    """Whether a step's derivatives are recorded, and by nothing but its state and loads."""
+def whole_step(state: State, loads: Loads, water: SteadyWater | None = None) -> State | None:
+    """The state after a step, if its derivatives are recorded by nothing but its state and loads.
+
+    Args:
+        state: Where it begins, checked.
+        loads: What acts in it.
+        water: Around the body, whose force is not among the loads; with it also where no
+            derivative is asked for.
+
+    Returns:
+        The state, of one node; None: its parts have to be taken one by one.
+    """
     prepared = loads.prepared
+    if not prepared.is_constant or prepared.body.integrator != "implicit_euler":
+        return None
     moving = (state.x, state.v, loads.force, loads.activation, loads.pressure, loads.target)
-    return (
-        prepared.is_constant
-        and prepared.body.integrator == "implicit_euler"
-        and is_recorded_plainly(moving)
-    )
+    if is_recorded_plainly((*moving, *(water.tensors() if water else ()))):
+        return State(*_Step.apply(loads, water, *moving))
+    if water is not None and is_kernel_alone((*moving, *water.tensors())):
+        return _Parts.of(state, loads, water, keep=False).end
+    return None
 
 
-def step_as_node(state: State, loads: Loads) -> State:
-    """The state after a step for which :func:`is_one_node` holds."""
-    x, v = _Step.apply(
-        loads, state.x, state.v, loads.force, loads.activation, loads.pressure, loads.target
-    )
-    return State(x, v)
+class _Parts(NamedTuple):
+    """A step without its derivatives.
+
+    Attributes:
+        end: The state after it.
+        bound: The kernel with the parameters of its problem.
+        arrays: Of the problem.
+        rates: Of its stage.
+    """
+
+    end: State
+    bound: BoundStep
+    arrays: StepArrays
+    rates: Rates
+
+    @classmethod
+    def of(cls, state: State, loads: Loads, water: SteadyWater | None, *, keep: bool) -> _Parts:
+        """A step under loads, and under the force of water where there is some; keep: for its
+        adjoint."""
+        prepared, x = loads.prepared, state.x
+        body = prepared.body
+        if water is not None:
+            force = loads.force + water.force(x, state.v)
+            loads = loads.with_force(require("external_force", force, tuple(x.shape)))
+        stage = make_stage(body.integrator, body.dt, state)
+        arrays = stage_problem(stage, x, loads).arrays()
+        bound = prepared.bound(arrays)
+        solution = bound(arrays, keep=keep)[0].reshape(x.shape)
+        end = finish_stage(body.integrator, stage, state, solution, body.fixed)
+        return cls(end, bound, arrays, stage.rates)
 
 
 class _Step(torch.autograd.Function):
@@ -54,6 +101,7 @@ class _Step(torch.autograd.Function):
     def forward(
         ctx: Any,
         loads: Loads,
+        water: SteadyWater | None,
         x: Tensor,
         v: Tensor,
         force: Tensor,
@@ -61,19 +109,16 @@ class _Step(torch.autograd.Function):
         pressure: Tensor,
         target: Tensor,
     ) -> tuple[Tensor, Tensor]:
-        prepared, state = loads.prepared, State(x, v)
-        body = prepared.body
+        prepared = loads.prepared
         given = Loads(
             force=force, target=target, activation=activation, pressure=pressure, prepared=prepared
         )
-        stage = make_stage(body.integrator, body.dt, state)
-        arrays = stage_problem(stage, x, given).arrays()
-        bound = prepared.bound(arrays)
-        solution = bound(arrays, keep=True)[0].reshape(x.shape)
-        end = finish_stage(body.integrator, stage, state, solution, body.fixed)
+        end, bound, arrays, rates = _Parts.of(State(x, v), given, water, keep=True)
         moving = {n: t for n, t in arrays.named().items() if StepArrays.is_batched(n)}
-        ctx.bound, ctx.prepared, ctx.rates, ctx.names = bound, prepared, stage.rates, list(moving)
-        ctx.save_for_backward(end.x, *moving.values())
+        ctx.bound, ctx.prepared, ctx.rates, ctx.names = bound, prepared, rates, list(moving)
+        ctx.water = None if water is None else water.bound
+        wet = () if water is None else (x, v, *water.tensors())
+        ctx.save_for_backward(end.x, *moving.values(), *wet)
         return end.x, end.v
 
     @staticmethod
@@ -81,7 +126,7 @@ class _Step(torch.autograd.Function):
         saved = ctx.saved_tensors  # asked for once: checkpoints refuse a second time
         with torch.no_grad():
             found = also_item_by_item(lambda *grads: _pull(ctx, saved, *grads), (grad_x, grad_v))
-        return (None, *first_order("diffsim.soft_step", saved[0], found))
+        return (None, None, *first_order("diffsim.soft_step", saved[0], found))
 
 
 def _pull(
@@ -91,7 +136,7 @@ def _pull(
     solution, *tensors = saved
     prepared, bound, rates = ctx.prepared, ctx.bound, ctx.rates
     terms, muscles = prepared.terms(rates), prepared.body.muscles
-    given = dict(zip(ctx.names, tensors, strict=True))
+    given, wet = dict(zip(ctx.names, tensors, strict=False)), tensors[len(ctx.names) :]
     lead, nodal = solution.shape[:-2], solution.shape
     pulled = rates.kappa * grad_v
     found = bound.adjoint(given, flat(solution), flat(grad_x + pulled))
@@ -103,14 +148,20 @@ def _pull(
         by_x = by_x + (found["x_frame"] + found["x_velocity"]).reshape(nodal)
     if "guess" in found:
         by_x = by_x + found["guess"].reshape(nodal)
+    by_force = found["force"].reshape(nodal)
+    by_v = by_v * prepared.body.dt
+    if wet:
+        x, v, *around = wet
+        wet_x, wet_v = SteadyWater(ctx.water, *around).adjoint(x, v, by_force)
+        by_x, by_v = by_x + wet_x, by_v + wet_v
     of_muscles = found["activation"]
     if muscles.num_muscles:
         none = of_muscles.new_zeros(len(of_muscles), muscles.num_muscles)
         of_muscles = none.index_add_(1, muscles.owner, of_muscles)
     return (
         by_x,
-        by_v * prepared.body.dt,
-        found["force"].reshape(nodal),
+        by_v,
+        by_force,
         of_muscles.reshape(*lead, -1),
         found["pressure"].reshape(*lead, -1),
         found["target"].reshape(nodal),

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from diffsim import mesh, soft
+from diffsim.soft.step import step_in_water
 from tests.gradients import check_directions
 from tests.soft.cases import (
     SHARP,
@@ -79,6 +80,73 @@ def test_a_step_of_constant_parameters_is_one_node(method, rayleigh_beta):
         assert whole.abs().max() > 1e-6, name
         # they add in another order: a few units of the last place
         torch.testing.assert_close(whole, parts, rtol=1e-12, atol=1e-13 * float(parts.abs().max()))
+
+
+@pytest.mark.parametrize("kind", ["hex", "tet"])
+@pytest.mark.parametrize("method", ["auto", "linearly_implicit"])
+def test_a_step_in_constant_water_is_one_node(kind, method):
+    """Its adjoint is that of the force and of the step; so are those that are not one node."""
+    m = irregular_mesh(kind, (2, 1, 1), (1.0, 1.0, 1.0))
+    muscles = [soft.Muscle(elements=[0, 1], direction=(1.0, 0.0, 0.0), stiffness=20.0)]
+    body = soft_body(m, muscles=muscles, solver=soft.SolverOptions(method=method, **SHARP))
+    water = soft.Hydrodynamics(m, density=3.0, fade_angle=0.3).requires_grad_(False)
+    shape = (2, m.num_nodes, 3)
+    x = deformed(m).expand(shape)
+    args = [leaf(x), leaf(0.5 * noise(*shape, seed=2)), leaf([[0.8], [1.1]])]
+    velocity, gain = noise(2, 3, seed=3), torch.tensor([0.5, 2.0], dtype=torch.float64)
+    around = {"water_velocity": velocity, "gain": gain[:, None, None]}
+
+    def whole(x, v, activation, **changes):
+        state = soft.State(x, v)
+        return step_in_water(body, state, water, activation=activation, **(around | changes))
+
+    def parts(x, v, activation):
+        force = around["gain"] * water(x, v, water_velocity=velocity)
+        return soft.step(body, soft.State(x, v), activation=activation, external_force=force)
+
+    ends, grads = [], []
+    for take in (whole, parts):
+        end = take(*args)
+        out = torch.cat([end.x.flatten(), 0.1 * end.v.flatten()])
+        grads.append(torch.autograd.grad(out, args, noise(out.numel(), seed=8), retain_graph=True))
+        ends.append(out.detach())
+    assert torch.equal(*ends)
+    for together, apart in zip(*grads, strict=True):
+        assert together.abs().max() > 1e-6
+        scale = float(apart.abs().max())  # they add in another order
+        torch.testing.assert_close(together, apart, rtol=1e-12, atol=1e-13 * scale)
+    end = whole(*args)
+    inputs = {f.variable.data_ptr() for f, _ in end.x.grad_fn.next_functions if f is not None}
+    assert inputs == {a.data_ptr() for a in args}  # nothing stands between
+    with torch.no_grad():
+        assert torch.equal(whole(*args).x, end.x)
+    gain = leaf(around["gain"])  # by which the force has a derivative: two nodes again
+    sums = [take.x[..., 0].sum() for take in (end, whole(*args, gain=gain))]
+    by_v = [torch.autograd.grad(one, args[1], retain_graph=True)[0] for one in sums]
+    torch.testing.assert_close(*by_v, rtol=1e-12, atol=1e-12)
+    assert torch.autograd.grad(sums[1], gain)[0].abs().max() > 1e-6
+    with pytest.raises(ValueError, match="external_force must be finite"):
+        whole(*args, gain=torch.full((2, 1, 1), torch.nan, dtype=torch.float64))
+
+
+def test_a_step_in_water_is_that_of_differences():
+    """In both modes, and refused twice, as the step alone is."""
+    m = irregular_mesh("hex", (1, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(m, solver=soft.SolverOptions(**SHARP))
+    water = soft.Hydrodynamics(m, density=3.0, fade_angle=0.3).requires_grad_(False)
+    args = (leaf(deformed(m)), leaf(0.5 * noise(m.num_nodes, 3, seed=2)))
+    speed = noise(3, seed=3)
+
+    def end(x, v):
+        return step_in_water(body, soft.State(x, v), water, water_velocity=speed).x
+
+    assert torch.autograd.gradcheck(end, args, **TOLERANCE, check_batched_grad=True)
+    many = [torch.stack([a.detach(), a.detach()]) for a in args]
+    mapped = torch.func.vmap(end)(*many)
+    torch.testing.assert_close(mapped[0], end(*args).detach(), rtol=1e-12, atol=1e-12)
+    (slope,) = torch.autograd.grad(end(*args).square().sum(), args[1], create_graph=True)
+    with pytest.raises(NotImplementedError, match="second order"):
+        torch.autograd.grad(slope.sum(), args[1])
 
 
 # Principal stretches of one tetrahedron, away from the kink s1 + s2 = 0 of the nearest rotation and

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffsim import mesh, soft
 from diffsim.contact import Obstacle
+from diffsim.soft.step import step_in_water
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,14 +78,26 @@ class SoftRobot:
         force = self.water(state.x, state.v, water_velocity=water_velocity)
         return force if gain is None else gain * force
 
-    def step(self, state: soft.State, command: Tensor, **options: Tensor | None) -> soft.State:
-        """One time step under a command (..., num_commands); options as for ``force``."""
-        return soft.step(
+    def step(
+        self,
+        state: soft.State,
+        command: Tensor,
+        *,
+        water_velocity: Tensor | None = None,
+        gain: Tensor | None = None,
+    ) -> soft.State:
+        """One time step under a command (..., num_commands); the others as for ``force``."""
+        activation, obstacles = self.activation(command), self.obstacles or None
+        if self.water is None:
+            return soft.step(self.body, state, activation=activation, obstacles=obstacles)
+        return step_in_water(
             self.body,
             state,
-            external_force=self.force(state, **options),
-            activation=self.activation(command),
-            obstacles=self.obstacles or None,
+            self.water,
+            water_velocity=water_velocity,
+            gain=gain,
+            obstacles=obstacles,
+            activation=activation,
         )
 
     def center(self, x: Tensor) -> Tensor:

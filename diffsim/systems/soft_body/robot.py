@@ -21,6 +21,7 @@ from diffsim.core.errors import ConvergenceError, FactorizationError
 from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
 from diffsim.soft.integrators import WITH_CONTACT
+from diffsim.soft.step import step_in_water
 from diffsim.systems.description import BaseParameters
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
 from diffsim.systems.soft_body.described import DescribedModel
@@ -215,14 +216,23 @@ class DescribedRobot:
             physics: As ``physics`` makes it.
             current, gain: As ``force`` takes them.
         """
+        scene = self.scene
+        loads = {"activation": self.activation(command), "pressure": self.pressure(command)}
+        obstacles = list(scene.obstacles) or None
+        if scene.water is not None and not scene.makers and not self.members:
+            return step_in_water(
+                self.body,
+                state,
+                scene.water,
+                water_velocity=scene.current if current is None else scene.current + current,
+                gain=None if gain is None else gain[:, None, None],
+                obstacles=obstacles,
+                physics=physics,
+                **loads,
+            )
+        force = self.force(state, current, gain) if self.is_pushed else None
         return soft.step(
-            self.body,
-            state,
-            external_force=self.force(state, current, gain) if self.is_pushed else None,
-            activation=self.activation(command),
-            pressure=self.pressure(command),
-            obstacles=list(self.scene.obstacles) or None,
-            physics=physics,
+            self.body, state, external_force=force, obstacles=obstacles, physics=physics, **loads
         )
 
     def center(self, x: Tensor) -> Tensor:
