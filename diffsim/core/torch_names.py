@@ -82,6 +82,13 @@ def is_watched(*, by_compilers: bool = True) -> bool:
     )
 
 
+def has_hooks(module: torch.nn.Module) -> bool:
+    """Whether something sees or changes what goes into a module, or comes out of it."""
+    own = ("_forward_pre_hooks", "_forward_hooks", "_backward_pre_hooks", "_backward_hooks")
+    of_all: bool = torch.nn.modules.module._has_any_global_hook()
+    return of_all or any(getattr(module, name) for name in own)
+
+
 def is_wrapped(value: Tensor) -> bool:
     """Whether a tensor is one of ``torch.func`` around another one."""
     return bool(_FUNC.is_functorch_wrapped_tensor(value))

@@ -40,7 +40,7 @@ class BoundWater:
         thrust: Tensor,
     ):
         self._surface, self._held = _surface(faces, num_nodes), faces
-        self._fade_angle = fade_angle
+        self.fade_angle = fade_angle
         self._constants = {"density": density, "drag": drag, "thrust": thrust}
 
     def force(self, x: Tensor, v: Tensor, water: Tensor) -> Tensor:
@@ -71,7 +71,7 @@ class BoundWater:
         return {
             "faces": self._surface,
             "inputs": core.WaterArrays(**{n: tensor.data_ptr() for n, tensor in tensors.items()}),
-            "fade_angle": self._fade_angle,
+            "fade_angle": self.fade_angle,
             "batch": len(x),
         }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -13,7 +13,7 @@ from diffsim.core.checked import checked
 from diffsim.core.layer import is_followed
 from diffsim.core.module import Float64Module
 from diffsim.core.record import warn
-from diffsim.core.torch_names import is_in_func
+from diffsim.core.torch_names import has_hooks, is_in_func
 from diffsim.core.values import joined
 from diffsim.mesh import HexMesh, TetMesh, surface_quads, surface_triangles
 from diffsim.soft._ops_water import BoundWater, water_force
@@ -63,20 +63,21 @@ class SteadyWater(NamedTuple):
             gain: Factor on the forces, broadcastable to x; None: 1.
 
         Returns:
-            None where forces are limited or a derivative by anything else may be asked for.
+            None where forces are limited, a derivative by anything else may be asked for, a
+            subclass or a hook may change them, or the water is around another mesh.
         """
+        if torch.compiler.is_compiling() or type(water) is not Hydrodynamics or has_hooks(water):
+            return None
         velocity = water.water_velocity if water_velocity is None else water_velocity
-        others = [
-            velocity,
-            *water.parameters(),
-            *water.buffers(),
-            *(() if gain is None else (gain,)),
-        ]
-        is_constant = not (torch.compiler.is_compiling() or is_followed(others))
-        if water.max_force is not None or not is_constant:
+        gains = () if gain is None else (gain,)
+        others = (velocity, *water.parameters(), *water.buffers(), *gains)
+        is_own = x.shape[-2] == water.mesh.num_nodes  # its call says what is wrong
+        if water.max_force is not None or is_followed(others) or not is_own:
             return None
         velocity = require("water_velocity", velocity, ("...", 3))
         velocity = flat(broadcast("water_velocity", velocity, (*x.shape[:-2], 3)), 1)
+        if gain is not None:
+            gain = torch.as_tensor(gain, dtype=torch.float64)  # a number may be one, too
         return cls(water._bind(), velocity, gain)
 
     def tensors(self) -> list[Tensor]:
@@ -275,7 +276,7 @@ class Hydrodynamics(Float64Module):
     def _bind(self) -> BoundWater:
         """The kernel with the parameters as they are now."""
         self._check_parameters()
-        if self._bound is None:
+        if self._bound is None or self._bound.fade_angle != self.fade_angle:
             density, _, drag, thrust = self._known
             self._bound = BoundWater(
                 self.faces,
@@ -286,6 +287,9 @@ class Hydrodynamics(Float64Module):
                 thrust=thrust,
             )
         return self._bound
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_bound": None}  # it holds addresses, which no copy has
 
     def _limit_forces(self, forces: Tensor) -> HydroForces:
         if self.max_force is None:

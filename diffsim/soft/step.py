@@ -91,25 +91,25 @@ def step_in_water(
     *,
     water_velocity: Tensor | None = None,
     gain: Tensor | None = None,
+    activation: Tensor | None = None,
+    pressure: Tensor | None = None,
     obstacles: Sequence[Obstacle] | Obstacle | None = None,
     physics: Physics | None = None,
-    **loads: Tensor | None,
 ) -> State:
     """One time step as :func:`step` takes it, under the force of water at its start.
 
     Args:
-        body, state, obstacles, physics: As in :func:`step`.
+        body, state, activation, pressure, obstacles, physics: As in :func:`step`.
         water: Drag and thrust of the water.
         water_velocity: As ``water`` takes it.
         gain: Factor on its force, broadcastable to x; None: 1.
-        **loads: ``activation``, ``pressure``, ``dirichlet_target`` as in :func:`step`.
 
     Returns:
         The next state. Gradients: as those of both, first order.
     """
     prepared = prepare(body, physics)
     state = check_state(prepared, state)
-    shape = state.x.shape
+    shape, loads = state.x.shape, {"activation": activation, "pressure": pressure}
     around = None if obstacles else SteadyWater.of(water, state.x, water_velocity, gain)
     if around is not None:
         whole = whole_step(state, check_loads(prepared, shape, loads), around)

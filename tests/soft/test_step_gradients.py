@@ -4,6 +4,9 @@ Tolerance of gradcheck: the differences are over 2e-6; the solver stops at 1e-12
 which is 1e-6 of a difference, and third derivatives add 1e-12. Entries are of order one: 2e-5.
 """
 
+import copy
+import pickle
+
 import pytest
 import torch
 
@@ -147,6 +150,42 @@ def test_a_step_in_water_is_that_of_differences():
     (slope,) = torch.autograd.grad(end(*args).square().sum(), args[1], create_graph=True)
     with pytest.raises(NotImplementedError, match="second order"):
         torch.autograd.grad(slope.sum(), args[1])
+
+
+def test_a_step_in_water_takes_the_force_that_the_water_has_now():
+    """A factor of a subclass or a hook was passed over, and another angle came too late."""
+    m = irregular_mesh("hex", (2, 1, 1), (1.0, 1.0, 1.0))
+    body = soft_body(m, solver=soft.SolverOptions(**SHARP))
+    state = soft.State(leaf(deformed(m)), 0.5 * noise(m.num_nodes, 3, seed=2))
+
+    class Half(soft.Hydrodynamics):
+        def forward(self, x, v, **given):
+            return 0.5 * super().forward(x, v, **given)
+
+    def end(water, gain=None):
+        return step_in_water(body, state, water, gain=gain).x
+
+    def of_parts(water, gain=1.0):
+        return soft.step(body, state, external_force=gain * water(state.x, state.v)).x
+
+    water, half = (
+        of(m, density=3.0, fade_angle=0.3).requires_grad_(False)
+        for of in (soft.Hydrodynamics, Half)
+    )
+    first = end(water)
+    for one in (water, half, copy.deepcopy(water), pickle.loads(pickle.dumps(water))):
+        assert torch.equal(end(one), of_parts(one))
+    end(water, 0.5).sum().backward()  # a number is a gain, too
+    assert torch.equal(end(water, 0.5), of_parts(water, 0.5))
+    hook = water.register_forward_hook(lambda module, given, force: 2.0 * force)
+    assert torch.equal(end(water), of_parts(water)) and not torch.equal(end(water), first)
+    hook.remove()
+    assert torch.equal(end(water), first)
+    water.fade_angle = 0.6
+    assert torch.equal(end(water), of_parts(water)) and not torch.equal(end(water), first)
+    larger = irregular_mesh("hex", (2, 2, 1), (1.0, 1.0, 1.0))
+    with pytest.raises(ValueError, match="x must have shape"):
+        end(soft.Hydrodynamics(larger).requires_grad_(False))
 
 
 # Principal stretches of one tetrahedron, away from the kink s1 + s2 = 0 of the nearest rotation and
