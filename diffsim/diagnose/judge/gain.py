@@ -113,16 +113,17 @@ class Gain:
         """The gain in a sentence."""
         if self.status == "nothing to gain":
             return "On unseen runs the plain model's error is noise alone: nothing is to be gained."
+        if self.status == "cannot be judged":
+            is_lost = self.left > 1.0 + max(self.excess, 0.0) + NEAR_ZERO
+            why = "without these samples the fit ran away"
+            why = why if is_lost else "next to nothing was there to be removed"
+            return f"On unseen runs the gain cannot be judged: {why}."
         share, low, high = (percent(v) for v in (self.value, self.low, self.high))
         interval = f"90 % interval: {low} to {high}"
         if self.num_blocks < MIN_BLOCKS:
             what = "block of samples is" if self.num_blocks == 1 else "blocks of samples are"
             interval = f"{self.num_blocks} {what} too few for an interval"
         why = ""
-        if self.status == "cannot be judged":
-            why = ": next to nothing was there to be removed"
-            if self.left > 1.0 + max(self.excess, 0.0) + NEAR_ZERO:
-                why = ": without these samples the fit ran away"
         if (far := self.farthest[0]) > FAR_OFF:
             why = f"; {self.farthest[1]} of them is {figure(far, 2)} standard deviations off"
         if self.is_below_noise:

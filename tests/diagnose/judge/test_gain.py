@@ -115,6 +115,7 @@ def test_next_to_nothing_and_a_fit_that_ran_away_refute_nothing():
     assert away.high < 0.0 and away.status == "cannot be judged" and "ran away" in away.words
     nothing = Gain(-0.4, -0.6, -0.2, 0.01, 20)
     assert nothing.status == "cannot be judged" and "next to nothing" in nothing.words
+    assert "%" not in away.words and "%" not in nothing.words  # a share of that says nothing
     assert Gain(-0.4, -0.6, -0.2, 0.1, 20).status == "withdrawn"
 
 
