@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from diffsim.core.figures import figure, unit_of
+from diffsim.core.units import small_scale
 from diffsim.data.study import Channel
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import LEVEL, ErrorRow, band_share
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_series import PredictedRun
+from diffsim.viz.diagnosis_tables import pool_errors
 from diffsim.viz.moving import MovingChoice
 
 NEAR_LEVEL = 0.05  # share of the readings by which a band may be off
@@ -25,15 +25,16 @@ def error_numbers(errors: Sequence[ErrorRow]) -> list[page.Number]:
     for kind in dict.fromkeys((e.kind, e.unit) for e in errors):
         rows = [e for e in errors if (e.kind, e.unit) == kind]
         before, after, noise = (
-            _pool_errors([getattr(e, which) for e in rows], [e.num_samples for e in rows])
+            pool_errors([getattr(e, which) for e in rows], [e.num_samples for e in rows])
             for which in ("before", "after", "noise")
         )
+        unit, times = small_scale(kind[1], (after, noise))  # as the first sentence says it
         shown.append(
             page.Number(
                 label=f"rms error of {kind[0]} on {rows[0].use} runs",
-                value=figure(after),
-                unit=unit_of(kind[1]),
-                note=f"before: {figure(before)}, noise alone: {figure(noise)}",
+                value=figure(times * after),
+                unit=unit_of(unit),
+                note=f"before: {figure(times * before)}, noise alone: {figure(times * noise)}",
             )
         )
     return shown
@@ -107,8 +108,3 @@ def runs_section(
     content: list[page.Item] = [] if view is None else [view]
     content.append(page.Chart(figure=draw.runs_over_time(runs, channels), caption=caption))
     return page.Section(title=title, text=text, content=content)
-
-
-def _pool_errors(values: Sequence[float], counts: Sequence[int]) -> float:
-    """Root mean square over runs of different length."""
-    return float(np.sqrt(np.average(np.square(values), weights=counts)))

@@ -302,9 +302,11 @@ def _component_of(name: str) -> str:
 
 
 def _list_first(names: Sequence[str], most: int, between: str = ", ") -> str:
-    """The first names, and how many more there are."""
+    """The first names, and how many more there are; one more is named, too."""
     more = len(names) - most
-    return between.join(names[:most]) + (f"{between}and {more} more" if more > 0 else "")
+    if more <= 1:
+        return between.join(names)
+    return f"{between.join(names[:most])}{between}and {more} more"
 
 
 def _blind(report: Report) -> page.Section:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from diffsim.core.figures import figure, signed, unit_of, with_interval, with_sd
+from diffsim.core.units import small_scale
 from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain, percent
@@ -26,11 +30,14 @@ from diffsim.diagnose.say.wording import component_words
 from diffsim.viz.report import Table
 
 _OUT = (REFUTED, HIDDEN, UNJUDGED)  # statuses of causes that the answer does without
+ERRORS = ("before", "after", "noise", "band", "constant", "held", "without", "command")
 MOST_OUTSIDE = 10  # rows: a flight has twenty quantities, most just outside
 
 
 def errors(rows: Sequence[ErrorRow]) -> Table:
-    """Error before and after on runs that were not fitted; no columns without a number."""
+    """Error before and after on runs that were not fitted; no columns without a number, and each
+    kind of channel in the unit of its key figure."""
+    rows = _in_small_units(rows)
     given = ("constant", "held", "command", "without")
     shown = [which for which in given if any(getattr(row, which) is not None for row in rows)]
     return Table(
@@ -73,6 +80,34 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
     )
 
 
+def pool_errors(values: Sequence[float], counts: Sequence[int]) -> float:
+    """Root mean square over runs of different length.
+
+    Args:
+        values: Root mean square of each run, in one unit.
+        counts: Number of samples of each run.
+    """
+    return float(np.sqrt(np.average(np.square(values), weights=counts)))
+
+
+def _in_small_units(rows: Sequence[ErrorRow]) -> list[ErrorRow]:
+    kinds: dict[tuple[str, str], list[ErrorRow]] = {}
+    for row in rows:
+        kinds.setdefault((row.kind, row.unit), []).append(row)
+    scales = {}
+    for kind, same in kinds.items():
+        counts = [row.num_samples for row in same]
+        sizes = (pool_errors([getattr(row, w) for row in same], counts) for w in ("after", "noise"))
+        scales[kind] = small_scale(kind[1], sizes)
+    out = []
+    for row in rows:
+        unit, times = scales[row.kind, row.unit]
+        values = {name: getattr(row, name) for name in ERRORS}
+        read = {name: times * v for name, v in values.items() if v is not None}
+        out.append(replace(row, unit=unit, **read))
+    return out
+
+
 def own(rows: Sequence[OwnRow]) -> list[Table]:
     """What was fitted to runs that nothing else was fitted to; empty where nothing was."""
     if not rows:
@@ -86,7 +121,7 @@ def own(rows: Sequence[OwnRow]) -> list[Table]:
                 figure(row.value),
                 with_sd(row.prior_value, row.prior_sd),
                 unit_of(row.unit) or "–",
-                f"{row.pull:+.1f}",
+                f"{round(row.pull, 1) + 0.0:+.1f}",  # no minus before zero
             ]
             for row in rows
         ],

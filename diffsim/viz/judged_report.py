@@ -72,9 +72,11 @@ def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report
 
 def _collect_predictions(found: Unseen, study: Study, *, extended: bool) -> list[PredictedRun]:
     by_name = {run.name: run for run in study.runs}
+    use = {name: run.use for name, run in by_name.items()}
+    use |= {row.run: row.use for row in found.errors}  # whatever the study says: none was fitted
     return [
         PredictedRun(
-            **vars(by_name[name]),
+            **{**vars(by_name[name]), "use": use[name]},
             null=before,
             extended=after if extended else None,
             band=found.bands.get(name),
@@ -139,7 +141,7 @@ def _sizes(saved: SavedModel) -> page.Section:
     moved = [n for n in shared if n not in saved.plain or saved.plain[n] != saved.values[n]]
     rows = [
         [
-            name,
+            words_of(name),
             with_sd(saved.values[name], saved.sd[name]),
             figure(saved.plain[name], 4) if name in saved.plain else "–",
             unit_of(saved.units.get(name, "-")) or "–",

@@ -648,3 +648,8 @@ def test_a_browser_toggles_the_cause_and_zooms_a_curve(tmp_path):
         assert browser.js(across) == pytest.approx(wide, abs=0.1)  # and all of it is seen
         assert browser.complaints == []
         browser.picture(tmp_path / "page.png")
+
+
+def test_one_more_is_named():
+    assert dr._list_first(["a", "b", "c"], 2) == "a, b, c"
+    assert dr._list_first(["a", "b", "c", "d"], 2) == "a, b, and 2 more"

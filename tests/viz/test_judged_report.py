@@ -1,5 +1,6 @@
 """The page of a judgment: what a saved model says of new runs."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -161,3 +162,44 @@ def test_a_share_of_next_to_nothing_is_no_number():
     )
     assert nought.endswith("; nothing to gain.") and "noise removed" not in nought
     assert sure.endswith("; 90 % of the error above the noise removed: confirmed.")
+
+
+def test_numbers_of_the_page_are_in_the_unit_of_its_first_sentence():
+    """ "6.3 to 2.8 mm" stood beside a card of "0.0028 m", and sentences without a unit."""
+    rows = tuple(
+        ErrorRow(n, "position", "m", 0.0063, 0.0028, 0.0029, 40, 1, band=0.0045, held=0.0735)
+        for n in ("slow", "fast")
+    )
+    causes = {"drag": found(errors=rows)}
+    page = judgment_page(found(errors=rows, causes=causes), STUDY, SAVED)
+    assert page.verdict == [
+        "With the extended model the error on unseen runs falls from 6.3 to 2.8 mm, noise 2.9 mm."
+    ]
+    card = page.numbers[0]
+    assert (card.value, card.unit, card.note) == ("2.8", "mm", "before: 6.3, noise alone: 2.9")
+    errors = sections(page)["Error on these runs"].content[0]
+    row = dict(zip(errors.columns, errors.rows[0], strict=True))
+    assert [row[k] for k in ("before", "after", "noise", "held", "90 % band ±", "unit")] == [
+        "6.3", "2.8", "2.9", "73.5", "4.5", "mm"
+    ]  # fmt: skip
+    assert "position 6.3, with it 2.8 mm" in sections(page)["Gain, run by run"].text[0]
+
+
+def test_a_judged_run_is_not_called_fitted():
+    """What the study says it is used for is not what it was used for here."""
+    runs = tuple(replace(run, use="fit") for run in STUDY.runs)
+    page = judgment_page(found(), replace(STUDY, runs=runs), SAVED)
+    chart = sections(page)["Measured and predicted"].content[0].figure
+    labels = [button.label for menu in chart.layout.updatemenus for button in menu.buttons]
+    assert labels == ["slow (test)", "fast (test)"]
+
+
+def test_names_in_the_table_of_sizes_are_words():
+    named = replace(
+        SAVED,
+        values={**SAVED.values, "viscous_friction": 2.0},
+        sd={**SAVED.sd, "viscous_friction": 0.1},
+        components=("viscous_friction",),
+    )
+    table = sections(judgment_page(found(), STUDY, named))["What was judged"].content[0]
+    assert table.rows[0][0] == "viscous friction"

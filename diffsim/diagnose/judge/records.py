@@ -229,20 +229,21 @@ def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:
     """Where the extended model is worse than what takes no skill, a sentence for each run."""
     out = []
     for row in errors:
+        unit, times = small_scale(row.unit, (row.after, row.noise))
         better = {
             "a constant": row.constant,
             "the first reading, held,": row.held,
             "the command itself, late and shifted,": row.command,
         }
         said = [
-            f"{what} would leave {figure(value)}{after_number(row.unit)}"
+            f"{what} would leave {figure(times * value)}{after_number(unit)}"
             for what, value in better.items()
             if value is not None and value < SKILL * row.after
         ]
         if said:
             out.append(
                 f"Run {row.run}: the model has no skill in {row.kind}: it leaves "
-                f"{figure(row.after)}{after_number(row.unit)}, {' and '.join(said)}."
+                f"{figure(times * row.after)}{after_number(unit)}, {' and '.join(said)}."
             )
     return out
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
-from diffsim.core.units import after_number
+from diffsim.core.units import after_number, small_scale
 from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.diagnose.judge.records import ErrorRow
@@ -133,4 +133,6 @@ def _change(errors: Sequence[ErrorRow], kind: str, unit: str) -> str:
         float(np.sqrt(np.average([getattr(row, which) ** 2 for row in own], weights=weights)))
         for which in ("before", "after")
     )
-    return f"{kind} {figure(before)}, with it {figure(after)}{after_number(unit)}"
+    shown, times = small_scale(unit, (before, after))
+    before, after = times * before, times * after
+    return f"{kind} {figure(before)}, with it {figure(after)}{after_number(shown)}"
