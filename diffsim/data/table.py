@@ -184,13 +184,11 @@ def _number_rows(
 ) -> Iterator[tuple[int, list[str]]]:
     for row in _rows(path, rows, before):
         line: int = before + rows.line_num  # type: ignore[attr-defined]
-        if not any(cell.strip() for cell in row):
-            continue  # blank line, usually the last
+        if not any(cell.strip() for cell in row) or row[0].lstrip().startswith("#"):
+            continue  # blank line, usually the last, or a remark of the logger
         if len(row) == len(header) + 1 and not row[-1].strip():
             row = row[:-1]  # loggers end a row with a delimiter
         if len(row) != len(header):
-            if row[0].lstrip().startswith("#"):
-                continue  # a remark of the logger
             raise ValueError(
                 f"{path}, row {line}: {len(row)} cells, but the header has {len(header)} "
                 "columns; a cell without a value must still have its comma, a line of text begin "

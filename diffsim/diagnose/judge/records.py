@@ -123,7 +123,8 @@ class CauseRow:
         unit = self.read_unit
         if unit == self.unit:
             return self
-        times = self.shown_times or factor(self.unit, unit)
+        per = unit if self.shown_power > 0 else f"1/({unit})"
+        times = self.shown_times or factor(self.unit, per) ** self.shown_power
         size = {}
         for c, s in self.size.items():
             low, value, high = (times * v**self.shown_power for v in (s.low, s.value, s.high))

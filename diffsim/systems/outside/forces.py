@@ -17,6 +17,7 @@ from diffsim.causes.scene import LawFormula
 from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
 
+CONSTANT = "size"  # law of a force that depends on nothing
 SHARP = 0.01  # of the usual speed: below it Coulomb friction is viscous
 
 
@@ -108,6 +109,24 @@ class PlaceForces:
             return out
 
         return force
+
+    @property
+    def is_over_time(self) -> bool:
+        """Whether all of it is known before the simulation: straight lines over time, constants."""
+        return all(getattr(t.law, "text", "") == CONSTANT for t in self.terms)
+
+    def over(self, times: Array) -> dict[int, Array]:
+        """Forces that are known before the simulation, at times [s], (num_times,) each, by the
+        index of their place; of ``is_over_time``."""
+        out: dict[int, Array] = {}
+        for t in self.terms:
+            i = self.places.index(t.place)
+            out[i] = out.get(i, 0.0) + np.full(len(times), t.size)
+        for k in self._knots:
+            i = self.places.index(k.place)
+            at = k.start + k.spacing * np.arange(len(k.values))
+            out[i] = out.get(i, 0.0) + np.interp(times, at, k.values)
+        return out
 
     def without(self, terms: Sequence[Term]) -> PlaceForces:
         """The same but for forces that a simulator has itself."""

@@ -61,6 +61,8 @@ class _Job:
         at_samples: Commands at the samples, where sensors depend on them; None: they do not.
         readers: Entry of ``sensordata`` for each channel.
         force: Forces that Python adds; None: none.
+        pushes: The same over the steps, of each degree of freedom, (num_steps, nv), where they are
+            known before; None: they are not.
         can_roll: Whether MuJoCo's own loop does it.
     """
 
@@ -71,6 +73,7 @@ class _Job:
     at_samples: Array | None
     readers: Sequence[int]
     force: PlaceForces | None
+    pushes: Array | None
     can_roll: bool
 
 
@@ -174,7 +177,7 @@ class Mjcf:
             force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
         _, asked = self._take_own({}, force)
-        num_forces = 0 if asked is None else len(asked.acting)
+        num_forces = 0 if asked is None or self._is_known(asked) else len(asked.acting)
         of_forces = OF_CALL + OF_FORCE * num_forces if num_forces else 0.0
         of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
         return Steps.count(run.time_s, float(self.plain.opt.timestep)) * of_step
@@ -295,6 +298,8 @@ class Mjcf:
             if (control := self._control_of(command, run)) is not None:
                 delays[control] = delays.get(control, 0.0) + late
         is_exact = not self.held and self._reads_forces(readers)
+        acts = force is not None and force.acts
+        pushes = self._pushes(force, steps.starts) if force is not None and acts else None
         return _Job(
             model=model,
             steps=steps,
@@ -303,9 +308,10 @@ class Mjcf:
             at_samples=steps.at_samples(values, self.held, delays) if is_exact else None,
             readers=readers,
             force=force,
+            pushes=pushes,
             can_roll=steps.is_even
             and not is_exact
-            and (force is None or not force.acts)
+            and (pushes is not None or not acts)
             and self._make_rollout is not None,
         )
 
@@ -316,11 +322,21 @@ class Mjcf:
             self._rollouts[count] = self._make_rollout(nthread=count)
         for job in jobs:
             job.model.opt.timestep = job.steps.lengths[0]
+        of_state = self.mujoco.mjtState
+        given, spec = np.stack([job.controls for job in jobs]), int(of_state.mjSTATE_CTRL)
+        if any(job.pushes is not None for job in jobs):
+            none, spec = (
+                np.zeros((given.shape[1], self.plain.nv)),
+                spec + of_state.mjSTATE_QFRC_APPLIED,
+            )
+            pushes = [none if job.pushes is None else job.pushes for job in jobs]
+            given = np.concatenate([given, np.stack(pushes)], axis=2)
         states, sensors = self._rollouts[count].rollout(
             [job.model for job in jobs],
             [self.mujoco.MjData(self.plain) for _ in range(max(count, 1))],
             np.stack([job.start for job in jobs]),
-            np.stack([job.controls for job in jobs]),
+            given,
+            control_spec=spec,
         )
         out: list[Array | Exception] = []
         for job, state, sensor in zip(jobs, states, sensors, strict=True):
@@ -330,16 +346,16 @@ class Mjcf:
                 out.append(np.array(sensor[job.steps.samples][:, job.readers]))
         return out
 
-    def _step_through(self, job: _Job) -> Array:
+    def _step_through(self, job: _Job, watch: bool = False) -> Array:
         """One step after the other, for what MuJoCo's own loop does not do."""
         force = job.force
         if force is None or not force.acts:
-            return self._loop(job)
+            return self._loop(job, watch)
         # called at every stage of an integrator, so that forces are as exact as the step
         before = self.mujoco.get_mjcb_passive()
         self.mujoco.set_mjcb_passive(self._push_joints(force))
         try:
-            return self._loop(job)
+            return self._loop(job, watch)
         finally:
             self.mujoco.set_mjcb_passive(before)
 
@@ -369,7 +385,7 @@ class Mjcf:
 
     def _explain_divergence(self, job: _Job) -> DivergedError:
         try:
-            self._loop(job, watch=True)
+            self._step_through(job, watch=True)
         except DivergedError as error:
             return error
         return DivergedError("the simulation stopped before the end of the run")
@@ -466,6 +482,21 @@ class Mjcf:
         """Index of the actuator that a command drives; None: it drives none."""
         name = command if self.commands is None else self.commands.get(command)
         return None if name is None else self.numbers.find("actuator", name, "options.commands")
+
+    def _is_known(self, force: PlaceForces) -> bool:
+        """Whether forces over time alone are all there is, and an integrator that asks for them
+        once a step: MuJoCo's own loop then holds them."""
+        return force.is_over_time and self._stages == 1
+
+    def _pushes(self, force: PlaceForces, times: Array) -> Array | None:
+        """Forces of each degree of freedom at the steps, (num_steps, nv); None: not known before."""
+        if not self._is_known(force):
+            return None
+        out = np.zeros((len(times), self.plain.nv))
+        for place, values in force.over(times).items():
+            joint = self.numbers.find("joint", force.places[place], "hooks.force")
+            out[:, int(self.plain.jnt_dofadr[joint])] += values
+        return out
 
     def _push_joints(self, force: PlaceForces) -> Callable[[Any, Any], None]:
         """What MuJoCo calls for passive forces: the forces at the joints that are the places."""

@@ -58,6 +58,14 @@ def test_a_limit_that_is_stored_as_time_per_way_is_read_as_a_speed():
     assert open_ended.as_read() is open_ended
 
 
+def test_a_limit_that_is_stored_as_one_over_a_force_is_read_as_that_force():
+    size = {"size": Interval(1.25, 1.0, 2.0)}
+    limit = replace(PLAY, unit="1/(N m)", size=size, shown_unit="N m", shown_power=-1)
+    assert size_range(limit) == "0.5 to 1 N m"
+    in_parts = replace(limit, unit="1/(kN m)", shown_unit="N m")
+    assert in_parts.as_read().size["size"].value == pytest.approx(800.0)
+
+
 def test_a_share_is_read_in_percent():
     scale = replace(PLAY, unit="-", shown_unit="%", size={"size": Interval(-0.02, -0.021, -0.019)})
     assert size_range(scale) == "-2.1 to -1.9 %"
