@@ -11,7 +11,7 @@ from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
 from diffsim.data.record.columns import find_units
 from diffsim.data.record.encodings import find_codes
-from diffsim.data.record.shapes import _flat_at, find_flat
+from diffsim.data.record.shapes import _flat_at, find_flat, find_frozen, find_lasting
 from diffsim.data.record.signals import Record, Samples, Signal
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import check_study
@@ -271,3 +271,29 @@ def test_first_answers_of_damaged_copies_are_counted_and_kept(tmp_path, capsys):
     assert [p.stem for p in tmp_path.glob("*.json")] == ["3_0002"]
     with pytest.raises(SystemExit):
         blame.main(["--only", "5/4", "--out", str(tmp_path)])
+
+
+@pytest.mark.parametrize("is_stuck", [True, False])
+def test_a_sensor_that_comes_free_is_no_marker_that_slipped(is_stuck):
+    """A carriage was at its goal while its encoder still showed the place before: the leap at the
+    end was taken for a slip, and moving it back would have spoiled what follows."""
+    rng, time = np.random.default_rng(3), 0.02 * np.arange(240.0)
+    goal = np.where(time < 1.4, 0.2, np.where(time < 3.0, 0.1, 0.25))
+    shown = np.where(time < 1.4, 0.2, np.where(time < 1.55, 0.2, 0.1))  # it takes 0.15 s
+    shown = np.where(time < 3.0, shown, 0.25 - 0.15 * np.exp(-(time - 3.0) / 0.2))
+    shown = shown + rng.normal(0.0, 2e-4, len(time))
+    if is_stuck:
+        shown[68:86] = shown[68]
+    else:
+        shown[70:86] = 0.2 - 0.1 * (1.0 - np.exp(-(time[70:86] - 1.4) / 0.05))
+        shown[120:] += 0.04  # a slip while nothing was asked for
+    index = np.arange(len(time))
+    signals = [
+        Signal(name, role, name, "m", (Samples("job", index, time, values),))
+        for name, role, values in (("x", "channel", shown), ("goal", "command", goal))
+    ]
+    record = Record(Study("rig", "ode", (), ()), tuple(signals[:1]), tuple(signals[1:]))
+    told = [f.says for find in (find_frozen, find_lasting) for f in find(record)]
+    assert len(told) == 1
+    assert ("stands still from 1.36 to 1.7 s" in told[0]) is is_stuck
+    assert ("jumps by 0.04" in told[0]) is not is_stuck

@@ -333,10 +333,11 @@ def find_frozen(record: Record) -> Iterator[Finding]:
                 continue  # a flat top
             start, end = float(samples.times[first]), float(samples.times[last])
             moving = record.moving(samples.run, start, end, signal)
-            if _rests(record.command_of(signal), samples, first, last):
+            is_free = last in _lasting(samples, signal) and _is_alone(record, signal, samples, last)
+            if _rests(record.command_of(signal), samples, first, last) and not is_free:
                 continue
             if record.commands or len(record.channels) > 1:
-                if moving is None:
+                if moving is None and not is_free:
                     continue
             elif samples.shares_equal > 0.5:
                 continue
@@ -516,6 +517,7 @@ def find_lasting(record: Record) -> Iterator[Finding]:
     for signal in record.channels:
         for samples in signal.runs if signal.unit not in SPIKY else ():
             rows = [k for k in _lasting(samples, signal) if _is_alone(record, signal, samples, k)]
+            rows = [k for k in rows if k not in _stop_edges(samples)]
             if not 0 < len(rows) <= 3:
                 continue
             k = rows[0]
@@ -530,6 +532,16 @@ def find_lasting(record: Record) -> Iterator[Finding]:
                 f"}}` in run {samples.run} moves it back, `until_s: {time:.6g}` ends before",
                 signal.unit in PLACES,
             )
+
+
+def _stop_edges(samples: Samples) -> tuple[int, ...]:
+    """Changes before and after a stop where noise makes all others differ: a sensor was stuck, and
+    shows the way it missed as it comes free."""
+    if (found := _longest_stop(samples)) is None:
+        return ()
+    first, last = found
+    moves = np.delete(samples.changes, np.arange(first, last))
+    return (first - 1, last) if np.mean(moves == 0.0) < NOISY else ()
 
 
 def _lasting(samples: Samples, signal: Signal) -> list[int]:

@@ -46,6 +46,9 @@ FREE_SENSORS = {"position": "framepos", "orientation": "framequat"}
 JOINT = re.compile(r"joint\.(.+)\.(position|velocity|orientation)(?:\[(\d)\])?")
 MAX_BYTES = 100_000_000  # of the states, and of the models, that are simulated side by side
 MAX_MODELS = 64
+# of a servo's gain times its largest goal, that it pushes with: the goal is not what is left to it;
+# of three drawn servos whose limit was missing the share was 1/30 to 1/80
+OF_GOAL = 0.1
 OF_CALL, OF_FORCE = 1.0, 1.5  # weighted steps of calling Python at a stage, and of each force there
 
 
@@ -184,7 +187,8 @@ class Mjcf:
 
     def strengths(self, reaches: Mapping[str, float]) -> dict[str, tuple[float, str]]:
         """What each commanded actuator with a name may push with, and its unit, by its name: no
-        more than its gain times the largest command, or than the file's limit.
+        more than its gain times the largest command, of a servo a share of it, or than the file's
+        limit.
 
         Args:
             reaches: Largest magnitude of each command, by its name.
@@ -196,6 +200,7 @@ class Mjcf:
             if i is None or not plain.actuator(i).name:
                 continue
             most = float(np.abs(plain.actuator_gainprm[i, 0])) * reach
+            most *= OF_GOAL if self.numbers.is_servo(i) else 1.0
             if plain.actuator_forcelimited[i]:
                 most = min(most, float(np.abs(plain.actuator_forcerange[i]).max()))
             if most > 0.0:

@@ -339,6 +339,10 @@ class Numbers:
         else:
             _put_gain(m, path, i, value, self._servos[i])
 
+    def is_servo(self, i: int) -> bool:
+        """Whether an actuator pushes by what is left to its goal, by its index."""
+        return self._servos[i] in ("position", "velocity")
+
     def _servo(self, i: int) -> str | None:
         """What the first gain of an actuator belongs to: its bias, or nothing; None: neither."""
         gains, biases = self.mujoco.mjtGain, self.mujoco.mjtBias
