@@ -215,7 +215,12 @@ class RunReader:
         if entry.missing_if is not None:
             named = {c.name: v for c, v in zip(self.study.channels, channels, strict=True)}
             stated = {name: partial(np.copy, v) for name, v in {**named, **command}.items()}
-            measured[samples.formula(entry.missing_if, stated) != 0.0] = np.nan
+            missing = samples.formula(entry.missing_if, stated) != 0.0
+            measured[missing] = np.nan
+            # nor are such values asked for faults of the record, which this key mends
+            for c in self.study.channels:
+                if c.name in raw:
+                    raw[c.name] = raw[c.name][0], np.where(missing, np.nan, raw[c.name][1])
         columns = {
             name: values
             for name, values in numeric_columns(samples).items()

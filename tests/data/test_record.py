@@ -297,3 +297,19 @@ def test_a_sensor_that_comes_free_is_no_marker_that_slipped(is_stuck):
     assert len(told) == 1
     assert ("stands still from 1.36 to 1.7 s" in told[0]) is is_stuck
     assert ("jumps by 0.04" in told[0]) is not is_stuck
+
+
+def test_the_remedy_of_a_sensor_that_stood_still_ends_the_finding(tmp_path):
+    """It was found again in the file's own column, as an error that nothing could mend."""
+    damage = next(d for d in DAMAGES if d.name == "frozen")
+    _, copy = damaged(np.random.default_rng(7), damage)
+    path = copy.write(tmp_path / "copy") / "study.yaml"
+    found = [p for p in check_study(load_study(path)) if "missing_if" in p.message]
+    assert found
+    study = yaml.safe_load(path.read_text())
+    for p in found:
+        formula = re.search(r"`missing_if: (.+?)`", p.message)[1]
+        (run,) = [r for r in study["runs"] if p.where == f"run {r['name']}"]
+        run["missing_if"] = formula
+    path.write_text(yaml.safe_dump(study))
+    assert not [p for p in check_study(load_study(path)) if "missing_if" in p.message]
