@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import yaml
 from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
 from diffsim.data.record.columns import find_units
-from diffsim.data.record.encodings import find_codes
+from diffsim.data.record.encodings import find_codes, find_wraps
 from diffsim.data.record.shapes import _flat_at, find_flat, find_frozen, find_lasting
 from diffsim.data.record.signals import Record, Samples, Signal
 from diffsim.data.study import Channel, Run, Study
@@ -313,3 +314,14 @@ def test_the_remedy_of_a_sensor_that_stood_still_ends_the_finding(tmp_path):
         run["missing_if"] = formula
     path.write_text(yaml.safe_dump(study))
     assert not [p for p in check_study(load_study(path)) if "missing_if" in p.message]
+
+
+def test_what_was_left_out_between_two_ends_is_no_wrap():
+    """A servo that answers in one sample of ten seemed to count modulo 1024."""
+    index = np.arange(200)
+    values = np.mod(900.0 + 3.0 * index, 1024.0)
+    whole = Signal("x", "channel", "x", "-", (Samples("a", index, 0.1 * index, values),))
+    kept = (index < 41) | (index > 42)  # the turn is among what is left out
+    cut = Samples("a", index[kept], 0.1 * index[kept], values[kept])
+    record = Record(Study("rig", "ode", (), ()), (whole, replace(whole, runs=(cut,))), ())
+    assert [f.says.split(":")[0] for f in find_wraps(record)] == ["column x counts modulo 1024"]

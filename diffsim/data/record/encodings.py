@@ -139,7 +139,10 @@ def _wraps_of(signal: Signal) -> tuple[float, list[float]] | None:
         times: list[float] = []
         good, up, down = 0, 0, 0
         for samples in signal.runs:
-            at = np.flatnonzero(np.abs(samples.changes) > 0.5 * period)
+            gaps = np.diff(samples.at)
+            # what was left out between two samples went either way
+            is_far = (np.abs(samples.changes) > 0.5 * period) & (gaps < 2.0 * np.median(gaps))
+            at = np.flatnonzero(is_far)
             if len(at) > 0.4 * len(samples):
                 return None
             for k in at[:200]:
