@@ -182,12 +182,18 @@ def _rows(path: Path, rows: Iterator[list[str]], before: int) -> Iterator[list[s
 def _number_rows(
     path: Path, header: list[str], rows: Iterator[list[str]], before: int, comma_is_point: bool
 ) -> Iterator[tuple[int, list[str]]]:
+    held: list[tuple[int, list[str]]] = []  # until a first cell says what this column holds
+    are_numbers: bool | None = None
     for row in _rows(path, rows, before):
         line: int = before + rows.line_num  # type: ignore[attr-defined]
-        if not any(cell.strip() for cell in row) or row[0].lstrip().startswith("#"):
-            continue  # blank line, usually the last, or a remark of the logger
+        if not any(cell.strip() for cell in row):
+            continue  # blank line, usually the last
         if len(row) == len(header) + 1 and not row[-1].strip():
             row = row[:-1]  # loggers end a row with a delimiter
+        first = row[0].strip()
+        is_remark = first.startswith("#") and first.lower() not in MISSING  # of the logger
+        if is_remark and (are_numbers or len(row) != len(header)):
+            continue
         if len(row) != len(header):
             raise ValueError(
                 f"{path}, row {line}: {len(row)} cells, but the header has {len(header)} "
@@ -196,7 +202,15 @@ def _number_rows(
             )
         if comma_is_point:
             row = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row]
+        if is_remark and are_numbers is None:
+            held.append((line, row))
+            continue
+        if are_numbers is None:
+            are_numbers = first.lower() in ("", *MISSING) or first[0] in "+-.,0123456789"
+            yield from () if are_numbers else held
         yield line, row
+    if are_numbers is None:
+        yield from held  # every cell of it begins like that: "#12" may be a name
 
 
 def time_column(path: Path, header: list[str]) -> int:

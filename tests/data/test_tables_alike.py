@@ -32,6 +32,9 @@ WAYS = {
     "rows that pandas numbers": lambda lines: "\n".join(
         [f",{lines[0]}", *(f"{k},{line}" for k, line in enumerate(lines[1:]))]
     ),
+    "remarks with as many cells": lambda lines: "\n".join(
+        [*lines[:30], "# off, on, again", *lines[30:], "# end"]
+    ),
     "empty lines at the end": lambda lines: "\n".join(lines) + "\n\n\n",
 }
 
@@ -54,3 +57,12 @@ def test_one_recording_written_in_another_way_is_the_same(tmp_path, way):
     numbers = read_numbers(folders[1] / "a.csv", list(COLUMNS))
     for name, wanted in COLUMNS.items():
         np.testing.assert_allclose(numbers[name], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("cells", [("#1", "#2"), ("#1", "right"), ("0.5", "#N/A"), ("#N/A", "2.5")])
+def test_rows_whose_first_cell_is_no_remark_are_kept(tmp_path, cells):
+    """Names of wells, and what Excel writes where a value is missing."""
+    path = tmp_path / "a.csv"
+    rows = (f"{cell},{t}" for t, cell in enumerate(cells))
+    path.write_text("\n".join(["well,time_s", *rows]), "utf-8")
+    np.testing.assert_array_equal(read_numbers(path, ["time_s"])["time_s"], [0.0, 1.0])
