@@ -325,3 +325,21 @@ def test_what_was_left_out_between_two_ends_is_no_wrap():
     cut = Samples("a", index[kept], 0.1 * index[kept], values[kept])
     record = Record(Study("rig", "ode", (), ()), (whole, replace(whole, runs=(cut,))), ())
     assert [f.says.split(":")[0] for f in find_wraps(record)] == ["column x counts modulo 1024"]
+
+
+def test_what_leaps_from_the_end_of_its_way_is_still_told():
+    """A rest at the lowest reading is no sensor that was stuck, and its leap is a slip."""
+    rng, time = np.random.default_rng(0), 0.02 * np.arange(400.0)
+    goal = np.where(time < 2.0, 0.2, 0.1)
+    shown = np.where(time < 2.0, 0.2, 0.1 + 0.1 * np.exp(-(time - 2.0) / 0.1))
+    shown = shown + rng.normal(0.0, 2e-4, len(time))
+    shown[150:300] = shown.min() - 1e-4
+    shown[300:] += 0.04
+    index = np.arange(len(time))
+    signals = [
+        Signal(name, role, name, "m", (Samples("job", index, time, values),))
+        for name, role, values in (("x", "channel", shown), ("goal", "command", goal))
+    ]
+    record = Record(Study("rig", "ode", (), ()), tuple(signals[:1]), tuple(signals[1:]))
+    (told,) = [f.says for find in (find_frozen, find_lasting) for f in find(record)]
+    assert "jumps by 0.04" in told

@@ -329,11 +329,11 @@ def find_frozen(record: Record) -> Iterator[Finding]:
             if (found := _longest_stop(samples)) is None:
                 continue
             first, last = found
-            if samples.values[first] in (signal.low, signal.high):
-                continue  # a flat top
+            if _is_flat_top(signal, samples, first):
+                continue
             start, end = float(samples.times[first]), float(samples.times[last])
             moving = record.moving(samples.run, start, end, signal)
-            is_free = last in _lasting(samples, signal) and _is_alone(record, signal, samples, last)
+            is_free = _comes_free(record, signal, samples) is not None
             if _rests(record.command_of(signal), samples, first, last) and not is_free:
                 continue
             if record.commands or len(record.channels) > 1:
@@ -517,7 +517,8 @@ def find_lasting(record: Record) -> Iterator[Finding]:
     for signal in record.channels:
         for samples in signal.runs if signal.unit not in SPIKY else ():
             rows = [k for k in _lasting(samples, signal) if _is_alone(record, signal, samples, k)]
-            rows = [k for k in rows if k not in _stop_edges(samples)]
+            if rows and (stop := _comes_free(record, signal, samples)) is not None:
+                rows = [k for k in rows if k not in (stop[0] - 1, stop[1])]
             if not 0 < len(rows) <= 3:
                 continue
             k = rows[0]
@@ -534,14 +535,20 @@ def find_lasting(record: Record) -> Iterator[Finding]:
             )
 
 
-def _stop_edges(samples: Samples) -> tuple[int, ...]:
-    """Changes before and after a stop where noise makes all others differ: a sensor was stuck, and
-    shows the way it missed as it comes free."""
-    if (found := _longest_stop(samples)) is None:
-        return ()
+def _comes_free(record: Record, signal: Signal, samples: Samples) -> tuple[int, int] | None:
+    """First and last place of a stop where noise makes all others differ, and after which the
+    channel leaps: a sensor was stuck, and shows the way it missed as it comes free."""
+    if (found := _longest_stop(samples)) is None or _is_flat_top(signal, samples, found[0]):
+        return None
     first, last = found
     moves = np.delete(samples.changes, np.arange(first, last))
-    return (first - 1, last) if np.mean(moves == 0.0) < NOISY else ()
+    is_noisy = np.mean(moves == 0.0) < NOISY
+    is_leap = last in _lasting(samples, signal) and _is_alone(record, signal, samples, last)
+    return found if is_noisy and is_leap else None
+
+
+def _is_flat_top(signal: Signal, samples: Samples, first: int) -> bool:
+    return samples.values[first] in (signal.low, signal.high)
 
 
 def _lasting(samples: Samples, signal: Signal) -> list[int]:

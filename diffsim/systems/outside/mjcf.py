@@ -494,7 +494,7 @@ class Mjcf:
         return force.is_over_time and self._stages == 1
 
     def _pushes(self, force: PlaceForces, times: Array) -> Array | None:
-        """Forces of each degree of freedom at the steps, (num_steps, nv); None: not known before."""
+        """Forces of each degree of freedom over steps, (num_steps, nv); None: not known before."""
         if not self._is_known(force):
             return None
         out = np.zeros((len(times), self.plain.nv))
