@@ -323,7 +323,9 @@ def test_what_was_left_out_between_two_ends_is_no_wrap():
     whole = Signal("x", "channel", "x", "-", (Samples("a", index, 0.1 * index, values),))
     kept = (index < 41) | (index > 42)  # the turn is among what is left out
     cut = Samples("a", index[kept], 0.1 * index[kept], values[kept])
-    record = Record(Study("rig", "ode", (), ()), (whole, replace(whole, runs=(cut,))), ())
+    alone = Samples("b", index[:1], 0.1 * index[:1], values[:1])  # of a run of one sample
+    signals = (whole, replace(whole, runs=(cut, alone)))
+    record = Record(Study("rig", "ode", (), ()), signals, ())
     assert [f.says.split(":")[0] for f in find_wraps(record)] == ["column x counts modulo 1024"]
 
 

@@ -139,6 +139,8 @@ def _wraps_of(signal: Signal) -> tuple[float, list[float]] | None:
         times: list[float] = []
         good, up, down = 0, 0, 0
         for samples in signal.runs:
+            if len(samples) < 2:
+                continue
             gaps = np.diff(samples.at)
             # what was left out between two samples went either way
             is_far = (np.abs(samples.changes) > 0.5 * period) & (gaps < 2.0 * np.median(gaps))
