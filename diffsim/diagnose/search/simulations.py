@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import SpilledArray, spill
 from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, SetPosterior
 from diffsim.diagnose.search.fit import Null
@@ -196,14 +197,18 @@ class Simulations:
 
     def along_weak(self, members: Members) -> tuple[Linearization, Linearization | None]:
         """A fitted set's linearization with right slopes along weak directions, and where these
-        lead; None: nowhere."""
+        lead; None: nowhere, or to where nothing can be simulated."""
         here, narrow = self.fitted[members], self.narrow(members)
         own = np.array(here.idx)
         at = mended(narrow, replace(here, x=here.x[own], idx=tuple(range(len(own)))))
         point, kept = stepped(narrow, at), self.kept(members, at).fitted[members]
         if point is None:
             return kept, None
-        return kept, self.kept(members, linearization_at(narrow, point)).fitted[members]
+        try:
+            there = linearization_at(narrow, point)
+        except DiffsimError:
+            return kept, None
+        return kept, self.kept(members, there).fitted[members]
 
     def near(self, members: Members, x: Array, step: float) -> Linearization | None:
         """A set's linearization beside some unknown cause, no further away in any coordinate.

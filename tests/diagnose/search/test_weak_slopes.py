@@ -11,6 +11,7 @@ from diffsim.diagnose.search.weak_slopes import descended, mended, stepped
 from diffsim.identify import Parameter, Problem, SimModel, WhiteNoise
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import linearization_at
+from diffsim.identify.problem import PredictionError
 from tests.diagnose import linear
 
 STRONG = 1000.0  # noise sd that a prior sd of the difference moves
@@ -90,6 +91,23 @@ def test_a_full_step_along_weak_directions_leads_back_to_the_data_sheets():
     at = mended(problem, linearization_at(problem, np.array([6.0, 6.0, 0.0])))
     point = stepped(problem, at)
     assert point is not None and np.abs(point[:2]).max() < 0.1
+
+
+def test_a_step_to_where_nothing_can_be_simulated_leads_nowhere(monkeypatch):
+    """It ended the answer of a motor's test bench with an error of one run's prediction."""
+    problem = problem_of(edges=0.01)
+    at = linearization_at(problem, np.array([6.0, 6.0, 0.0]))
+    made = Simulations(problem).kept(frozenset(), at)
+    record = Problem.linearize_record
+
+    def fails(self, x, **options):
+        if np.abs(x).max() < 1.0:
+            raise PredictionError("the prediction of run r1 has 117 NaN or infinite entries")
+        return record(self, x, **options)
+
+    monkeypatch.setattr(Problem, "linearize_record", fails)
+    kept, start = made.along_weak(frozenset())
+    assert start is None and kept.x[0] == 6.0
 
 
 def test_a_finding_rests_on_slopes_that_are_right():
