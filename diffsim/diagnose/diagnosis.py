@@ -44,7 +44,6 @@ from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
 from diffsim.diagnose.search.coarse import (
     NullCorrection,
-    beyond_correction,
     carried,
     coarse_gate,
     corrected,
@@ -483,8 +482,6 @@ def _answer(
         null = replace(null, case=case)
     null = replace(null, case=replace(null.case, searching=model.simulations.steps))
     search, renewal = _renew_correction(search_rounds(null, simulations, first))
-    if renewal and null.case.correction is None:  # only the best set asked for finer settings
-        checks = checks.at_set(beyond_correction(search.fit_of(decision_of(search).best)))
     checks, null = checks.joined(renewal), search.null
     screened = screen(search.plain.evidence)
     case.progress("gain", 0.88, "unseen runs")

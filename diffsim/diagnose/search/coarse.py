@@ -19,12 +19,7 @@ from numpy.typing import NDArray
 from diffsim.core.figures import figure
 from diffsim.data.study import Run
 from diffsim.diagnose.checks.gates import COARSE, GateResult
-from diffsim.diagnose.checks.numerics import (
-    NUMERICS_LAMBDA,
-    SetNumerics,
-    numerics_changes,
-    numerics_gate,
-)
+from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerics_gate
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
@@ -226,23 +221,6 @@ def renewed_at(fit: Fit) -> tuple[Correction, float]:
     new = Correction(coarse, fit.x, tuple(finer)).known(problem.runs, total)
     moved = replace(problem, correction=new).record(fit.x) - problem.record(fit.x)
     return new, numerics_gate(fit, {COARSE: moved})[0].value
-
-
-def beyond_correction(fit: Fit) -> SetNumerics:
-    """Numerical settings at a corrected fit: what refining those of the correction would change.
-
-    Args:
-        fit: Fit of a corrected problem.
-    """
-    problem = fit.problem
-    assert problem.correction is not None
-    fine = replace(problem, correction=None, numerics=problem.correction.finest)
-    record = fine.record(fit.x)
-    here = Linearization(fit.x, record, (), np.zeros((len(record), 0)))
-    changes = numerics_changes(fine, here)
-    gates = numerics_gate(fit, changes)
-    note = "; beyond what coarse simulations are corrected by, with the named causes"
-    return SetNumerics(changes, tuple(replace(g, note=g.note + note) for g in gates), None)
 
 
 def carried(
