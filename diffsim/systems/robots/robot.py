@@ -88,8 +88,11 @@ class SoftRobot:
     ) -> soft.State:
         """One time step under a command (..., num_commands); the others as for ``force``."""
         activation, obstacles = self.activation(command), self.obstacles or None
-        if self.water is None:
-            return soft.step(self.body, state, activation=activation, obstacles=obstacles)
+        if self.water is None or type(self).force is not SoftRobot.force:
+            force = self.force(state, water_velocity=water_velocity, gain=gain)
+            return soft.step(
+                self.body, state, external_force=force, activation=activation, obstacles=obstacles
+            )
         return step_in_water(
             self.body,
             state,

@@ -2,7 +2,7 @@
 
 import math
 import pickle
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 import torch
@@ -236,3 +236,20 @@ def test_half_a_quadruped_moves_as_the_left_half_of_a_whole_one() -> None:
 def test_halves_that_cannot_be_made_are_refused(options: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         robots.quadruped(half=True, **options)
+
+
+def test_a_force_of_ones_own_is_what_a_step_takes() -> None:
+    """The step in water is one node of the graph, which once left such a force out."""
+
+    class Pushed(robots.SoftRobot):
+        def force(self, state, **options):
+            return super().force(state, **options) + 1.0  # N
+
+    plain = robots.starfish(coarse=True)
+    own = Pushed(**{f.name: getattr(plain, f.name) for f in fields(plain) if f.init})
+    state, row = plain.body.rest_state(), torch.zeros(len(plain.command_names)).double()
+    expected = soft.step(
+        plain.body, state, external_force=own.force(state), activation=plain.activation(row)
+    )
+    assert torch.equal(own.step(state, row).x, expected.x)
+    assert not torch.equal(plain.step(state, row).x, expected.x)
