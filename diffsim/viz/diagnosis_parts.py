@@ -8,11 +8,10 @@ from diffsim.core.figures import figure, unit_of
 from diffsim.core.units import small_scale
 from diffsim.data.study import Channel
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.records import LEVEL, ErrorRow, band_share
+from diffsim.diagnose.judge.records import LEVEL, ErrorRow, band_share, pooled_by_kind
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_series import PredictedRun
-from diffsim.viz.diagnosis_tables import pool_errors
 from diffsim.viz.moving import MovingChoice
 
 NEAR_LEVEL = 0.05  # share of the readings by which a band may be off
@@ -20,21 +19,17 @@ _TONES = {"confirmed": "good", "not confirmed": "fair", "withdrawn": "bad"}
 
 
 def error_numbers(errors: Sequence[ErrorRow]) -> list[page.Number]:
-    """Error before and after in the recordings' unit, a key figure for each kind of channel."""
+    """Error before and after in the unit of the first sentence, for each kind of channel."""
     shown = []
-    for kind in dict.fromkeys((e.kind, e.unit) for e in errors):
-        rows = [e for e in errors if (e.kind, e.unit) == kind]
-        before, after, noise = (
-            pool_errors([getattr(e, which) for e in rows], [e.num_samples for e in rows])
-            for which in ("before", "after", "noise")
-        )
-        unit, times = small_scale(kind[1], (after, noise))  # as the first sentence says it
+    for row in pooled_by_kind(errors):
+        unit, times = small_scale(row.unit, (row.after, row.noise))
+        before, after, noise = (figure(times * v) for v in (row.before, row.after, row.noise))
         shown.append(
             page.Number(
-                label=f"rms error of {kind[0]} on {rows[0].use} runs",
-                value=figure(times * after),
+                label=f"rms error of {row.kind} on {row.use} runs",
+                value=after,
                 unit=unit_of(unit),
-                note=f"before: {figure(times * before)}, noise alone: {figure(times * noise)}",
+                note=f"before: {before}, noise alone: {noise}",
             )
         )
     return shown

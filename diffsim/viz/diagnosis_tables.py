@@ -6,8 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from diffsim.core.figures import figure, signed, unit_of, with_interval, with_sd
 from diffsim.core.units import small_scale
 from diffsim.diagnose.judge.apart import ApartRow
@@ -24,6 +22,7 @@ from diffsim.diagnose.judge.records import (
     ErrorRow,
     Interval,
     OutsideRow,
+    pooled_by_kind,
 )
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import component_words
@@ -80,25 +79,11 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
     )
 
 
-def pool_errors(values: Sequence[float], counts: Sequence[int]) -> float:
-    """Root mean square over runs of different length.
-
-    Args:
-        values: Root mean square of each run, in one unit.
-        counts: Number of samples of each run.
-    """
-    return float(np.sqrt(np.average(np.square(values), weights=counts)))
-
-
 def _in_small_units(rows: Sequence[ErrorRow]) -> list[ErrorRow]:
-    kinds: dict[tuple[str, str], list[ErrorRow]] = {}
-    for row in rows:
-        kinds.setdefault((row.kind, row.unit), []).append(row)
-    scales = {}
-    for kind, same in kinds.items():
-        counts = [row.num_samples for row in same]
-        sizes = (pool_errors([getattr(row, w) for row in same], counts) for w in ("after", "noise"))
-        scales[kind] = small_scale(kind[1], sizes)
+    scales = {
+        (row.kind, row.unit): small_scale(row.unit, (row.after, row.noise))
+        for row in pooled_by_kind(rows)
+    }
     out = []
     for row in rows:
         unit, times = scales[row.kind, row.unit]

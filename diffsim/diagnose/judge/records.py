@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
+import numpy as np
+
 from diffsim.core.checked import checked
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_scale
@@ -224,6 +226,38 @@ class ErrorRow:
     held: float | None = None
     without: float | None = None
     command: float | None = None
+
+
+def pooled_by_kind(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
+    """All runs together, a row for each kind of channel.
+
+    Args:
+        errors: Of the runs.
+    """
+    kinds: dict[tuple[str, str], list[ErrorRow]] = {}
+    for row in errors:
+        kinds.setdefault((row.kind, row.unit), []).append(row)
+    return [_pool(rows) for rows in kinds.values()]
+
+
+def _pool(rows: Sequence[ErrorRow]) -> ErrorRow:
+    weights, first = [row.num_samples for row in rows], rows[0]
+
+    def rms(name: str) -> float:
+        return float(np.sqrt(np.average([getattr(r, name) ** 2 for r in rows], weights=weights)))
+
+    return ErrorRow(
+        "all",
+        first.kind,
+        first.unit,
+        rms("before"),
+        rms("after"),
+        rms("noise"),
+        sum(weights),
+        max(row.num_fitted for row in rows),
+        first.use,
+        constant=rms("constant") if all(row.constant is not None for row in rows) else None,
+    )
 
 
 def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:

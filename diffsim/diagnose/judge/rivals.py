@@ -16,7 +16,7 @@ from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
 from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run, Study
-from diffsim.diagnose.judge.records import ErrorRow
+from diffsim.diagnose.judge.records import ErrorRow, pooled_by_kind
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.model_file import SavedModel
@@ -113,8 +113,7 @@ def cause_words(causes: Mapping[str, Unseen], words: Mapping[str, str]) -> list[
         if found.gain is None:
             out.append(f"Without {words[name]} a run cannot be simulated.")
             continue
-        kinds = dict.fromkeys((row.kind, row.unit) for row in found.errors)
-        said = "; ".join(_change(found.errors, *kind) for kind in kinds)
+        said = "; ".join(map(_change, pooled_by_kind(found.errors)))
         if found.gain.status == "withdrawn":
             out.append(
                 f"Withdrawn for these runs: {words[name]} makes them worse; without it {said}."
@@ -126,13 +125,7 @@ def cause_words(causes: Mapping[str, Unseen], words: Mapping[str, str]) -> list[
     return out
 
 
-def _change(errors: Sequence[ErrorRow], kind: str, unit: str) -> str:
-    own = [row for row in errors if (row.kind, row.unit) == (kind, unit)]
-    weights = [row.num_samples for row in own]
-    before, after = (
-        float(np.sqrt(np.average([getattr(row, which) ** 2 for row in own], weights=weights)))
-        for which in ("before", "after")
-    )
-    shown, times = small_scale(unit, (before, after))
-    before, after = times * before, times * after
-    return f"{kind} {figure(before)}, with it {figure(after)}{after_number(shown)}"
+def _change(row: ErrorRow) -> str:
+    unit, times = small_scale(row.unit, (row.before, row.after))
+    before, after = (figure(times * v) for v in (row.before, row.after))
+    return f"{row.kind} {before}, with it {after}{after_number(unit)}"

@@ -26,6 +26,7 @@ from diffsim.diagnose.judge.records import (
     WRONG_DATA_SHEET,
     CauseRow,
     ErrorRow,
+    pooled_by_kind,
 )
 from diffsim.diagnose.judge.unseen import OF_ONE_RUN
 from diffsim.diagnose.say.wording import (
@@ -213,7 +214,7 @@ def _noise(errors: Sequence[ErrorRow], gained: Gain | None) -> list[str]:
     """That so much is removed that the noise must be less than was stated, and how much it is."""
     if gained is None or not gained.is_below_noise:
         return []
-    row = min(_kinds(errors), key=lambda row: row.after / row.noise)
+    row = min(pooled_by_kind(errors), key=lambda row: row.after / row.noise)
     _, left, unit, noise = _numbers(row)
     if not noise:
         return [f"The stated noise is too large: {left} times of it is left."]
@@ -607,34 +608,6 @@ def _quoted_kind(errors: Sequence[ErrorRow], changed: bool, gained: Gain | None)
     noise; the one that rises most where the whole gets worse."""
     sign = -1.0 if gained is not None and gained.status == "withdrawn" else 1.0
     return max(
-        _kinds(errors),
+        pooled_by_kind(errors),
         key=lambda r: sign * (r.before - (r.after if changed else 0.0)) / r.noise,
-    )
-
-
-def _kinds(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
-    """All runs together, a row for each kind of channel."""
-    kinds: dict[tuple[str, str], list[ErrorRow]] = {}
-    for row in errors:
-        kinds.setdefault((row.kind, row.unit), []).append(row)
-    return [_pool(rows) for rows in kinds.values()]
-
-
-def _pool(rows: Sequence[ErrorRow]) -> ErrorRow:
-    weights, first = [row.num_samples for row in rows], rows[0]
-
-    def rms(name: str) -> float:
-        return float(np.sqrt(np.average([getattr(r, name) ** 2 for r in rows], weights=weights)))
-
-    return ErrorRow(
-        "all",
-        first.kind,
-        first.unit,
-        rms("before"),
-        rms("after"),
-        rms("noise"),
-        sum(weights),
-        max(row.num_fitted for row in rows),
-        first.use,
-        constant=rms("constant") if all(row.constant is not None for row in rows) else None,
     )

@@ -118,14 +118,12 @@ class PlaceForces:
     def over(self, times: Array) -> dict[int, Array]:
         """Forces that are known before the simulation, at times [s], (num_times,) each, by the
         index of their place; of ``is_over_time``."""
-        out: dict[int, Array] = {}
+        out = {i: np.zeros(len(times)) for i, _ in self.acting}
         for t in self.terms:
-            i = self.places.index(t.place)
-            out[i] = out.get(i, 0.0) + np.full(len(times), t.size)
+            out[self.places.index(t.place)] += t.size
         for k in self._knots:
-            i = self.places.index(k.place)
             at = k.start + k.spacing * np.arange(len(k.values))
-            out[i] = out.get(i, 0.0) + np.interp(times, at, k.values)
+            out[self.places.index(k.place)] += np.interp(times, at, k.values)
         return out
 
     def without(self, terms: Sequence[Term]) -> PlaceForces:

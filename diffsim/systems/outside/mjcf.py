@@ -303,8 +303,8 @@ class Mjcf:
             if (control := self._control_of(command, run)) is not None:
                 delays[control] = delays.get(control, 0.0) + late
         is_exact = not self.held and self._reads_forces(readers)
-        acts = force is not None and force.acts
-        pushes = self._pushes(force, steps.starts) if force is not None and acts else None
+        acting = force if force is not None and force.acts else None
+        pushes = None if acting is None else self._pushes(acting, steps.starts)
         return _Job(
             model=model,
             steps=steps,
@@ -316,7 +316,7 @@ class Mjcf:
             pushes=pushes,
             can_roll=steps.is_even
             and not is_exact
-            and (pushes is not None or not acts)
+            and (pushes is not None or acting is None)
             and self._make_rollout is not None,
         )
 
@@ -330,10 +330,8 @@ class Mjcf:
         of_state = self.mujoco.mjtState
         given, spec = np.stack([job.controls for job in jobs]), int(of_state.mjSTATE_CTRL)
         if any(job.pushes is not None for job in jobs):
-            none, spec = (
-                np.zeros((given.shape[1], self.plain.nv)),
-                spec + of_state.mjSTATE_QFRC_APPLIED,
-            )
+            spec += of_state.mjSTATE_QFRC_APPLIED
+            none = np.zeros((given.shape[1], self.plain.nv))
             pushes = [none if job.pushes is None else job.pushes for job in jobs]
             given = np.concatenate([given, np.stack(pushes)], axis=2)
         states, sensors = self._rollouts[count].rollout(
