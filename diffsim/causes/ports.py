@@ -96,9 +96,11 @@ class SignalMapper:
             is_kinked = row.said("kink", system)
             made = MAPS[text][between]
             return cls(made, is_kinked, text == PLAY, text in JOINT, len(row.shapes))
-        formula = parse_expression(text, (*OF_SIGNALS, *scales))
-        used = tuple((n, scales[n]) for n in sorted(formula.names) if n not in OF_SIGNALS)
-        return cls(partial(_evaluate, text=text, scales=used), row.said("kink", system), False)
+        own = tuple(row.shapes)
+        formula = parse_expression(text, (*OF_SIGNALS, *own, *scales))
+        used = tuple((n, scales[n]) for n in sorted(formula.names) if n in scales)
+        made = partial(_evaluate, text=text, own=own, scales=used)
+        return cls(made, row.said("kink", system), False, num_shapes=len(own))
 
     def at(self, scene: Any, size: Tensor) -> SignalChange:
         """The change of a scene's signals; a play begins where the run does, if the scene says
@@ -123,10 +125,17 @@ def _formula(text: str, names: tuple[str, ...]) -> Expression:
 
 
 def _evaluate(
-    u: Tensor, grid: Grid, size: Tensor, *, text: str, scales: tuple[tuple[str, float], ...]
+    u: Tensor,
+    grid: Grid,
+    size: Tensor,
+    *shapes: Tensor,
+    text: str,
+    own: tuple[str, ...],
+    scales: tuple[tuple[str, float], ...],
 ) -> Tensor:
-    """A formula of signals, of sizes (..., 1 or width) and of the time since the start."""
+    """A formula of signals, of sizes (..., 1 or width), shapes and of the time since the start."""
     values = {name: torch.tensor(value, dtype=u.dtype) for name, value in scales}
+    values |= {name: shape[..., None] for name, shape in zip(own, shapes, strict=True)}
     formula = _formula(text, (*OF_SIGNALS, *values))
     return formula({**values, "u": u, "size": size[..., None], "t": grid.since_start})
 

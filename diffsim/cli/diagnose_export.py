@@ -21,6 +21,7 @@ from diffsim.identify.effect import effect_coordinates
 from diffsim.identify.model_file import SavedModel
 from diffsim.identify.ranges import Range, range_of
 from diffsim.systems.description import quantities_of
+from diffsim.systems.ode.network import filled
 from diffsim.systems.ode.place_effects import STRIBECK
 from diffsim.systems.registry import description_of, setup_of
 
@@ -84,7 +85,7 @@ def constants_of(study: Study, saved: SavedModel) -> list[ProgramConstants]:
     known, out = _ModelNumbers.of(study, saved), []
     for program, formulas in study.export.items():
         texts = {name: text[1:-1] for name, text in formulas.items() if is_text(text)}
-        parsed = {n: parse_expression(text) for n, text in formulas.items() if n not in texts}
+        parsed = {n: known.read(text) for n, text in formulas.items() if n not in texts}
         for name, formula in parsed.items():
             known.require(f"export.{program}.{name}", formula)
         # what names facts of runs is each run's own: ``flown_constants``
@@ -111,7 +112,7 @@ def flown_constants(study: Study, saved: SavedModel, program: str, run: Run) -> 
     out = {}
     for name, text in study.export.get(program, {}).items():
         if not is_text(text):
-            out[name] = known.value_of(parse_expression(text), group, facts, run.name)
+            out[name] = known.value_of(known.read(text), group, facts, run.name)
     return out
 
 
@@ -156,7 +157,7 @@ def notes_of(study: Study, saved: SavedModel) -> list[str]:
     """What a user must know of the constants, a sentence each."""
     known = _ModelNumbers.of(study, saved)
     texts = chain.from_iterable(formulas.values() for formulas in study.export.values())
-    formulas = [parse_expression(text) for text in texts if not is_text(text)]
+    formulas = [known.read(text) for text in texts if not is_text(text)]
     names = list(dict.fromkeys(name for formula in formulas for name in formula.names))
     names = [name for name in names if name not in known.of_run]
     out = []
@@ -191,12 +192,14 @@ class _ModelNumbers:
         stated: Values that are known, and stated ones of those that are not fitted.
         absent: Causes that the study may have and the answer may lack.
         of_run: Facts that are numbers in each run, and no numbers of the model.
+        made: What names stand for that are formulas of others.
     """
 
     saved: SavedModel
     stated: Mapping[str, float]
     absent: frozenset[str]
-    of_run: frozenset[str] = frozenset()
+    of_run: frozenset[str]
+    made: Mapping[str, Expression]
 
     @classmethod
     def of(cls, study: Study, saved: SavedModel) -> _ModelNumbers:
@@ -207,13 +210,18 @@ class _ModelNumbers:
         causes += [name.partition(".")[0] for name in causes if f".{ALL}" in name]
         sizes = dict.fromkeys(causes, 0.0)
         values = {name: float(quantity.value) for name, quantity in stated.items()}
-        speeds = _list_stribeck_speeds(setup.model.frame)
+        made = _list_stribeck_speeds(setup.model.frame, saved.values)
         facts = set.intersection(
             *({str(n) for n, v in run.setup.items() if _is_number(v)} for run in study.runs)
         )
-        known = sizes | values | speeds
+        known = sizes | values
         absent = frozenset(sizes) - frozenset(values)
-        return cls(saved, known, absent, frozenset(facts) - {*known, *saved.values})
+        own = frozenset(facts) - {*known, *made, *saved.values}
+        return cls(saved, known, absent, own, made)
+
+    def read(self, text: str) -> Expression:
+        """A formula of a study, by what the answer holds."""
+        return filled(parse_expression(text), self.made)
 
     def require(self, where: str, formula: Expression) -> None:
         """Refuse a formula with a name that there is not.
@@ -221,7 +229,7 @@ class _ModelNumbers:
         Raises:
             ValueError: it has one; the message names the closest.
         """
-        names = {**self.stated, **self.saved.values, **dict.fromkeys(self.of_run)}
+        names = {**self.stated, **self.saved.values, **dict.fromkeys((*self.of_run, *self.made))}
         for name in formula.names:
             if name not in names:
                 raise ValueError(f"{where}: no number {name!r}{did_you_mean(name, list(names))}")
@@ -278,14 +286,18 @@ class _ModelNumbers:
         return [c for c in wanted if c in self.saved.values]
 
 
-def _list_stribeck_speeds(frame: Mapping[str, Any]) -> dict[str, float]:
+def _list_stribeck_speeds(
+    frame: Mapping[str, Any], values: Mapping[str, float]
+) -> dict[str, Expression]:
     """Speed above which Stribeck friction at a place has gone, as its cause has it."""
-    plain = frame.get(SCALES, {}).get("plain", {})
-    return {
-        f"stribeck_speed_at_{place}": STRIBECK * float(scale["velocity"])
-        for place, scale in plain.items()
-        if isinstance(scale, Mapping) and "velocity" in scale
-    }
+    plain, made = frame.get(SCALES, {}).get("plain", {}), {}
+    name = "fall_of_stribeck_friction"  # without a place where there is one alone
+    for place, scale in plain.items():
+        if isinstance(scale, Mapping) and "velocity" in scale:
+            usual = repr(STRIBECK * float(scale["velocity"]))
+            fall = next((n for n in (f"{name}_at_{place}", name) if n in values), "0")
+            made[f"stribeck_speed_at_{place}"] = parse_expression(f"{usual}*exp({fall})")
+    return made
 
 
 def _groups(study: Study, facts: Sequence[str]) -> list[dict[str, str]]:

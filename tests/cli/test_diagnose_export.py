@@ -149,3 +149,24 @@ def test_an_interval_must_hold_its_value(folder, capsys):
     save(folder, SAVED | {"parameters": SAVED["parameters"] | {"kt": wrong}})
     assert export(folder) == 2
     assert "kt: value must lie from low to high" in capsys.readouterr().err
+
+
+def test_the_speed_of_stribeck_friction_has_the_interval_of_its_shape(folder):
+    model = {
+        **STUDY["model"],
+        "states": {"q": 0, "w": 0},
+        "rates": {"q": "w", "w": "(supply*duty - kt*w)*kt/resistance"},
+        "places": [{"name": "shaft", "position": "q", "velocity": "w", "unit": "N m"}],
+        "effects": {"only": ["stribeck_friction_at_shaft"]},
+    }
+    speed = {"mujoco": {"stribeck_speed": "stribeck_speed_at_shaft"}}
+    (folder / "study.yaml").write_text(yaml.safe_dump({**STUDY, "model": model, "export": speed}))
+    assert export(folder) == 0
+    (usual,) = wrote(folder, "mujoco").values()  # without the cause: where it had fallen
+    fall = {"value": 0.5, "sd": 0.2, "unit": "-", "low": 0.2, "high": 0.9}
+    found = {**SAVED["parameters"], "fall_of_stribeck_friction_at_shaft": fall}
+    save(folder, {**SAVED, "parameters": found})
+    assert export(folder) == 0
+    found = wrote(folder, "export")["mujoco"]["stribeck_speed"]
+    ends = [found["value"], found["low"], found["high"]]
+    assert np.log(np.divide(ends, usual)) == pytest.approx([0.5, 0.2, 0.9], abs=0.004)

@@ -198,14 +198,24 @@ def rows_of_a_user(ready: Ready) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield row.name + ending, own | {"law": row.said("law", kind), "of": name}
 
 
+def shapes_of(effect: Effect, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Further numbers of a cause, as a user's row with a formula states them."""
+    text = row.get("map") or row.get("law") or ""
+    if text.isidentifier():
+        return {}
+    own = {name.partition("_of_")[0]: shape for name, shape in effect.shapes.items()}
+    keys = ("value", "sd", "lower", "upper", "unit")
+    return {"shapes": {n: {k: getattr(s, k) for k in keys} for n, s in own.items()}}
+
+
 def rows_are_the_librarys(ready: Ready) -> None:
     """A row of a user does what the library's cause of the same map does."""
     if ready.plant is None or ready.plant.kind in LISTED_BY_CODE:
         return
     pairs = [(name, row) for name, row in rows_of_a_user(ready) if name in ready.effects]
     rows = [
-        {"name": f"own_{i}", "typical": 1.0, "unit": ready.effects[name].unit, **row}
-        for i, (name, row) in enumerate(pairs)
+        {"name": f"own_{i}", "typical": 1.0, "unit": its.unit, **row, **shapes_of(its, row)}
+        for i, (its, row) in enumerate((ready.effects[name], row) for name, row in pairs)
     ]
     assert rows
     mine = ready.with_own(*rows)
@@ -221,7 +231,7 @@ def rows_are_the_librarys(ready: Ready) -> None:
 
 #: what formulas of rows call, one number at a time
 CALLED = {
-    **{"sign": np.sign, "abs": abs, "max": max, "min": min},
+    **{"sign": np.sign, "abs": abs, "max": max, "min": min, "exp": math.exp},
     "clip": lambda u, low, high: min(max(u, low), high),
 }
 
@@ -299,7 +309,7 @@ def formulas_are_as_written(ready: Ready) -> None:
     ways |= {way.ending: way.names for way in ready.plant.ways}
     for row, text, effect in written_formulas(ready):
         found = ready.shown(ready.run, {effect: uniform(effect, SHARE)})
-        size = {"size": SHARE * effect.typical}
+        size = {"size": SHARE * effect.typical, **{n: s.value for n, s in row.shapes.items()}}
         if row.at == "reading":
             own = [ready.channels[c].name for c in changed_channels(ready, found)]
             usual = usual_readings(ready, own)
@@ -593,11 +603,15 @@ def _columns_are_slopes(
     without_base: bool = False,
 ) -> None:
     problem = Problem(ready.setup.model, (ready.run,), WhiteNoise(ready.channels), causes)
+    shapes = [problem.names.index(name) for cause in causes for name in cause.shapes]
     x = np.full(len(problem.names), SHARE)
+    if only is None:
+        x[shapes] = 0.0  # they are taken beside their own cause alone
     residual, columns = problem.linearize(x)
     _, gradient = problem.gradient(x)
     for i, name in enumerate(problem.names):
-        if (only is not None and name not in only) or (without_base and i < problem.num_base):
+        is_out = i in shapes if only is None else name not in only
+        if is_out or (without_base and i < problem.num_base):
             continue
         step = np.eye(len(x))[i] * 1e-3
         slope = -(problem.residual(x + step) - problem.residual(x - step)) / 2e-3

@@ -63,11 +63,6 @@ class _Iterate:
     radius: float = MAX_RADIUS
 
     @property
-    def scaled(self) -> Array:
-        """Scaled coordinates, (n,)."""
-        return self.problem.scaled(self.at.x)
-
-    @property
     def misfit(self) -> float:
         """chi2 above what noise alone leaves."""
         return max(float(self.residual @ self.residual) - len(self.residual), 0.0)
@@ -79,13 +74,19 @@ class _Iterate:
 
     def refreshed(self) -> _Iterate:
         """The iterate with slopes simulated here."""
-        at = linearization_at(self.problem, self.at.x)
+        x, problem = self.at.x, self.problem
+        # far from the sizes, shapes that were never fitted lead elsewhere, and cost
+        free = np.flatnonzero(~unfitted_shapes(problem, x))
+        at = linearization_at(problem, x, free.tolist())
+        columns = np.zeros((len(at.record), len(x)))
+        columns[:, free] = at.columns
+        at = replace(at, idx=tuple(range(len(x))), columns=columns)
         return replace(self, at=at, jacobian=self.problem.whiten_all(at.columns))
 
     def promised(self, step: Array) -> float:
         """Nats that a step gains by the slopes."""
         linear = self.residual - self.jacobian @ step
-        x = self.problem.standardized(self.scaled + step)
+        x = self.problem.standardized(self.problem.scaled(self.at.x) + step)
         return 0.5 * (self.cost - float(linear @ linear + x @ x))
 
     def tried(self, step: Array) -> tuple[_Iterate, float]:
@@ -126,7 +127,7 @@ class _Iterate:
 
     def _advance(self, step: Array) -> _Iterate | None:
         """A step further, with Broyden's update of the slopes; None: too far to be simulated."""
-        here, x = self.at, self.problem.standardized(self.scaled + step)
+        here, x = self.at, self.problem.standardized(self.problem.scaled(self.at.x) + step)
         try:
             record = self.problem.record(x)
         except DiffsimError:
@@ -173,6 +174,9 @@ def gauss_newton(
 ) -> tuple[Fit, Linearization]:
     """The minimum of |W (y - S(x))|^2 + |x|^2 within the bounds.
 
+    Shapes of effects that were never fitted keep their values until the sizes are known. They are
+    fitted then, if their slopes promise more than a small share of the misfit.
+
     Args:
         problem: Model, runs, noise and effects that are fitted.
         start: Start point, with the slopes of all coordinates.
@@ -187,17 +191,37 @@ def gauss_newton(
         DiffsimError: the slopes cannot be simulated.
     """
     s, ended, message, evaluations = iterated(problem, start, best_cost, until)
-    slopes = s.jacobian * problem.stretch(s.at.x)
+    jacobian = s.jacobian
+    held = np.flatnonzero(unfitted_shapes(problem, s.at.x))
+    behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
+    is_late = problem.model.simulations.steps > until
+    if len(held) and not is_late and SLOPE_RTOL * behind < ALONE_NATS:
+        columns = s.at.columns.copy()
+        columns[:, held] = linearization_at(problem, s.at.x, held.tolist()).columns
+        sloped = _first(problem, replace(s.at, columns=columns), with_shapes=True)
+        gained = sloped.promised(_step(sloped, *problem.bounds))
+        jacobian = sloped.jacobian  # the sd of a shape is told by its slopes, fitted or not
+        # less of a large misfit is of something else, and shapes would be bent to stand in for it
+        if gained > max(FIT_NATS, 0.5 * SLOPE_RTOL * s.misfit):
+            at = linearization_at(problem, s.at.x)
+            s, ended, message, more = iterated(problem, at, best_cost, until, with_shapes=True)
+            evaluations, jacobian = evaluations + more, s.jacobian
+    slopes = jacobian * problem.stretch(s.at.x)
     return summary(problem, s.at.x, s.residual, slopes, ended, message, evaluations), s.at
 
 
 def iterated(
-    problem: Problem, start: Linearization, best_cost: float | None = None, until: float = np.inf
+    problem: Problem,
+    start: Linearization,
+    best_cost: float | None = None,
+    until: float = np.inf,
+    *,
+    with_shapes: bool = False,
 ) -> tuple[_Iterate, Ended, str, int]:
     """The last iterate of ``gauss_newton``, how and why it ended, and the number of trial points:
-    all of it but the uncertainties."""
+    all of it but the uncertainties. Shapes that were never fitted stay, unless ``with_shapes``."""
     low, high = problem.bounds
-    s, model = _first(problem, start), problem.model
+    s, model = _first(problem, start, with_shapes=with_shapes), problem.model
     ended: Ended = "budget"
     evaluations, message = 0, f"no end after {MAX_STEPS} steps"
     # steps by the slopes that are there are cheap where slopes are not: as many as new ones cost
@@ -235,9 +259,29 @@ def iterated(
     return s, ended, message, evaluations
 
 
-def _first(problem: Problem, start: Linearization) -> _Iterate:
+def unfitted_shapes(problem: Problem, x: Array) -> NDArray[np.bool_]:
+    """Which coordinates are shapes of a problem's effects at their values beforehand.
+
+    Args:
+        problem: Problem of a set.
+        x: Standardized coordinates, (n,).
+
+    Returns:
+        (n,) bool.
+    """
+    # those of a found law begin where it was found
+    held = (effect for effect in problem.effects if effect.family != "law")
+    shapes = {name for effect in held for name in effect.shapes}
+    return np.array([name in shapes for name in problem.names], dtype=bool) & (x == 0.0)
+
+
+def _first(problem: Problem, start: Linearization, *, with_shapes: bool = False) -> _Iterate:
+    """The first iterate; slopes along shapes that were never fitted are zero, or as they are."""
     coordinates = tuple(range(len(start.x)))
     slopes = start.slopes(coordinates)
+    held = unfitted_shapes(problem, start.x)
+    if held.any() and not with_shapes:
+        slopes = np.where(held, 0.0, slopes)
     at = replace(start, idx=coordinates, columns=slopes)
     residual = problem.residual_of(at.record)
     return _Iterate(problem, at, residual, problem.whiten_all(slopes))
@@ -246,7 +290,7 @@ def _first(problem: Problem, start: Linearization) -> _Iterate:
 def _step(s: _Iterate, low: Array, high: Array) -> Array:
     """argmin |r - J d|^2 + |x(u + d)|^2 within the bounds and the trust region |d_i| <= radius f_i,
     f_i below 1 for parameters that move edges."""
-    u = s.scaled
+    u = s.problem.scaled(s.at.x)
     gram = gram_of(s.jacobian)
     is_size = np.arange(len(u)) >= s.problem.num_base
     reach = s.radius * s.problem.step_factors

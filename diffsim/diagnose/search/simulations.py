@@ -20,7 +20,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import SpilledArray, spill
 from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, SetPosterior
 from diffsim.diagnose.search.fit import Null
-from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.diagnose.search.gauss_newton import gauss_newton, unfitted_shapes
 from diffsim.diagnose.search.located import course_at, scan_located
 from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
 from diffsim.diagnose.search.store import Arrays, Store, gauss_newton_kept, packed, unpacked
@@ -245,6 +245,7 @@ class Simulations:
         narrow = self.narrow(members)
         x = x.copy()
         x[own] = np.clip(x[own], *narrow.bounds)  # a linear optimum knows no bounds
+        x[own] *= ~unfitted_shapes(narrow, center.x[own])  # nor how far slopes of a shape hold
         record = narrow.record(x[own])
         step = self.wide.scaled(x) - self.wide.scaled(center.x)
         predicted = center.slopes(range(len(x))) @ step

@@ -17,7 +17,7 @@ from diffsim.systems.ode.scene import at_start
 
 STICK = 0.01  # of the usual velocity: below it dry friction fades
 SLIDING = "tanh(v/w)"  # of a law of dry friction
-STRIBECK = 0.2  # of the usual velocity: where friction has fallen to that of sliding
+STRIBECK = 0.2  # of the usual velocity, times e^fall: where friction has fallen to that of sliding
 STOP_STIFFNESS = 50.0  # usual forces per usual distance, times e^stop_hardness
 STOP_LIMIT = 2.0  # inertias per square of a step: what an explicit step follows on a stiffer stop
 
@@ -78,9 +78,10 @@ def _list_numbers(place: Place, scale: PlaceScale) -> dict[str, float]:
 
 
 def _list_letters(
-    library: Library, place: Place, scale: PlaceScale, name: str
+    library: Library, place: Place, scale: PlaceScale, row: Row
 ) -> dict[str, Expression]:
-    """What the letters of a force's formula stand for."""
+    """What the letters of a force's formula stand for; its own are shapes of its row."""
+    name, fitted = row.name, _list_fitted(row)
     numbers = {k: parse_expression(repr(n)) for k, n in _list_numbers(place, scale).items()}
     stiffness = repr(STOP_STIFFNESS * scale.force / scale.position)
     own = {k: named(f"{k}_at_{place.name}") for k in ("stop_hardness", "stop_loss")}
@@ -94,6 +95,8 @@ def _list_letters(
         "bend": named(f"stiffening_bend_at_{place.name}"),
         "hard": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
         "loss": filled(parse_expression("exp(stop_loss)"), own),
+        **{k: named(f"{k} of {name}") for k in fitted},
+        **{k: parse_expression(repr(s.value)) for k, s in row.shapes.items() if k not in fitted},
     }
     if place.force is not None:
         out["load"] = named(place.force)
@@ -115,7 +118,7 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
         row: Cause with ``at: force``, of the effect's name.
     """
     name = row.name
-    parts = _list_letters(library, place, scale, name)
+    parts = _list_letters(library, place, scale, row)
     slow = f"slow state of {name}"
     law = row.said("law", "ode")
     letters = parse_expression(law, parts)
@@ -127,7 +130,12 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
-    return by_formulas(change, symbol(name))
+    return by_formulas(change, symbol(name), *(f"{shape} of {name}" for shape in _list_fitted(row)))
+
+
+def _list_fitted(row: Row) -> list[str]:
+    """Further numbers of a row that are fitted; those of a user's may be known."""
+    return [name for name, shape in row.shapes.items() if shape.sd is not None]
 
 
 def _holding(library: Library, place: Place, law: str, parts: Mapping[str, Expression]) -> Change:

@@ -1,0 +1,70 @@
+"""Numbers of formulas, such as how soon a sensor is warm: fitted once the sizes are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim.diagnose.search.gauss_newton import gauss_newton
+from diffsim.identify import Problem, WhiteNoise, fit
+from diffsim.identify.linearization import linearization_at
+from diffsim.systems.registry import setup_of
+from tests.systems.toy_cart import TIME, cart_study
+
+DRIFT, BEND = "sensor_drift_of_position", "bend_of_sensor_drift_of_position"
+
+
+def drift_beside(study):
+    """Problem of a cart with a drift of its sensor."""
+    study = replace(study, runs=study.fit_runs)
+    setup = setup_of(study)
+    effects = [e for e in setup.effects if e.name == DRIFT]
+    return Problem(setup.model, study.runs, WhiteNoise(study.channels), tuple(effects)), study
+
+
+def fitted(problem):
+    """The fit of a problem from its values beforehand, as a search makes it."""
+    return gauss_newton(problem, linearization_at(problem, np.zeros(len(problem.names))))[0]
+
+
+@pytest.mark.parametrize("lasts", [0.8, 4.0])
+def test_a_sensor_that_warms_has_a_time_constant_of_its_own(lasts):
+    problem, _ = drift_beside(
+        cart_study(reading=lambda x: x + 0.03 * (1.0 - np.exp(-TIME / lasts)))
+    )
+    found = fitted(problem)
+    assert found.chi2 / found.num_samples < 1.1
+    assert found.values[BEND] == pytest.approx(TIME[-1] / lasts, rel=0.15)
+    assert found.values[DRIFT] == pytest.approx(0.03 * (1.0 - np.exp(-TIME[-1] / lasts)), rel=0.03)
+
+
+def test_a_drift_that_is_even_stays_so():
+    problem, _ = drift_beside(cart_study(reading=lambda x: x + 0.03 * TIME / TIME[-1]))
+    found = fitted(problem)
+    assert found.values[DRIFT] == pytest.approx(0.03, rel=0.03)
+    assert found.values[BEND] < 0.1
+
+
+def test_a_shape_does_not_stand_in_for_what_else_is_missing():
+    """A spring that grows stiffer leaves 70 noise sd, whatever the course of a small drift."""
+    problem, study = drift_beside(
+        cart_study(
+            force=lambda x, v: -100.0 * x**3,
+            reading=lambda x: x + 0.01 * (1.0 - np.exp(-2.0 * TIME)),
+        )
+    )
+    found = fitted(problem)
+    assert found.chi2 / found.num_samples > 1000.0
+    assert found.values[BEND] == 0.001
+    bent = fit(problem.model, study.runs, study.channels, effects=problem.effects)
+    assert bent.values[BEND] > 1.0  # where nothing holds it
+
+
+def test_a_shape_that_is_held_has_the_sd_that_its_slopes_tell():
+    """It was saved with the sd from beforehand: bands of an even drift bent it either way."""
+    problem, _ = drift_beside(
+        cart_study(force=lambda x, v: -100.0 * x**3, reading=lambda x: x + 0.03 * TIME / TIME[-1])
+    )
+    found = fitted(problem)
+    assert found.values[BEND] == 0.001
+    assert found.sd[BEND] < 1.0  # 3 beforehand
