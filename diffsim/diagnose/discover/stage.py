@@ -120,7 +120,7 @@ class FoundLaws:
         laws: Formulas that the search shall weigh.
         num_tried: Entries by variables by bases that were weighed.
         begins: Where that search begins: at the formulas of the best law, with the causes of the
-            library beside it, and at the first formula of each other one.
+            library beside it, and at one formula of its variable at each other place.
         beside: Names of the causes of the library that laws were fitted beside.
     """
 
@@ -214,10 +214,11 @@ def find_laws(
 
 
 def _begins_at_each(fitted: Sequence[FittedLaw], laws: Sequence[Law]) -> tuple[Begin, ...]:
-    """Where a search begins: at all formulas of the first law, and one of each other: elsewhere it
-    may do nearly the same, which slopes from afar do not show."""
+    """Where a search begins: at all formulas of the first law, and one of each other law of its
+    variable: elsewhere it may do nearly the same, which slopes from afar do not show."""
     begins: dict[frozenset[str], Begin] = {}
-    for k, f in enumerate(fitted):
+    of = [f for f in fitted if f.candidate.variable == fitted[0].candidate.variable]
+    for k, f in enumerate(of):
         for begin_at in list(_begins_of(f, laws))[: 1 if k else None]:
             begins.setdefault(frozenset(begin_at.sizes), begin_at)
     return tuple(begins.values())
