@@ -120,7 +120,7 @@ class FoundLaws:
         laws: Formulas that the search shall weigh.
         num_tried: Entries by variables by bases that were weighed.
         begins: Where that search begins: at the formulas of the best law, with the causes of the
-            library beside it.
+            library beside it, and at one formula of its variable at each other place.
         beside: Names of the causes of the library that laws were fitted beside.
     """
 
@@ -206,17 +206,29 @@ def find_laws(
         laws = _without_twins(laws)[: before + most]
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     fitted = [f for of_round in rounds for f in of_round]
+    first = sorted((f for of_round in rounds[:1] for f in of_round), key=lambda f: -f.evidence)
     best = max(fitted, key=lambda f: f.evidence, default=None)
-    begins = tuple(_begins_of(best, laws)) if best is not None else ()
+    begins = _begins_at_each(first if best is None else [best, *first], laws)
     beside = frozenset(name for f in fitted for name in f.beside)
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried, begins, beside)
 
 
-def _begins_of(best: FittedLaw, laws: Sequence[Law]) -> Iterator[Begin]:
-    """Where a search with formulas of the best fitted law and the causes beside it begins."""
-    problem, of = best.fit.problem, best.candidate
+def _begins_at_each(fitted: Sequence[FittedLaw], laws: Sequence[Law]) -> tuple[Begin, ...]:
+    """Where a search begins: at all formulas of the first law, and one of each other law of its
+    variable: elsewhere it may do nearly the same, which slopes from afar do not show."""
+    begins: dict[frozenset[str], Begin] = {}
+    of = [f for f in fitted if f.candidate.variable == fitted[0].candidate.variable]
+    for k, f in enumerate(of):
+        for begin_at in list(_begins_of(f, laws))[: 1 if k else None]:
+            begins.setdefault(frozenset(begin_at.sizes), begin_at)
+    return tuple(begins.values())
+
+
+def _begins_of(fitted: FittedLaw, laws: Sequence[Law]) -> Iterator[Begin]:
+    """Where a search with formulas of a fitted law and the causes beside it begins."""
+    problem, of = fitted.fit.problem, fitted.candidate
     count, num_base = len(of.basis.terms), problem.num_base
-    own = list(zip(problem.names[:-count], best.fit.x[:-count].tolist(), strict=True))
+    own = list(zip(problem.names[:-count], fitted.fit.x[:-count].tolist(), strict=True))
     for law in laws:
         if law.entry == of.entry and law.variable == of.variable:
             size = law.sign * float(coordinate_of(np.array(1.0 / PRIOR_WIDTH)))

@@ -64,6 +64,12 @@ class Decision:
     data_sheets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     instead: Mapping[frozenset[int], tuple[str, float]] = field(default_factory=dict)
 
+    @property
+    def open_unknown(self) -> Hypothesis | None:
+        """The unknown cause behind the verdict, or that of a rival beside the best set."""
+        beside = (h for h in self.rivals if h.unknown is not None and h.effects >= self.best)
+        return self.unknown or next(beside, None)
+
 
 def decide(
     nats: Mapping[Hypothesis, float],
@@ -108,8 +114,9 @@ def decide(
         h
         for h, e in nats.items()
         if (nats[best] - e < ALONE_NATS or h in equal)
-        and not h.effects >= best.effects
         and h != best
+        # of what explains too little, what acts may be an unknown cause, too
+        and (not h.effects >= best.effects or (h == strongest and explained < EXPLAINED))
     ]
     # a rival has the evidence over the plain model that an effect must add
     kept = (h for h in rivals if nats[h] - nats[Hypothesis()] >= KEEP_NATS)
@@ -206,8 +213,9 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
     while True:
         asked, search = _decided_exactly(search, withdrawn)
         decision, checks = confirmed(asked, search, seed)
-        if (h := asked.unknown) is not None and decision.unknown is None:
-            refuted |= frozenset() if h in decision.rivals or h.unknown is None else {h.unknown}
+        h = asked.open_unknown
+        if h is not None and h.unknown is not None and decision.open_unknown is None:
+            refuted |= {h.unknown}
         gates = (*gates, *(g for g in checks if g not in gates))
         if decision.verdict == "none":
             against = _contradiction(search, validation)
@@ -382,15 +390,17 @@ def confirmed(
     Confirmed it stands, clearly refuted it is withdrawn. In between it stays as a rival of the best
     set, which explains too little to be named alone.
     """
-    if decision.unknown is None or decision.unknown.unknown is None:
+    asked = decision.open_unknown
+    if asked is None or asked.unknown is None:
         return decision, ()
     gates = repeated_gate(search.fit_of(decision.best), seed)
     if all(gate.passed for gate in gates):
         return decision, gates
     if not decision.best:
         return replace(decision, verdict="none", unknown=None), gates
+    rest = tuple(h for h in decision.rivals if h != asked)
     # noise alone is no answer that a 90 % interval would hold, though the check lets it pass
     if gates[0].value <= 1.0 - LEVEL:
-        rivals = (decision.unknown,)
-        return replace(decision, verdict="ambiguous", rivals=rivals, unknown=None), gates
-    return replace(decision, verdict="named", unknown=None), gates
+        rest = (asked, *rest)
+    verdict = "ambiguous" if rest else "named"
+    return replace(decision, verdict=verdict, rivals=rest, unknown=None), gates

@@ -192,7 +192,7 @@ def _sets_do_without(g: Grounds, i: int) -> str:
     above_noise = (g.fit.chi2 - g.fit.num_samples) / np.sqrt(2.0 * g.fit.num_samples)
     if above_noise > SURE_SD and could_be_misfit(g.fit, g.gates):
         return "what the fit leaves may be the simulation's own error"
-    if any(h.unknown is not None and h.effects >= decision.best for h in decision.rivals):
+    if decision.unknown is None and decision.open_unknown is not None:
         return "an unknown cause may act as well"
     if not all(i in h.effects for h in g.within) or g.about.probability(i) < SURE:
         return FIT_AS_WELL

@@ -9,6 +9,7 @@ its subsets.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -42,6 +43,7 @@ from diffsim.diagnose.search.gauss_newton import (
 from diffsim.diagnose.search.scan import BORROWED
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effect import Effect
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.model import has_tangents, slopes_are_simulated
@@ -494,4 +496,39 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
                 continue
             num_overtaking += is_late
             search = refit(search, members, center)
+    return _refit_siblings(search, until)
+
+
+def _refit_siblings(search: Search, until: float) -> Search:
+    """Refit sets that do the same as the best ones by another kink: linear evidence is no guide."""
+    best = _best_of(search)
+    least = search.nats(Hypothesis(best)) - ALONE_NATS
+    near = [s for s in search.fits if len(s) <= len(best) and search.nats(Hypothesis(s)) >= least]
+    siblings = {s for of in near for s in _kinked_siblings(search.wide.effects, of)}
+    for members in sorted(siblings - set(search.fits), key=sorted):
+        search = search.with_late() if search.steps > until else refit(search, members)
     return search
+
+
+def _kinked_siblings(effects: Sequence[Effect], members: Members) -> set[Members]:
+    """The set with a member that has a kink replaced by another one of its family and place.
+
+    Where others have moved beside the first one, slopes tell nothing of the second: a valve's dead
+    band with an offset is slack with another offset.
+    """
+    if len(members) < 2:
+        return set()
+    kinked = [i for i, effect in enumerate(effects) if not effect.smooth]
+    return {
+        (members - {i}) | {j}
+        for i in members.intersection(kinked)
+        for j in kinked
+        if j not in members and effects[j].family == effects[i].family
+        if _place_of(effects[j]) == _place_of(effects[i])
+    }
+
+
+def _place_of(effect: Effect) -> str:
+    """Where an effect acts, as its name says."""
+    found = re.search(r"_(of|at)_\w+$", effect.name)
+    return "" if found is None else found[0]

@@ -78,3 +78,15 @@ def test_an_unknown_that_leads_is_told_beside_the_names():
     assert (found.verdict, found.rivals) == ("named", ())
     assert (found.beside, found.lead) == (AU, 20.0)
     assert verdict({NULL: 0.0, A: 30.0, AU: 33.0}).beside is None
+
+
+@pytest.mark.parametrize(
+    ("left", "lead", "expected"),
+    [(1050.0, 1.5, (AU,)), (1050.0, -2.9, (AU,)), (1050.0, -3.1, ()), (1030.0, 1.5, ())],
+)
+def test_what_explains_too_little_is_not_alone_where_an_unknown_cause_is_as_likely(
+    left, lead, expected
+):
+    found = verdict({NULL: 0.0, A: 30.0, AU: 30.0 + lead, U: 5.0}, chi2_a=left)
+    assert (found.rivals, found.open_unknown) == (expected, expected[0] if expected else None)
+    assert found.verdict == ("ambiguous" if expected else "named")

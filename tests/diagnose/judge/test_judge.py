@@ -42,6 +42,14 @@ def test_a_set_that_explains_half_is_named_only_if_scatter_explains_the_rest(
     assert (found.unknown is None) == (verdict != "unknown")
 
 
+@pytest.mark.parametrize(("p", "rivals"), [(None, (AU,)), (0.01, (AU,)), (0.05, (AU,)), (0.3, ())])
+def test_an_unknown_cause_as_likely_beside_it_faces_the_repeats_too(
+    p: float | None, rivals: tuple[Hypothesis, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = confirmed(Decision("ambiguous", A, (AU,), None, 0.5), p, monkeypatch)
+    assert (found.verdict, found.rivals) == ("ambiguous" if rivals else "named", rivals)
+
+
 @pytest.mark.parametrize(("p", "verdict"), [(0.01, "unknown"), (0.05, "none"), (0.3, "none")])
 def test_an_unknown_cause_alone_needs_the_repeats(
     p: float, verdict: str, monkeypatch: pytest.MonkeyPatch
