@@ -11,6 +11,7 @@
 #include <mutex>
 #include <vector>
 
+#include "kernels/linalg/cholesky.h"
 #include "kernels/linalg/rigid_multigrid.h"
 #include "kernels/linalg/small_cholesky.h"
 #include "kernels/soft/elasticity.h"
@@ -21,6 +22,7 @@ struct StepMemory {
   AlignedBuffer<double> values;  // the tangent
   ElasticityScratch elastic;
   std::unique_ptr<RigidMultigrid> multigrid;  // none where no step has used one
+  CholeskyMemory factor;                      // of the tangent
 };
 
 /// Memories that nobody uses at the moment; as many as were used at the same time.

@@ -72,6 +72,11 @@ StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs,
     frames_ = damping_frames(system.model(), in_.x_frame, in_.x_velocity, pool);
 }
 
+StepProblem::~StepProblem() {
+  if (!factor_.empty()) memory_->factor = factor_[0].take_memory();
+  system_.pattern().memories().give_back(std::move(memory_));
+}
+
 double StepProblem::value_gradient(const Vector& x, Vector& gradient) {
   gradient.resize(size_);
   energy_ = energy_gradient(system_.model(), in_.parameters, frames_, x.data(), gradient.data(),
@@ -296,7 +301,9 @@ bool StepProblem::factorize(const std::function<void(double*)>& edit) {
   export_blocks(model, memory_->values.data(), inertia(), system_.fixed(),
                 diagonal / static_cast<double>(model.num_nodes), blocks_.data(), pool_);
   if (edit) edit(blocks_.data());
-  if (factor_.empty()) factor_.emplace_back(system_.pattern().blocks());
+  if (factor_.empty())
+    factor_.emplace_back(system_.pattern().blocks(), FactorPrecision::kFloat64,
+                         std::move(memory_->factor));
   ++num_factorizations;
   try {
     factor_[0].refactor(blocks_.data(), pool_);

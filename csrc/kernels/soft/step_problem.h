@@ -22,7 +22,7 @@ class StepProblem {
   /// @param by_multigrid  whether precondition() is a multigrid cycle, else the constant system
   StepProblem(const ConstantSystem& system, const StepInputs& inputs, ThreadPool& pool,
               bool by_multigrid = false);
-  ~StepProblem() { system_.pattern().memories().give_back(std::move(memory_)); }
+  ~StepProblem();
   StepProblem(const StepProblem&) = delete;
   StepProblem& operator=(const StepProblem&) = delete;
 
