@@ -209,9 +209,19 @@ class RunReader:
         facts = facts_of(entry.setup, samples.only(keep), words, f"{case.where}.setup")
         samples = replace(samples, facts=facts)
         raw: dict[str, tuple[str, Array]] = {}
-        channels = [self._values(c, entry, samples, raw) for c in self.study.channels]
-        measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))
-        command = {c.name: self._values(c, entry, samples, raw) for c in self.study.commands}
+        # column by column, as those of millions of rows need the room; a formula sees all rows
+        seen = keep if entry.missing_if is None else slice(None)
+
+        def kept_of(stated: ChannelEntry | CommandEntry) -> Array:
+            values = self._values(stated, entry, samples, raw)
+            if stated.name in raw:
+                raw[stated.name] = raw[stated.name][0], raw[stated.name][1][seen]
+            return values[seen]
+
+        time_s = samples.time_s[seen]
+        channels = [kept_of(c) for c in self.study.channels]
+        measured = np.column_stack([*channels]) if channels else np.empty((len(time_s), 0))
+        command = {c.name: kept_of(c) for c in self.study.commands}
         if entry.missing_if is not None:
             named = {c.name: v for c, v in zip(self.study.channels, channels, strict=True)}
             stated = {name: partial(np.copy, v) for name, v in {**named, **command}.items()}
@@ -223,12 +233,12 @@ class RunReader:
                     raw[c.name] = raw[c.name][0], np.where(missing, np.nan, raw[c.name][1])
         columns = {
             name: values
-            for name, values in numeric_columns(samples).items()
+            for name, values in numeric_columns(samples, seen).items()
             if not any(fnmatchcase(name, pattern) for pattern in self.study.ignore)
         }
         run = Run(
             name,
-            samples.time_s,
+            time_s,
             measured,
             command,
             name,
@@ -237,7 +247,7 @@ class RunReader:
             files=tuple(str(table.path.absolute()) for table in tables),
             raw=raw,
         )
-        run = run.part(keep)
+        run = run if entry.missing_if is None else run.part(keep)
         if self._is_coded or entry.stamps or entry.duplicates or entry.gaps or entry.columns:
             self._tell_mended(name, entry)
         if entry.duplicates == "mean":
@@ -263,8 +273,10 @@ class RunReader:
             kept = rows[order]
             clocks = [given[0], *(of_further(c, stamps or Stamps(), equal) for c in given[1:])]
         new = np.append(True, np.diff(recorded) != 0.0) if equal == "mean" else slice(None)
-        now, lines = recorded[new], [tables[0].lines[row] for row in kept[new]]
-        checked = [(tables[0], lines, now, not (np.diff(now) > 0.0).all() or np.isnan(now).any())]
+        now = recorded[new]
+        is_wrong = bool(not (np.diff(now) > 0.0).all() or np.isnan(now).any())
+        lines = [tables[0].lines[row] for row in kept[new]] if is_wrong else []
+        checked = [(tables[0], lines, now, is_wrong)]
         for table, clock in zip(tables[1:], clocks[1:], strict=True):
             checked.append((table, table.lines, clock, np.isnan(clock).any()))
         wrong = [
