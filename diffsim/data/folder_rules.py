@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.figures import fold_alike
 from diffsim.data.clock_guess import guess_clock, guess_split, is_late, seconds_of
 from diffsim.data.column_rules import COLUMN_RULES
 from diffsim.data.folder_tables import FoundTable, files_below, find_tables
@@ -183,7 +184,8 @@ def _topics_beside(main: str, sizes: Mapping[str, int]) -> tuple[str, ...]:
 def headers(guess: Guess) -> Iterable[str]:
     """What the files hold and their tables do not, and columns that have no names."""
     tables = [one.table for kind in guess.kinds for one in kind.files]
-    yield from dict.fromkeys(sentence for table in tables for sentence in table.left_out)
+    said = dict.fromkeys(sentence for table in tables for sentence in table.left_out)
+    yield from fold_alike(list(said))
     bare = [kind for kind in guess.kinds if not kind.files[0].layout.has_names]
     if bare:
         names = ", ".join(c.name for kind in bare for c in kind.columns)

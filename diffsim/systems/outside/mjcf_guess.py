@@ -172,8 +172,8 @@ def _pairs(found: dict[str, str]) -> str:
 
 
 def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
-    """Columns of force, torque and current, or called like an actuator and no joint or sensor, are commands
-    where actuators lack theirs."""
+    """Columns of force, torque and current, or called like an actuator and no joint or sensor, are
+    commands where actuators lack theirs."""
     plain = simulator.plain
     lacking = plain.nu - len(guess.those("command"))
     columns = guess.those("channel")
