@@ -211,17 +211,10 @@ class RunReader:
         raw: dict[str, tuple[str, Array]] = {}
         # column by column, as those of millions of rows need the room; a formula sees all rows
         seen = keep if entry.missing_if is None else slice(None)
-
-        def kept_of(stated: ChannelEntry | CommandEntry) -> Array:
-            values = self._values(stated, entry, samples, raw)
-            if stated.name in raw:
-                raw[stated.name] = raw[stated.name][0], raw[stated.name][1][seen]
-            return values[seen]
-
         time_s = samples.time_s[seen]
-        channels = [kept_of(c) for c in self.study.channels]
+        channels = [self._values(c, entry, samples, raw, seen) for c in self.study.channels]
         measured = np.column_stack([*channels]) if channels else np.empty((len(time_s), 0))
-        command = {c.name: kept_of(c) for c in self.study.commands}
+        command = {c.name: self._values(c, entry, samples, raw, seen) for c in self.study.commands}
         if entry.missing_if is not None:
             named = {c.name: v for c, v in zip(self.study.channels, channels, strict=True)}
             stated = {name: partial(np.copy, v) for name, v in {**named, **command}.items()}
@@ -276,9 +269,10 @@ class RunReader:
         now = recorded[new]
         is_wrong = bool(not (np.diff(now) > 0.0).all() or np.isnan(now).any())
         lines = [tables[0].lines[row] for row in kept[new]] if is_wrong else []
-        checked = [(tables[0], lines, now, is_wrong)]
+        checked: list[tuple[Table, Sequence[int], Array, bool]] = []
+        checked.append((tables[0], lines, now, is_wrong))
         for table, clock in zip(tables[1:], clocks[1:], strict=True):
-            checked.append((table, table.lines, clock, np.isnan(clock).any()))
+            checked.append((table, table.lines, clock, bool(np.isnan(clock).any())))
         wrong = [
             str(stamp_words(table.path, lines, clock, self._clock(entry, table).column or _TIME))
             for table, lines, clock, is_wrong in checked
@@ -314,21 +308,23 @@ class RunReader:
         entry: RunEntry,
         samples: RunSamples,
         raw_of: dict[str, tuple[str, Array]] | None = None,
+        keep: Rows | slice = slice(None),
     ) -> Array:
-        """A channel or command in SI units, at all rows of the run.
+        """A channel or command in SI units, at the rows of the run.
 
         Args:
             stated: The channel or command.
             entry: Entry of the run.
             samples: Rows of the run.
             raw_of: Gets what one column holds of it, by name.
+            keep: Which of the rows are kept.
         """
         source: Source = stated
         unit = stated.unit
         if stated.name in entry.columns:
             other = entry.columns[stated.name]
             if other is None:
-                return np.full(len(samples.time_s), np.nan)
+                return np.full(len(samples.time_s), np.nan)[keep]
             source, unit = other, other.unit or unit
             if unit and stated.unit and to_si(unit).unit != to_si(stated.unit).unit:
                 factor(unit, stated.unit)  # refuses a unit of another quantity
@@ -344,7 +340,7 @@ class RunReader:
             columns = tuple(n for n in names_in(source.formula) if n not in samples.facts)
         if raw_of is not None and len(columns) == 1 and "derivative" not in (source.formula or ""):
             own = raw if source.formula is None else samples.column(columns[0], source.file)
-            raw_of[stated.name] = (columns[0], own)
+            raw_of[stated.name] = (columns[0], own[keep])
         values = in_si(raw, source, unit)
         if isinstance(stated, ChannelEntry) and stated.zero_s is not None:
             start, end = stated.zero_s
@@ -358,7 +354,7 @@ class RunReader:
         if isinstance(stated, CommandEntry) and stated.fill is not None:
             scale = to_si(stated.unit).factor if stated.unit else 1.0
             values = unfilled(values, samples.time_s, stated.fill, scale)
-        return values
+        return values[keep]
 
     def _seconds(self, entry: RunEntry, table: Table) -> Array:
         source = self._clock(entry, table)
