@@ -36,6 +36,7 @@ from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
 from diffsim.data.bank import command_table
+from diffsim.data.guess import listed
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.diagnose.checks.whole_record import model_problems
@@ -120,16 +121,16 @@ def _fit(args: argparse.Namespace) -> None:
     null = fit_null(inputs)
     fit = null.fit
     print(f"{'parameter':<32} {'value':>12} {'sd':>10}")
-    units = {p.name: p.unit for p in fit.problem.model.base}
-    for name, value in fit.values.items():
-        unit = "" if units[name] == "-" else units[name]
-        print(f"{name:<32} {value:>12.6g} {fit.sd[name]:>10.2g} {unit}")
+    base = null.parameters_shown()
+    shown = {p.name: "" if p.unit == "-" else p.unit for p in base}
+    for name, unit in shown.items():
+        print(f"{name:<32} {fit.values[name]:>12.6g} {fit.sd[name]:>10.2g} {unit}")
     for a, b, r in null.strongest_correlations():
         print(f"correlated: {a} and {b} ({r:+.2f})")
-    for name in fit.undetermined:
-        print(f"not determined by the data: {name}")
-    for name in fit.at_bound:
-        print(f"on its bound: {name}")
+    for line in listed("not determined by the data", (n for n in fit.undetermined if n in shown)):
+        print(line)
+    for line in listed("on its bound", (n for n in fit.at_bound if n in shown)):
+        print(line)
     source = ", ".join(dict.fromkeys(null.noise.source))
     print(
         f"chi2 {fit.chi2:.6g} of {fit.num_samples} samples: {fit.chi2 / fit.num_samples:.3g} per "

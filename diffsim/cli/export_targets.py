@@ -37,10 +37,11 @@ from diffsim.core.files import write_bytes_atomic, write_json_atomic, write_text
 from diffsim.data.study import Run, Study
 from diffsim.identify.model_file import SavedModel
 from diffsim.identify.ranges import range_of_number
-from diffsim.systems.outside.description import MJCF, OutsideDescription
+from diffsim.systems.outside.description import OutsideDescription
 from diffsim.systems.outside.joint_drive import DEFAULTS
 from diffsim.systems.outside.mjcf import Mjcf
 from diffsim.systems.outside.mjcf_laws import OWN_LAWS, path_of_law
+from diffsim.systems.outside.source import MJCF
 from diffsim.systems.registry import description_of
 
 BAM, URDF, YAML = "bam", "urdf", "yaml"

@@ -99,6 +99,18 @@ def probability(value: float) -> str:
     return "< 0.001" if value < 1e-3 else f"{value:.2g}"
 
 
+def fold_alike(sentences: Sequence[str]) -> list[str]:
+    """Sentences that say the same of several, as one: "a.mat, b.mat and 3 more: a single value"."""
+    by: dict[str, list[str]] = {}
+    for sentence in sentences:
+        who, colon, what = sentence.partition(": ")
+        by.setdefault(what if colon else sentence, []).append(who)
+    return [
+        f"{list_first(whose, 2)}: {what}" if what != whose[0] else what
+        for what, whose in by.items()
+    ]
+
+
 def list_first(names: Sequence[str], most: int = 8) -> str:
     """The first names, and how many more there are: "a, b and 3 more"."""
     more = f" and {len(names) - most} more" if len(names) > most else ""

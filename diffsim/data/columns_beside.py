@@ -20,6 +20,7 @@ from diffsim.data.names import COUNTER, TIME, may_be_time
 from diffsim.data.run_samples import RunSamples, in_si, unfilled
 from diffsim.data.study import Column, Run, Study
 from diffsim.data.study_schema import Source
+from diffsim.data.table import Rows
 from diffsim.data.table_guess import column_of
 
 _WORDS = {CLOCK, "nan", *CONSTANTS, *FUNCTIONS, *kwlist}  # of formulas: no names of columns
@@ -29,8 +30,13 @@ _UNTOLD_SHARE = 0.1  # of a column's squares, that channels leave of an output
 _DIGITS = 6  # of the range, in which copies agree: one in mm and one in m differ by rounding
 
 
-def numeric_columns(samples: RunSamples) -> dict[str, Array]:
-    """All columns of a run that hold numbers, by header, without gaps: (num_samples,) each."""
+def numeric_columns(samples: RunSamples, keep: Rows | slice = slice(None)) -> dict[str, Array]:
+    """All columns of a run that hold numbers, by header, without gaps: (num_samples,) each.
+
+    Args:
+        samples: Rows of the run.
+        keep: Which of its samples are kept of each.
+    """
     samples, found = replace(samples, tables=[table.twin() for table in samples.tables]), {}
     for header in dict.fromkeys(name for table in samples.tables for name in table.header if name):
         try:
@@ -38,7 +44,7 @@ def numeric_columns(samples: RunSamples) -> dict[str, Array]:
         except ValueError:  # text or infinite, which nobody asked for
             continue
         if np.isfinite(values).any():
-            found[header] = unfilled(values, samples.time_s, "linear", 1.0)
+            found[header] = unfilled(values, samples.time_s, "linear", 1.0)[keep]
     return found
 
 

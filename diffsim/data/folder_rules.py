@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.figures import fold_alike
 from diffsim.data.clock_guess import guess_clock, guess_split, is_late, seconds_of
 from diffsim.data.column_rules import COLUMN_RULES
-from diffsim.data.folder_tables import FoundTable, find_tables
+from diffsim.data.folder_tables import FoundTable, files_below, find_tables
 from diffsim.data.formats import SUFFIXES
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
 from diffsim.data.joined_files import Kind, join_files
-from diffsim.data.names import BESIDE, DRIVES, STATE, is_asked, log_column
+from diffsim.data.names import BESIDE, DRIVES, STATE, is_asked, log_column, px4_topic
 from diffsim.data.stamps import stamp_fault
 from diffsim.data.table import MAKER, Table
 
@@ -54,6 +56,9 @@ def search(guess: Guess) -> Iterable[str]:
     not_read: list[str] = []
     found = list(find_tables(guess.folder, not_read))
     yield from not_read
+    packed = [path for path in files_below(guess.folder) if path.suffix.lower() in _PACKED]
+    names = sorted(path.relative_to(guess.folder).as_posix() for path in packed)
+    yield from listed("packed files, not looked into; unpack them first", names)
     if not found:
         raise ValueError("\n".join([_why_none(guess.folder), *not_read]))
     top = min(one.level for one in [f for f in found if f.has_clock] or found)
@@ -110,7 +115,8 @@ def families(guess: Guess) -> Iterable[str]:
         for one in guess.found
         if one.path not in taken
     )
-    yield from listed("files with other columns, not used", others)
+    for sentence in listed("files with other columns, not used", others):
+        yield f"{sentence}; recordings of another rig need a folder, and a study, of their own"
     used = {one.reference for kind in guess.kinds for one in kind.files}
     beside = [one for one in guess.found if one.path in taken and not one.is_topic]
     rest = [one.reference for one in beside if one.reference not in used]
@@ -125,14 +131,9 @@ def topics(guess: Guess) -> Iterable[str]:
     by = {(one.path, one.part): one for one in guess.found}
     main = record.files[0]
     known = {part: one for (path, part), one in by.items() if path == main.path}
-    further = tuple(guess.parts[1:])
+    parts = (main.part, *guess.parts[1:])
     if not guess.parts:
-        further = tuple(part for part in BESIDE.get(main.part, ()) if part in known)
-        asked = [one for part, one in known.items() if is_asked(part) and part != main.part]
-        if asked:
-            best = max(asked, key=lambda one: (bool(DRIVES.search(one.part)), one.size()))
-            further = (*further, best.part)
-    parts = (main.part, *further)
+        parts = _topics_beside(main.part, {part: one.size() for part, one in known.items()})
     if len(known) > 1:
         hint = "" if guess.parts else "; --part TOPIC, repeated, uses others"
         yield f"topics: {' and '.join(parts)}{hint}"
@@ -149,10 +150,42 @@ def topics(guess: Guess) -> Iterable[str]:
     yield from listed("fields of topics, not used", unused)
 
 
+def exported_topics(guess: Guess) -> Iterable[str]:
+    """Of topics of PX4 that were exported, a file each, those that ``topics`` would take."""
+    of = {topic: kind for kind in guess.kinds if (topic := px4_topic(kind.tag))}
+    if len(of) < 2:
+        return
+    main = max(of, key=lambda topic: (topic in BESIDE, bool(STATE.search(topic))))
+    chosen = _topics_beside(main, {topic: kind.files[0].size() for topic, kind in of.items()})
+    yield from listed("other topics", (topic for topic in of if topic not in chosen), OTHERS)
+    unused = []
+    guess.kinds = []
+    for topic in chosen:
+        found = {c.name: log_column(c.name, topic) for c in of[topic].columns}
+        unused += [name for name, column in found.items() if column is None]
+        columns = tuple(c for c in found.values() if c is not None)
+        guess.kinds.append(replace(of[topic], tag=topic, columns=columns))
+    yield from listed("fields of topics, not used", dict.fromkeys(unused))
+
+
+def _topics_beside(main: str, sizes: Mapping[str, int]) -> tuple[str, ...]:
+    """The record of a log, topics that belong to it, and one that sounds commanded.
+
+    Args:
+        main: Topic of the record.
+        sizes: How much each topic of the log holds.
+    """
+    beside = tuple(topic for topic in BESIDE.get(main, ()) if topic in sizes)
+    asked = [topic for topic in sizes if is_asked(topic) and topic != main]
+    best = sorted(asked, key=lambda topic: (bool(DRIVES.search(topic)), sizes[topic]))[-1:]
+    return (main, *beside, *best)
+
+
 def headers(guess: Guess) -> Iterable[str]:
     """What the files hold and their tables do not, and columns that have no names."""
     tables = [one.table for kind in guess.kinds for one in kind.files]
-    yield from dict.fromkeys(sentence for table in tables for sentence in table.left_out)
+    said = dict.fromkeys(sentence for table in tables for sentence in table.left_out)
+    yield from fold_alike(list(said))
     bare = [kind for kind in guess.kinds if not kind.files[0].layout.has_names]
     if bare:
         names = ", ".join(c.name for kind in bare for c in kind.columns)
@@ -369,6 +402,7 @@ RULES: tuple[Rule, ...] = (
     joins,
     families,
     topics,
+    exported_topics,
     headers,
     clock,
     splits,

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from diffsim.data.formats import SUFFIXES, lerobot, parts_of
+from diffsim.data.formats import SUFFIXES, json_records, lerobot, parts_of
 from diffsim.data.names import TIME, may_be_time
 from diffsim.data.run_plan import split_numbers
 from diffsim.data.table import Table
 from diffsim.data.table_guess import TABLES, TableLayout, column_of, layout_of
 
+JSON = (".json", ".jsonl")
 LOGS = (".ulg", ".mcap", ".bag", ".db3")
 BAG = "metadata.yaml"  # beside the files of a ROS 2 bag
 DEEPEST = 5  # folders in folders that are looked into
@@ -28,6 +29,7 @@ class FoundTable:
         part: Its part of the file; empty: the file is one table.
         layout: What each of its columns seems to be.
         num_parts: Tables in the file.
+        is_log: Whether these are topics of messages, in a file of JSON.
     """
 
     folder: Path
@@ -35,6 +37,7 @@ class FoundTable:
     part: str
     layout: TableLayout
     num_parts: int = 1
+    is_log: bool = False
 
     @property
     def reference(self) -> str:
@@ -66,7 +69,7 @@ class FoundTable:
     @property
     def is_topic(self) -> bool:
         """Whether the other tables of its file were recorded at the same time."""
-        return self.path.suffix.lower() in LOGS
+        return self.path.suffix.lower() in LOGS or self.is_log
 
     @property
     def has_clock(self) -> bool:
@@ -116,7 +119,7 @@ def find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
         folder: Folder of the files.
         said: Sentences on what could not be read; more are added.
     """
-    files = lerobot.tables_of(folder) or _files_below(folder, DEEPEST)
+    files = lerobot.tables_of(folder) or files_below(folder)
     for path in sorted(files, key=lambda p: split_numbers(p.as_posix())):
         suffix = path.suffix.lower()
         if not _is_text(path):
@@ -138,17 +141,24 @@ def _is_text(path: Path) -> bool:
     return True
 
 
-def _files_below(folder: Path, depth: int) -> Iterator[Path]:
+def files_below(folder: Path, depth: int = DEEPEST) -> Iterator[Path]:
+    """Files of a folder and of those in it, so many deep; hidden folders and links are passed by.
+
+    Args:
+        folder: Folder that is looked into.
+        depth: How many folders deep.
+    """
     for path in folder.iterdir():
         if path.is_file():
             yield path
         elif depth and path.is_dir() and not path.is_symlink() and path.name[0] not in "._":
-            yield from _files_below(path, depth - 1)
+            yield from files_below(path, depth - 1)
 
 
 def _parts(folder: Path, path: Path) -> Iterator[FoundTable]:
     parts = parts_of(path)
+    is_log = len(parts) > 1 and path.suffix.lower() in JSON and json_records.is_log(path)
     for part in parts:
         bare = FoundTable(folder, path, part, TableLayout(1, 2, ()), len(parts))
         layout = TableLayout(1, 2, tuple(column_of(name) for name in bare.table.header))
-        yield FoundTable(folder, path, part, layout, len(parts))
+        yield FoundTable(folder, path, part, layout, len(parts), is_log)

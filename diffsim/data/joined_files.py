@@ -19,7 +19,7 @@ import yaml
 
 from diffsim.data.clock_guess import guess_clock, is_late, seconds_of
 from diffsim.data.folder_tables import FoundTable
-from diffsim.data.names import STATE, TIME, has_role, is_asked, unit_of_clock
+from diffsim.data.names import IDLE, STATE, TIME, has_role, is_asked, unit_of_clock
 from diffsim.data.table_guess import Column, column_of
 
 _MARK = re.compile(r"[_\-. ]+")
@@ -192,12 +192,15 @@ def _are_of_one_run(kinds: Sequence[Kind], *, is_lone: bool) -> bool:
 
 
 def _share_columns(a: Kind, b: Kind) -> bool:
-    """Whether two kinds have columns in common, beside one that may be the clock."""
+    """Whether two kinds have columns in common, beside one that may be the clock and all that are
+    called so: topics of one log have stamps of several kinds."""
     if a is b:
         return True
     if not (a.files[0].layout.has_names and b.files[0].layout.has_names):
         return len(a.columns) == len(b.columns)
-    return len({c.name for c in a.columns if c.name} & {c.name for c in b.columns}) > 1
+    shared = {c.name for c in a.columns if c.name} & {c.name for c in b.columns}
+    rest = {name for name in shared if not (TIME.match(name) or IDLE.search(name))}
+    return len(rest) > (len(rest) == len(shared))
 
 
 def _fit_clocks(kinds: Sequence[Kind]) -> list[Kind] | str:

@@ -172,6 +172,13 @@ _UNUSED = re.compile(r"covariance|(^|[._])header\.|child_frame_id", re.I)
 BESIDE = {"vehicle_local_position": ("vehicle_attitude", "vehicle_angular_velocity")}
 
 
+def px4_topic(tag: str) -> str:
+    """The topic of PX4 that a table exported from a log holds, by the end of its name, such as
+    vehicle_attitude_0; empty: none."""
+    name = re.sub(r"_\d+$", "", tag)
+    return next((topic for topic in _PX4 if name.endswith(topic)), "")
+
+
 def log_column(name: str, part: str) -> Column | None:
     """A column of a topic; None where nobody needs it, such as a covariance.
 
@@ -183,7 +190,9 @@ def log_column(name: str, part: str) -> Column | None:
     if _UNUSED.search(name):
         return None
     column = replace(column, is_asked=is_asked(topic))
-    if topic in _PX4 and name not in ("time_s", "timestamp"):
+    if topic in _PX4 and name == "timestamp":
+        return replace(column, unit="us")
+    if topic in _PX4 and name != "time_s":
         for field, unit in _PX4[topic]:
             if re.fullmatch(field, name):
                 return replace(column, unit=unit)

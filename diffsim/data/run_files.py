@@ -209,9 +209,12 @@ class RunReader:
         facts = facts_of(entry.setup, samples.only(keep), words, f"{case.where}.setup")
         samples = replace(samples, facts=facts)
         raw: dict[str, tuple[str, Array]] = {}
-        channels = [self._values(c, entry, samples, raw) for c in self.study.channels]
-        measured = np.column_stack([*channels]) if channels else np.empty((len(rows), 0))
-        command = {c.name: self._values(c, entry, samples, raw) for c in self.study.commands}
+        # column by column, as those of millions of rows need the room; a formula sees all rows
+        seen = keep if entry.missing_if is None else slice(None)
+        time_s = samples.time_s[seen]
+        channels = [self._values(c, entry, samples, raw, seen) for c in self.study.channels]
+        measured = np.column_stack([*channels]) if channels else np.empty((len(time_s), 0))
+        command = {c.name: self._values(c, entry, samples, raw, seen) for c in self.study.commands}
         if entry.missing_if is not None:
             named = {c.name: v for c, v in zip(self.study.channels, channels, strict=True)}
             stated = {name: partial(np.copy, v) for name, v in {**named, **command}.items()}
@@ -223,12 +226,12 @@ class RunReader:
                     raw[c.name] = raw[c.name][0], np.where(missing, np.nan, raw[c.name][1])
         columns = {
             name: values
-            for name, values in numeric_columns(samples).items()
+            for name, values in numeric_columns(samples, seen).items()
             if not any(fnmatchcase(name, pattern) for pattern in self.study.ignore)
         }
         run = Run(
             name,
-            samples.time_s,
+            time_s,
             measured,
             command,
             name,
@@ -237,7 +240,7 @@ class RunReader:
             files=tuple(str(table.path.absolute()) for table in tables),
             raw=raw,
         )
-        run = run.part(keep)
+        run = run if entry.missing_if is None else run.part(keep)
         if self._is_coded or entry.stamps or entry.duplicates or entry.gaps or entry.columns:
             self._tell_mended(name, entry)
         if entry.duplicates == "mean":
@@ -263,10 +266,13 @@ class RunReader:
             kept = rows[order]
             clocks = [given[0], *(of_further(c, stamps or Stamps(), equal) for c in given[1:])]
         new = np.append(True, np.diff(recorded) != 0.0) if equal == "mean" else slice(None)
-        now, lines = recorded[new], [tables[0].lines[row] for row in kept[new]]
-        checked = [(tables[0], lines, now, not (np.diff(now) > 0.0).all() or np.isnan(now).any())]
+        now = recorded[new]
+        is_wrong = bool(not (np.diff(now) > 0.0).all() or np.isnan(now).any())
+        lines = [tables[0].lines[row] for row in kept[new]] if is_wrong else []
+        checked: list[tuple[Table, Sequence[int], Array, bool]] = []
+        checked.append((tables[0], lines, now, is_wrong))
         for table, clock in zip(tables[1:], clocks[1:], strict=True):
-            checked.append((table, table.lines, clock, np.isnan(clock).any()))
+            checked.append((table, table.lines, clock, bool(np.isnan(clock).any())))
         wrong = [
             str(stamp_words(table.path, lines, clock, self._clock(entry, table).column or _TIME))
             for table, lines, clock, is_wrong in checked
@@ -302,21 +308,23 @@ class RunReader:
         entry: RunEntry,
         samples: RunSamples,
         raw_of: dict[str, tuple[str, Array]] | None = None,
+        keep: Rows | slice = slice(None),
     ) -> Array:
-        """A channel or command in SI units, at all rows of the run.
+        """A channel or command in SI units, at the rows of the run.
 
         Args:
             stated: The channel or command.
             entry: Entry of the run.
             samples: Rows of the run.
             raw_of: Gets what one column holds of it, by name.
+            keep: Which of the rows are kept.
         """
         source: Source = stated
         unit = stated.unit
         if stated.name in entry.columns:
             other = entry.columns[stated.name]
             if other is None:
-                return np.full(len(samples.time_s), np.nan)
+                return np.full(len(samples.time_s), np.nan)[keep]
             source, unit = other, other.unit or unit
             if unit and stated.unit and to_si(unit).unit != to_si(stated.unit).unit:
                 factor(unit, stated.unit)  # refuses a unit of another quantity
@@ -332,7 +340,7 @@ class RunReader:
             columns = tuple(n for n in names_in(source.formula) if n not in samples.facts)
         if raw_of is not None and len(columns) == 1 and "derivative" not in (source.formula or ""):
             own = raw if source.formula is None else samples.column(columns[0], source.file)
-            raw_of[stated.name] = (columns[0], own)
+            raw_of[stated.name] = (columns[0], own[keep])
         values = in_si(raw, source, unit)
         if isinstance(stated, ChannelEntry) and stated.zero_s is not None:
             start, end = stated.zero_s
@@ -346,7 +354,7 @@ class RunReader:
         if isinstance(stated, CommandEntry) and stated.fill is not None:
             scale = to_si(stated.unit).factor if stated.unit else 1.0
             values = unfilled(values, samples.time_s, stated.fill, scale)
-        return values
+        return values[keep]
 
     def _seconds(self, entry: RunEntry, table: Table) -> Array:
         source = self._clock(entry, table)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -201,7 +201,7 @@ def stamp_fault(now: Array) -> tuple[int, str, str] | None:
     )
 
 
-def stamp_words(path: object, lines: list[int], now: Array, column: str) -> str | None:
+def stamp_words(path: object, lines: Sequence[int], now: Array, column: str) -> str | None:
     """Why the stamps of rows cannot be right, at which row, and what mends it; None: they can.
 
     Args:

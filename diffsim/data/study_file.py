@@ -36,7 +36,7 @@ from typing import Any
 from diffsim.core.check import did_you_mean
 from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
-from diffsim.core.figures import list_first
+from diffsim.core.figures import fold_alike, list_first
 from diffsim.core.inside import inside
 from diffsim.core.paths import data_candidates
 from diffsim.core.schema import read_part
@@ -224,7 +224,7 @@ def _left_out(reader: RunReader, stated: StudyFile, root: Path) -> tuple[str, ..
     )
     if unused:
         out.append(f"columns: {list_first([_in_files(n, k) for n, k in unused.items()])}")
-    return (*out, *reader.left_out)
+    return (*out, *fold_alike(reader.left_out))
 
 
 def _in_files(name: str, count: int) -> str:

@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from diffsim.core.units import to_si
-from diffsim.data.table import cells_of, delimiter_of, is_list, names_of, open_text
+from diffsim.data.table import MISSING, cells_of, delimiter_of, is_list, names_of, open_text
 
 FIRST_LINES = 60  # in which the header must be
 FEWEST_ROWS = 5  # of numbers, that a file without a header must have
@@ -96,7 +96,8 @@ def layout_of(path: Path) -> TableLayout | None:
     rows = [cells_of(line, mark) for line, mark in zip(lines, marks, strict=True)]
     last = next((row for row in reversed(rows) if _is_numeric(row)), [])
     first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_like(row, last)), None)
-    above = [] if first is None else _lines_above(rows, first)
+    are_remarks = [line.lstrip()[:1] in ("", "#") for line in lines]
+    above = [] if first is None else _lines_above(rows, first, are_remarks)
     if first is None or not above:
         return _without_header(rows)
     names = _drop_empty_end(rows[above[0]])
@@ -114,14 +115,19 @@ def layout_of(path: Path) -> TableLayout | None:
     return TableLayout(above[0] + 1, first + 1, tuple(columns))
 
 
-def _lines_above(rows: list[list[str]], first: int) -> list[int]:
-    """Indices of the lines right above the first numbers that may be names and units."""
+def _lines_above(rows: list[list[str]], first: int, are_remarks: list[bool]) -> list[int]:
+    """Indices of the lines right above the first numbers that may be names and units; lines that
+    are blank, or remarks of the logger, may lie between."""
     # an empty last cell is a missing value, or what follows a delimiter at the end of the line
     num_cells = {len(rows[first]), len(_drop_empty_end(rows[first]))}
     above: list[int] = []
     for i in range(first - 1, -1, -1):
         head = _drop_empty_end(rows[i])
-        if not num_cells & {len(head), len(rows[i])} or any(_NUMBER.fullmatch(c) for c in head):
+        is_other = not num_cells & {len(head), len(rows[i])}
+        is_other |= any(_NUMBER.fullmatch(cell) for cell in head)
+        if is_other and not above and are_remarks[i]:
+            continue
+        if is_other:
             break
         num_cells = {len(head), len(rows[i])}
         above.insert(0, i)
@@ -228,7 +234,7 @@ def _drop_empty_end(row: list[str]) -> list[str]:
 
 
 def _is_numeric(row: list[str]) -> bool:
-    filled = [cell for cell in row if cell]
+    filled = [cell for cell in row if cell and cell.lower() not in MISSING]
     return bool(filled) and 2 * sum(_holds_numbers(c) for c in filled) >= len(filled)
 
 

@@ -56,4 +56,4 @@ else:
     Viscosity = quantity("Pa s")
 
 # anywhere in the play, as likely; it matters only while there is one
-START_IN_PLAY = Quantity(value=0.0, sd=0.6, lower=-1.0, upper=1.0, per="run")
+START_IN_PLAY = Quantity(value=0.0, sd=0.6, lower=-1.0, upper=1.0, per="run").as_usual()

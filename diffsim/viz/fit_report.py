@@ -23,8 +23,10 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
     per_sample = fit.chi2 / fit.num_samples
     worst = [page.Chart(figure=draw.runs_over_time(runs, channels), caption=_RUNS)]
     left = [page.Chart(figure=draw.residual_views(runs, channels), caption=_LEFT)]
-    names = fit.problem.names
-    matrix = draw.confounding_matrix(names, fit.correlation, bar="posterior correlation")
+    names = [p.name for p in null.parameters_shown()]
+    own = [fit.problem.names.index(name) for name in names]
+    part = fit.correlation[np.ix_(own, own)]
+    matrix = draw.confounding_matrix(names, part, bar="posterior correlation")
     return page.write(
         page.Report(
             title=f"Fit of {study.name}",
@@ -67,7 +69,8 @@ _CORRELATION = "Posterior correlations of the parameters, priors included; beyon
 def _parameters(null: NullFit) -> page.Table:
     fit = null.fit
     rows = []
-    for p, name in zip(fit.problem.model.base, fit.problem.names, strict=True):
+    for p in null.parameters_shown():
+        name = p.name
         notes = [
             word
             for word, names in (

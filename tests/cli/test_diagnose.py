@@ -21,8 +21,8 @@ from diffsim.data.study import Study
 from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
 from diffsim.diagnose import NextRun, diagnose
-from diffsim.diagnose.refit import fit_null, refit, rival_sets
-from diffsim.identify import SimModel, extended_model, fit, save_extended
+from diffsim.diagnose.refit import NullFit, fit_null, refit, rival_sets
+from diffsim.identify import Parameter, SimModel, extended_model, fit, save_extended
 from diffsim.identify.model_file import read_extended
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems import load_extended
@@ -317,6 +317,21 @@ def test_fit_says_what_misfit_is_left(study_folder, tmp_path, capsys):
     # the hidden drag is left: much more than noise
     assert found["chi2"] > 1.2 * found["num_samples"]
     assert set(found["values"]) == {p.name for p in toy.model(load_study(study_folder).runs).base}
+
+
+def test_a_fit_lists_no_number_that_only_a_cause_uses():
+    """Nobody stated how hard a stop is, and a model without one tells nothing of it."""
+    base = [
+        Parameter("mass", 1.0, 0.1),
+        Parameter("start@a", 0.0, 0.1),  # stated; of a run that is not fitted
+        Parameter("lag", 0.1, 0.1, is_usual=True),
+        Parameter("stop_hardness", 0.0, 1.0, is_usual=True),
+        Parameter("share_of_coupling", 0.0, 1.0, of_effect=True, is_usual=True),
+    ]
+    unknown = ("start@a", "stop_hardness", "share_of_coupling")
+    problem = SimpleNamespace(model=SimpleNamespace(base=base))
+    null = SimpleNamespace(fit=SimpleNamespace(undetermined=unknown, problem=problem))
+    assert [p.name for p in NullFit.parameters_shown(null)] == ["mass", "start@a", "lag"]
 
 
 def test_extend_begins_where_explain_ended_and_says_the_same(

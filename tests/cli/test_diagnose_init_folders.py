@@ -13,7 +13,7 @@ import yaml
 
 from diffsim.data import find_dataset, load_study
 from diffsim.data.folder_rules import guess_study
-from diffsim.data.formats import write_columns
+from diffsim.data.formats import parts_of, write_columns
 from tests.cli.test_diagnose_init import T, init, noisy, write
 
 STEPS = np.repeat([0.0, 1.0, -1.0], 20)
@@ -440,3 +440,97 @@ def test_letters_of_repeats_are_no_facts(tmp_path):
     assert runs["slow_b"].setup == {"label_1": "slow"}
     assert runs["slow_b"].group == runs["slow_a"].group is not None
     assert runs["fast_b"].group == runs["fast_a"].group != runs["slow_a"].group
+
+
+def exported(folder: Path, log: str, topic: str, columns: dict[str, np.ndarray]) -> None:
+    """A topic of a log of PX4 as ulog2csv writes it."""
+    count = len(next(iter(columns.values())))
+    clock = 31_000_000 + np.round(4e6 * np.arange(count) / count)
+    stamps = {"timestamp": clock, "timestamp_sample": clock - 200.0}
+    table = np.column_stack([*stamps.values(), *columns.values()])
+    path = folder / f"{log}_{topic}_0.csv"
+    np.savetxt(path, table, "%.8g", ",", header=",".join([*stamps, *columns]), comments="")
+
+
+def test_topics_of_px4_that_were_exported_are_one_flight(tmp_path, capsys):
+    """Stamps of two kinds are no columns that runs share, and most motors are not there."""
+    for k in range(3):
+        log = f"log_{12 + k}_2026-11-0{k + 2}-10-11-12"
+        pose = {n: noisy(10 * k + i, num=200) for i, n in enumerate(("x", "y", "z"))}
+        exported(tmp_path, log, "vehicle_local_position", {**pose, "heading": noisy(k, num=200)})
+        attitude = {f"q[{i}]": noisy(70 + 4 * k + i, num=400) for i in range(4)}
+        exported(tmp_path, log, "vehicle_attitude", attitude)
+        motors = {f"control[{i}]": noisy(30 + 10 * k + i, num=400) for i in range(4)}
+        none = {f"control[{i}]": np.full(400, np.nan) for i in range(4, 12)}
+        exported(tmp_path, log, "actuator_motors", motors | none)
+        exported(tmp_path, log, "battery_status", {"voltage_v": noisy(50 + k, num=8) + 15.0})
+    assert init(tmp_path, "--system", "multicopter") == 0
+    assert "other topics: battery_status" in capsys.readouterr().out
+    study = load_study(tmp_path)
+    assert names(study.channels) == ["x", "y", "z", "q_0", "q_1", "q_2", "q_3"]
+    assert [c.unit for c in study.channels[:4]] == ["m", "m", "m", "-"]
+    assert names(study.commands) == [f"control_{k}" for k in range(4)]
+    assert names(study.runs) == [f"log_{12 + k}_2026_11_0{k + 2}" for k in range(3)]
+    assert np.median(np.diff(study.runs[0].time_s)) == pytest.approx(0.02)
+
+
+def test_messages_of_several_topics_are_one_record(tmp_path, capsys):
+    """Lines of JSON at different rates, each with the topic that tells its fields."""
+    for k in range(2):
+        lines = []
+        for i in range(240):
+            stamp = round(1.79e9 + 100 * k + 0.005 * i, 4)
+            pitch = {"pitch": float(np.sin(0.03 * i)) + 1e-3 * float(noisy(i, num=1)[0])}
+            lines.append({"topic": "/imu", "t": stamp, "data": pitch})
+            if i % 4 == 0:
+                lines.append({"topic": "/cmd/torque", "t": stamp, "data": {"torque": i % 7}})
+            if i % 80 == 0:
+                lines.append({"topic": "/battery", "t": stamp, "data": {"voltage": 24.1}})
+        text = "\n".join(map(json.dumps, lines))
+        (tmp_path / f"session_{k + 1}.jsonl").write_text(text)
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "topics: /imu and /cmd/torque" in said and "other topics: /battery" in said
+    study = load_study(tmp_path)
+    assert names(study.channels) == ["data_pitch"] and names(study.commands) == ["data_torque"]
+    assert names(study.runs) == ["session_1", "session_2"]
+    run = study.runs[0]
+    assert len(run.time_s) == 240 and run.time_s[0] == 0.0
+    assert run.command["data_torque"][[0, 3, 4, 9]].tolist() == [0.0, 0.0, 4.0, 1.0]
+
+
+def test_records_that_differ_in_fields_but_not_by_a_topic_stay_one_table(tmp_path):
+    """A reading that some records lack, beside a text that says nothing of it."""
+    lines = [
+        {"t": 0.1 * i, "state": ("a", "b")[i // 20 % 2], "x": float(i % 5)}
+        | ({"y": 1.0 * i} if i % 3 else {})
+        for i in range(60)
+    ]
+    (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    assert parts_of(tmp_path / "log.jsonl") == [""]
+
+
+def test_files_of_another_rig_and_packed_ones_are_said(tmp_path, capsys):
+    for k in range(3):
+        write(tmp_path / f"pend_{k}.csv", "time_s,angle_rad", [T, noisy(k)])
+    write(tmp_path / "oven.csv", "time_s,temp_degC,heater_W", [T, noisy(8), noisy(9)])
+    (tmp_path / "more.zip").write_bytes(b"PK")
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "packed files, not looked into; unpack them first: more.zip" in said
+    assert "not used: oven.csv; recordings of another rig need a folder" in said
+
+
+def test_dates_with_the_day_first_are_a_clock(tmp_path):
+    """A trend of a PLC, in UTF-16, over midnight."""
+    for k in range(3):
+        stamps = [f"{24 + k}.10.2026 23:59:{i:02d}" for i in range(60)]
+        stamps += [f"{25 + k}.10.2026 00:00:{i:02d}" for i in range(20)]
+        read = [f"{20.5 + value:.2f}".replace(".", ",") for value in noisy(k, num=80)]
+        cells = zip(stamps, read, "0123" * 20, strict=True)
+        rows = [";".join(row) for row in cells]
+        text = "\r\n".join(["Anlage: WT-07", "", "Zeitstempel;Temperatur [°C];Freigabe", *rows])
+        (tmp_path / f"Trend_{k}.csv").write_bytes(text.encode("utf-16"))
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    np.testing.assert_allclose(study.runs[0].time_s, np.arange(80.0))

@@ -333,3 +333,46 @@ def test_what_a_servo_was_told_before_is_where_its_joint_rests(tmp_path, first):
     x[-1] = 1.0
     moved = problem.record(x)
     assert np.abs(moved - still).max() > 0.01  # a delay of the step with the first row shows
+
+
+def test_meshes_and_includes_in_folders_of_their_own_are_found(tmp_path):
+    """As makers lay robots out: models two folders deep, meshes beside their folder."""
+    folder = arm_folder(tmp_path)
+    models, meshes = folder / "robot" / "mjcf", folder / "robot" / "meshes"
+    for path in (models / "common", meshes):
+        path.mkdir(parents=True)
+    points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    lines = [f"v {x} {y} {z}" for x, y, z in points]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+    (meshes / "hull.obj").write_text("\n".join(lines))
+    asset = '<mujocoinclude><asset><mesh name="hull" file="hull.obj"/></asset></mujocoinclude>'
+    (models / "common" / "assets.xml").write_text(asset)
+    text = (folder / "arm.xml").read_text()
+    head = '<compiler meshdir="../meshes"/><include file="common/assets.xml"/>'
+    head += '<default><geom contype="0" conaffinity="0"/></default>'
+    text = text.replace("<option", f"{head}<option", 1)
+    mesh = '<geom type="mesh" mesh="hull" mass="0.01"/><body name="fore"'
+    (models / "arm.xml").write_text(text.replace('<body name="fore"', mesh))
+    (models / "scene.xml").write_text('<mujoco><include file="arm.xml"/></mujoco>')
+    (folder / "arm.xml").unlink()
+    init(folder)
+    stated = yaml.safe_load((folder / "study.yaml").read_text())["model"]
+    assert stated["options"]["model"] == "robot/mjcf/scene.xml"
+    assert "body.fore.mass" in stated["parameters"]
+    assert setup_of(load_study(folder / "study.yaml")).model.name == "scene.xml in MuJoCo"
+
+
+def test_words_that_all_joints_share_tell_none_and_a_current_is_no_torque(tmp_path, capsys):
+    folder = arm_folder(tmp_path, one="FR_thigh_joint", two="FR_calf_joint")
+    for path in folder.glob("*.csv"):
+        first, rest = path.read_text().split("\n", 1)
+        assert first == HEADER
+        header = "time_s,goal_thigh_rad,calf_current_A,calf_q_deg,thigh_q_deg,calf_rate_rad_s"
+        path.write_text(f"{header}\n{rest}")
+    init(folder)
+    stated = yaml.safe_load((folder / "study.yaml").read_text())
+    assert stated["model"]["options"]["channels"]["calf_q"] == "joint.FR_calf_joint.position"
+    (todo,) = [one for one in stated["todo"] if one.startswith("commands:")]
+    assert "calf_current_A is in A, but actuator m2 takes N m: state unit: N m" in todo
+    assert "joints of the MJCF by their names" in capsys.readouterr().out

@@ -4,7 +4,15 @@ import math
 
 import pytest
 
-from diffsim.core.figures import figure, limits, probability, signed, with_interval, with_sd
+from diffsim.core.figures import (
+    figure,
+    fold_alike,
+    limits,
+    probability,
+    signed,
+    with_interval,
+    with_sd,
+)
 
 
 @pytest.mark.parametrize(
@@ -52,3 +60,13 @@ def test_a_value_has_the_digits_of_its_standard_deviation():
 def test_zero_has_no_sign_and_no_probability_is_zero():
     assert (signed(-0.04), signed(2.75), signed(-1.6)) == ("0", "+2.8", "-1.6")
     assert (probability(6.6e-162), probability(0.0374)) == ("< 0.001", "0.037")
+
+
+def test_what_is_said_of_many_files_is_said_once():
+    one = "a.mat: no rows"
+    assert fold_alike([one, "no colon", "b.mat: Fs: a number", "c.mat: Fs: a number"]) == [
+        one,
+        "no colon",
+        "b.mat, c.mat: Fs: a number",
+    ]
+    assert fold_alike([f"{n}.mat: lost" for n in "abcd"]) == ["a.mat, b.mat and 2 more: lost"]

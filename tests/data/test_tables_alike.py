@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from diffsim.cli import main
-from diffsim.data.table import read_numbers
+from diffsim.data.table import Table, read_numbers
+from diffsim.data.table_guess import layout_of
 
 T = 0.01 * np.arange(60)
 COLUMNS = {
@@ -66,3 +67,48 @@ def test_rows_whose_first_cell_is_no_remark_are_kept(tmp_path, cells):
     rows = (f"{cell},{t}" for t, cell in enumerate(cells))
     path.write_text("\n".join(["well,time_s", *rows]), "utf-8")
     np.testing.assert_array_equal(read_numbers(path, ["time_s"])["time_s"], [0.0, 1.0])
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t", " "])
+@pytest.mark.parametrize("below", ["# calibrated on Monday", "", "# restart{mark} gain{mark} 2"])
+def test_a_remark_below_the_names_is_neither_names_nor_a_sample(tmp_path, mark, below):
+    path = tmp_path / "a.csv"
+    rows = [mark.join([f"{0.1 * k:.1f}", "2", "3"]) for k in range(8)]
+    names = mark.join(["time_s", "x_mm", "force_N"])
+    path.write_text("\n".join([names, below.format(mark=mark), *rows]), "utf-8")
+    found = layout_of(path)
+    assert found is not None and (found.header_line, found.first_line) == (1, 3)
+    assert [c.name for c in found.columns] == ["time_s", "x_mm", "force_N"]
+    table = Table(path, "run")
+    assert table.header == ["time_s", "x_mm", "force_N"]
+    np.testing.assert_allclose(table.numbers("time_s"), 0.1 * np.arange(8))
+
+
+def test_a_header_above_rows_with_missing_values_is_found(tmp_path):
+    """As exports of PX4 have them, where most of twelve motors are not there."""
+    path = tmp_path / "a.csv"
+    path.write_text("t,a,b,c,d\n" + "".join(f"{k},0.5,nan,nan,nan\n" for k in range(9)), "utf-8")
+    found = layout_of(path)
+    assert found is not None and len(found.columns) == 5 and found.has_names
+
+
+def test_a_file_is_read_once_as_long_as_a_table_has_it(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
+    path.write_text("t,a\n" + "".join(f"{k},{2 * k}\n\n" for k in range(9)), "utf-8")
+    first = Table(path, "run")
+    monkeypatch.setattr("diffsim.data.table.np.loadtxt", lambda *_, **__: pytest.fail("read again"))
+    second = Table(path, "run")
+    np.testing.assert_array_equal(second.numbers("a"), first.numbers("a"))
+    assert list(second.lines) == list(range(2, 20, 2))
+    monkeypatch.undo()
+    path.write_text("t,a\n0,7\n", "utf-8")
+    assert Table(path, "run").numbers("a").tolist() == [7.0]
+
+
+def test_many_rows_are_read_block_by_block(tmp_path, monkeypatch):
+    monkeypatch.setattr("diffsim.data.table.ROWS_SHOWN", 7)
+    path = tmp_path / "a.csv"
+    path.write_text("t,a\n" + "".join(f"{k},{-k}\n" for k in range(40)), "utf-8")
+    table = Table(path, "run")
+    np.testing.assert_array_equal(table.numbers("a"), -np.arange(40.0))
+    assert list(table.lines) == list(range(2, 42))

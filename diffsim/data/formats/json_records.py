@@ -23,6 +23,8 @@ from diffsim.data.formats.columns import (
     text_of,
 )
 
+_FIRST_MESSAGES = 2_000  # of a log, which tell whether it has topics
+_FEWEST_OF_TOPIC = 3  # messages, on average
 _FEWEST_ROWS = 20  # of lists by column: shorter ones have a number for each joint or rotor
 
 
@@ -103,6 +105,13 @@ def _tables(value: Any, name: str, facts: Mapping[str, Any]) -> Iterator[tuple[s
     if isinstance(value, list):
         if not value or not all(isinstance(entry, Mapping) for entry in value):
             return
+        if key := _topic_key(value):
+            by: dict[str, list[Mapping[str, Any]]] = {}
+            for message in value:
+                rest = {k: own for k, own in message.items() if k != key}
+                by.setdefault(str(message.get(key, "")), []).append(rest)
+            yield from ((_below(name, topic), _Table(own, facts)) for topic, own in by.items())
+            return
         if not _are_runs(value):
             yield name, _Table(value, facts)
             return
@@ -115,6 +124,39 @@ def _tables(value: Any, name: str, facts: Mapping[str, Any]) -> Iterator[tuple[s
             return
         for key, inner in value.items():
             yield from _tables(inner, _below(name, str(key)), facts)
+
+
+def _topic_key(messages: Sequence[Mapping[str, Any]]) -> str:
+    """Field whose text says which others a message has, as the topic of a log does; empty: none."""
+    first = messages[:_FIRST_MESSAGES]
+    fields = [frozenset(_leaf_names(message)) for message in first]
+    if len(set(fields)) == 1:
+        return ""
+    for key, value in first[0].items():
+        topics = [message.get(key) for message in first]
+        if not isinstance(value, str) or not all(isinstance(topic, str) for topic in topics):
+            continue
+        pairs = set(zip(topics, fields, strict=True))
+        if len({topic for topic, _ in pairs}) == len(pairs) < len(first) / _FEWEST_OF_TOPIC:
+            return str(key)
+    return ""
+
+
+def _leaf_names(message: Mapping[str, Any], name: str = "") -> Iterator[str]:
+    for key, value in message.items():
+        field = _below(name, str(key))
+        yield from _leaf_names(value, field) if isinstance(value, Mapping) else (field,)
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file holds messages of several topics, a table each, recorded at the same time.
+
+    Args:
+        path: A file of JSON or JSON lines.
+    """
+    content = _content(path)
+    messages = isinstance(content, list) and all(isinstance(m, Mapping) for m in content)
+    return bool(messages and content and _topic_key(content))
 
 
 def _below(name: str, key: str) -> str:

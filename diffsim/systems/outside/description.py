@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -34,12 +35,13 @@ from diffsim.systems.description import (
 from diffsim.systems.outside import hooks as hooks_of
 from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.mjcf import version_notes
+from diffsim.systems.outside.mjcf_numbers import several_axes
 from diffsim.systems.outside.setup import outside_plant, outside_setup
-from diffsim.systems.outside.source import Source
+from diffsim.systems.outside.source import MJCF, Source
 from diffsim.systems.quantities import Time
 
 _MAX_NAME = 255  # letters; what is longer is a text, and no file
-MJCF = "diffsim.systems.outside.mjcf:Mjcf"
+AXES = {"ball": 3, "free": 6}  # of joints with several
 
 
 def _read_quantity(given: Any) -> Any:
@@ -210,7 +212,11 @@ class OutsideDescription(Description):
             own = version("mujoco")
         except PackageNotFoundError:
             return [Problem("error", "model", "MuJoCo is not installed: pip install mujoco")]
-        return [Problem("note", "model.options.model", note) for note in version_notes(text, own)]
+        notes = [Problem("note", "model.options.model", note) for note in version_notes(text, own)]
+        return [
+            *notes,
+            *(Problem("error", "model", said) for said in _free_places(text, self.hooks)),
+        ]
 
     @checked(kinds_only=True)
     def setup(self, study: Study) -> DiagnosisSetup:
@@ -266,6 +272,15 @@ class OutsideDescription(Description):
             return self.options
         opened = ("model",) if self.simulator == MJCF else ()
         return {k: _file_or_value(folder, k, v, k in opened) for k, v in self.options.items()}
+
+
+def _free_places(text: str, hooks: HookKeys) -> Iterator[str]:
+    """Places of forces that are joints of an MJCF with several axes, a sentence each."""
+    for joint in ElementTree.fromstring(text).iter():
+        kind = "free" if joint.tag == "freejoint" else joint.get("type", "")
+        name = joint.get("name", "")
+        if joint.tag in ("joint", "freejoint") and kind in AXES and name in hooks.force:
+            yield several_axes(name, AXES[kind])
 
 
 def _file_or_value(folder: Path, key: str, given: Any, is_opened: bool) -> Any:

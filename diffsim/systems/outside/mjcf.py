@@ -33,7 +33,7 @@ from diffsim.core.arrays import Array, Mask
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
 from diffsim.systems.outside.mjcf_laws import take_own
-from diffsim.systems.outside.mjcf_numbers import Numbers
+from diffsim.systems.outside.mjcf_numbers import Numbers, several_axes
 from diffsim.systems.outside.mjcf_payloads import carriers_of
 from diffsim.systems.outside.mjcf_steps import Steps
 from diffsim.systems.outside.source import Call
@@ -491,23 +491,29 @@ class Mjcf:
         once a step: MuJoCo's own loop then holds them."""
         return force.is_over_time and self._stages == 1
 
+    def _axis_of(self, place: str) -> tuple[int, int]:
+        """Index of the position and of the velocity of a joint that turns or slides about one axis.
+
+        Raises:
+            ValueError: there is no such joint, or it has several axes.
+        """
+        joint = self.numbers.find("joint", place, "hooks.force")
+        if (count := self.numbers.num_axes(joint)) > 1:
+            raise ValueError(several_axes(place, count))
+        return int(self.plain.jnt_qposadr[joint]), int(self.plain.jnt_dofadr[joint])
+
     def _pushes(self, force: PlaceForces, times: Array) -> Array | None:
         """Forces of each degree of freedom over steps, (num_steps, nv); None: not known before."""
         if not self._is_known(force):
             return None
         out = np.zeros((len(times), self.plain.nv))
         for place, values in force.over(times).items():
-            joint = self.numbers.find("joint", force.places[place], "hooks.force")
-            out[:, int(self.plain.jnt_dofadr[joint])] += values
+            out[:, self._axis_of(force.places[place])[1]] += values
         return out
 
     def _push_joints(self, force: PlaceForces) -> Callable[[Any, Any], None]:
         """What MuJoCo calls for passive forces: the forces at the joints that are the places."""
-        joints = [self.numbers.find("joint", name, "hooks.force") for name in force.places]
-        acting = [
-            (int(self.plain.jnt_qposadr[joints[i]]), int(self.plain.jnt_dofadr[joints[i]]), at)
-            for i, at in force.acting
-        ]
+        acting = [(*self._axis_of(force.places[i]), at) for i, at in force.acting]
 
         def push(model: Any, data: Any) -> None:  # thousands of times a run: plain numbers alone
             time, positions, rates, passive = data.time, data.qpos, data.qvel, data.qfrc_passive

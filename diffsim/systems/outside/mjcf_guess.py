@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.core.arrays import Array
 from diffsim.core.units import to_si
+from diffsim.data.folder_tables import files_below
 from diffsim.data.guess import Guess, GuessedColumn
 from diffsim.data.names import spelled
 from diffsim.systems.outside.joint_drive import GRAVITY
@@ -32,7 +34,9 @@ SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
 #: Entries of a free joint's place and orientation by what loggers call them
 _PLACE = re.compile(r"(?:(?:p|pos|position|base|root)_?)?([xyz])(?:_m|_mm|_cm)?")
 _TURN = re.compile(r"(?:(?:q|quat|quaternion|orientation)_?)([wxyz])")
-_VELOCITIES, _PUSHES = ("rad/s", "m/s"), ("N", "N m")
+#: What actuators of joints that turn and that slide take: a position, a speed, a push
+_TAKES = (("rad", "rad/s", "N m"), ("m", "m/s", "N"))
+_VELOCITIES, _PUSHES = ("rad/s", "m/s"), ("N", "N m", "A")
 
 
 @dataclass
@@ -52,20 +56,18 @@ class GuessedModel:
 
 def find_mjcf(folder: Path) -> tuple[Path, ...]:
     """MJCF files of a folder that no other one of them includes or attaches; where it has none,
-    those of the folders in it, as collections of models are laid out."""
-    own, below = sorted(folder.glob("*.xml")), sorted(folder.glob("*/*.xml"))[:MAX_FILES]
-    return _without_parts(own) or _without_parts(below)
-
-
-def _without_parts(paths: Sequence[Path]) -> tuple[Path, ...]:
+    those of the folders in it that lie highest, as collections of models are laid out."""
+    below = [path for path in files_below(folder) if path.suffix.lower() == ".xml"]
+    paths = sorted(below, key=lambda path: (len(path.parts), path))[:MAX_FILES]
     roots = {path: root for path in paths if (root := _root_of(path))}
     parts = {
-        path.parent / Path(node.attributes["file"]).name
+        (path.parent / node.attributes["file"]).resolve()
         for path, root in roots.items()
         for node in _below(root)
         if node.tag in ("include", "model") and "file" in node.attributes
     }
-    return tuple(path for path in roots if path not in parts)
+    whole = [path for path in roots if path.resolve() not in parts]
+    return tuple(path for path in whole if len(path.parts) == len(whole[0].parts))
 
 
 def _root_of(path: Path) -> Node | None:
@@ -97,7 +99,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
         ImportError: MuJoCo is not installed.
         ValueError: the file is no model that MuJoCo reads.
     """
-    simulator = Mjcf(str(path))
+    simulator = Mjcf(str(path), folder=str(guess.folder))
     made = GuessedModel()
     _command_drives(simulator, guess, made)
     channels = _name_channels(simulator, guess, made)
@@ -135,6 +137,7 @@ def _match(
 ) -> dict[str, str]:
     """Targets of columns by shared words, or all by their order; those without one are told."""
     found: dict[str, str] = {}
+    targets = _telling(targets)
     for column in columns:
         own = _words(column.name)
         fits = [t for t, words in targets.items() if words and words <= own]
@@ -157,13 +160,20 @@ def _match(
     return found
 
 
+def _telling(targets: dict[str, set[str]]) -> dict[str, set[str]]:
+    """The same without words that all share, where each has others: FR_hip_joint, FR_calf_joint."""
+    shared = set.intersection(*targets.values()) if len(targets) > 1 else set()
+    told = {target: words - shared for target, words in targets.items()}
+    return told if all(told.values()) else targets
+
+
 def _pairs(found: dict[str, str]) -> str:
     return ", ".join(f"{name} is {target}" for name, target in found.items())
 
 
 def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
-    """Columns of force and torque, or called like an actuator and no joint or sensor, are commands
-    where actuators lack theirs."""
+    """Columns of force, torque and current, or called like an actuator and no joint or sensor, are
+    commands where actuators lack theirs."""
     plain = simulator.plain
     lacking = plain.nu - len(guess.those("command"))
     columns = guess.those("channel")
@@ -251,7 +261,30 @@ def _name_commands(simulator: Any, guess: Guess, made: GuessedModel) -> dict[str
         found = _match(columns, by_name, "actuator", tried)
     made.said += tried.said
     made.todo += tried.todo
+    made.todo += _other_units(simulator, columns, found)
     return found
+
+
+def _other_units(
+    simulator: Any, columns: Sequence[GuessedColumn], found: Mapping[str, str]
+) -> Iterator[str]:
+    """Commands in another unit than their actuator takes, such as a current for a torque."""
+    plain, slide = simulator.plain, int(simulator.mujoco.mjtJoint.mjJNT_SLIDE)
+    for column in columns:
+        if column.name not in found or _unit(column) == "-":
+            continue
+        i = int(plain.actuator(found[column.name]).id)
+        joint = int(plain.actuator_trnid[i, 0])
+        if not _joint_of(plain, i) or plain.actuator_gear[i, 0] != 1.0:
+            continue
+        gain, bias = plain.actuator_gainprm[i, 0], plain.actuator_biasprm[i]
+        is_kind = (bias[1] == -gain, bias[2] == -gain, gain == 1.0 and not bias.any())
+        takes = next(compress(_TAKES[int(plain.jnt_type[joint]) == slide], is_kind), None)
+        if takes is not None and _unit(column) != takes:
+            yield (
+                f"commands: {column.name} is in {column.unit}, but actuator {found[column.name]} "
+                f"takes {takes}: state unit: {takes}, and scale: how many a {column.unit} makes"
+            )
 
 
 def _joint_of(plain: Any, actuator: int) -> str:

@@ -80,6 +80,14 @@ _PATH = re.compile(r"(\w+)\.(.+)\.(\w+)(?:\[(\d+)\])?")
 _DOFS = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}  # by mjtJoint: of position, of rate
 
 
+def several_axes(joint: str, count: int) -> str:
+    """That a joint is no place of forces, which act about one axis."""
+    return (
+        f"hooks.force: joint {joint!r} has {count} axes, and a force acts about one; places are "
+        "hinges and slides, of which several move a body freely, too"
+    )
+
+
 @dataclass(frozen=True)
 class Path:
     """A parameter, taken apart.

@@ -19,6 +19,7 @@ from diffsim.data.study import Run
 from diffsim.systems.outside.environment import Environment, SteppedSimulator
 from diffsim.systems.outside.forces import PlaceForces
 
+MJCF = "diffsim.systems.outside.mjcf:Mjcf"
 OFFERS = ("force", "time_step", "delays")
 
 
@@ -91,7 +92,11 @@ class Source:
 
     @property
     def label(self) -> str:
-        """Place and, where it is a file, a hash of its content: a changed file is another model."""
+        """Place and, where it is a file, a hash of its content: a changed file is another model; of
+        an MJCF the name of its file."""
+        file = str(self.options.get("model", ""))
+        if self.place == MJCF and not file.lstrip().startswith("<"):
+            return f"{Path(file).name} in MuJoCo"
         where = self.place.rpartition(":")[0]
         if self.given is not None or not where.endswith(".py"):
             return self.place

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.model import Parameter
 from diffsim.systems.outside.forces import PlaceForces, Term
 from tests.systems.outside import scenes
@@ -14,6 +15,8 @@ pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoc
 
 from diffsim.systems.outside.mjcf import Mjcf
 from diffsim.systems.outside.setup import outside_setup
+from diffsim.systems.outside.source import MJCF
+from diffsim.systems.registry import description_of
 
 MASS, LENGTH = 0.4, 0.5
 XML = """
@@ -131,3 +134,30 @@ def test_strengths_of_all_drives_are_known_where_each_is_a_parameter():
     strong = sim.predict({**plain, **{p.name: 4.0 for p in gains}}, run)
     light = sim.predict({n: 0.25 * v for n, v in plain.items()}, run)
     np.testing.assert_allclose(strong, light, atol=1e-9)
+
+
+@pytest.mark.parametrize("joint", ['<freejoint name="root"/>', '<joint name="root" type="ball"/>'])
+def test_a_joint_of_several_axes_is_no_place_of_a_force(tmp_path, joint):
+    """A force pushed it along its first axis alone."""
+    text = f"""<mujoco><worldbody><body name="a">{joint}<geom size="0.1"/>
+      <body name="b"><joint name="hinge"/><geom size="0.1"/></body></body></worldbody></mujoco>"""
+    channels = {"c": "joint.hinge.position"}
+    simulator = Mjcf(text, channels)
+    law = scenes.law_of("viscous_friction")
+    force = PlaceForces(["root"], [Term("root", law, 0.1)])
+    run = Run("r", 0.01 * np.arange(9.0), np.zeros((9, 1)), {}, "r")
+    with pytest.raises(ValueError, match=r"joint 'root' has [36] axes, and a force acts about one"):
+        simulator.predict({}, run, force)
+    (tmp_path / "a.xml").write_text(text)
+    keys = {"force": {"root": {"unit": "N", "typical": 1.0, "speed": 1.0}}}
+    model = {"system": "outside", "simulator": MJCF, "options": {"model": "a.xml"}, "hooks": keys}
+    study = Study(
+        name="s",
+        system="outside",
+        channels=(Channel("c", "rad", "angle"),),
+        runs=(run,),
+        model=model,
+        folder=tmp_path,
+    )
+    said = [str(p) for p in description_of(study).problems(study)]
+    assert any("joint 'root' has" in one for one in said)

@@ -1,0 +1,57 @@
+"""Stamps as loggers of several countries write them."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import pytest
+
+from diffsim.data.dates import seconds_of_stamps
+
+DAY = 86400.0
+
+
+@pytest.mark.parametrize(
+    ("cells", "apart"),
+    [
+        (("24.10.2026 23:59:58", "25.10.2026 00:00:00,5"), 2.5),
+        (("24.10.26 09:12", "24.10.26 09:13"), 60.0),
+        (("2026-10-24T09:12:04Z", "2026-10-24T09:12:04.25Z"), 0.25),
+        (("2026-10-24 09:12:04+02:00", "2026-10-24 09:12:04+01:30"), 1800.0),
+        (("2026/10/24 09:12:04", "2026/10/25 09:12:04"), DAY),
+        (("12/31/2026 11:59:59 PM", "1/1/2027 12:00:01 AM"), 2.0),
+        (("31/12/2026 11:59:59", "1/1/2027 11:59:59"), DAY),
+        (("5/6/2026 10:00:00", "5/6/2026 10:00:01"), 1.0),  # whichever it is, it is one day
+        (("9:05:00", "9:05:00.250"), 0.25),
+    ],
+)
+def test_the_ways_people_write_dates(cells: tuple[str, str], apart: float) -> None:
+    first, second = seconds_of_stamps(cells)
+    assert second - first == pytest.approx(apart, abs=1e-6)
+
+
+def test_day_or_month_first_is_not_guessed() -> None:
+    with pytest.raises(ValueError, match="'5/6/2026 23:59:00' may have the day or the month first"):
+        seconds_of_stamps(["5/6/2026 23:59:00", "6/6/2026 00:01:00"])
+
+
+@pytest.mark.parametrize("cell", ["", "31.02.2026 10:00:00", "25:00:00", "13:00 PM", "1.2.3", "on"])
+def test_what_is_no_time_is_refused(cell: str) -> None:
+    with pytest.raises(ValueError, match="is no time; expected") as error:
+        seconds_of_stamps(["10:00:00", cell] if ":" in cell else ["24.10.2026 09:12", cell])
+    assert error.value.args[1] == 1
+
+
+@pytest.mark.skipif(not hasattr(time, "tzset"), reason="the zone cannot be set")
+def test_the_zone_of_the_machine_moves_no_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In Berlin 2026-10-25 has 25 hours, in a record without a zone none does."""
+    before = os.environ.get("TZ")
+    try:
+        monkeypatch.setenv("TZ", "Europe/Berlin")
+        time.tzset()
+        first, second = seconds_of_stamps(["2026-10-25 00:00:00", "2026-10-25 12:00:00"])
+    finally:
+        monkeypatch.delenv("TZ") if before is None else monkeypatch.setenv("TZ", before)
+        time.tzset()
+    assert second - first == 12 * 3600.0
