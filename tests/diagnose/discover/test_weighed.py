@@ -175,7 +175,9 @@ def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
         found=(candidate,), with_pairs=lambda _: (screen, [], 1), beside=lambda _: after
     )
     screened = stage._ScreenWithFit(screen, candidate, law, 1)  # type: ignore[arg-type]
-    rounds = stage._rounds(screened, None, None, lambda: False)  # type: ignore[arg-type]
+    model = SimpleNamespace(simulations=SimpleNamespace(steps=5))
+    late = SimpleNamespace(problem=SimpleNamespace(model=model, cost=lambda: 1.0))
+    rounds = stage._rounds(screened, late, None, until=4.0)  # type: ignore[arg-type]
     assert next(rounds) == [law]
     # where it leaves noise, no law of two variables can explain more
     quiet = SimpleNamespace(**{**vars(law), "fit": SimpleNamespace(chi2=99.0, num_samples=100)})
