@@ -31,7 +31,7 @@ from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
 from diffsim.cli.diagnose_task import command, worth
 from diffsim.cli.export_targets import export_to, only_target
-from diffsim.core.figures import figure, limits
+from diffsim.core.figures import figure, limits, percent
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -340,7 +340,8 @@ def _judge(args: argparse.Namespace) -> None:
     if saved.components and found.gain is not None:
         single = {} if len(found.gains) < 2 else {f"Run {n}": g for n, g in found.gains.items()}
         for what, gain in {**single, **{f"Runs {n}": g for n, g in found.kinds.items()}}.items():
-            share = f"{gain.value:.0%} ({gain.low:.0%} to {gain.high:.0%})"
+            value, low, high = (percent(v) for v in (gain.value, gain.low, gain.high))
+            share = f"{value} ({low} to {high})"
             said = f"{share} of the error above the noise is removed: " if gain.has_share else ""
             print(f"{what}: {said}{gain.status}")
         print(found.gain.words)

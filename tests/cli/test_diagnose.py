@@ -144,7 +144,7 @@ def test_an_interrupted_explanation_goes_on(short_folder, tmp_path, monkeypatch,
     # what stood out before any fit is said, and is what an interruption leaves
     look = json.loads((tmp_path / "report.json").read_text())
     assert look["verdict"] == "first look" and said.out.count(look["headline"]) == 1
-    assert "each alone would take of the misfit: drag 84%, " in look["headline"]
+    assert "each alone would take of the misfit: drag 84 %, " in look["headline"]
     with pytest.raises(ValueError, match="holds no causes to choose from: A first look"):
         run("next", short_folder, tmp_path)
     kept = list((tmp_path / "interrupted").rglob("*.npz"))
