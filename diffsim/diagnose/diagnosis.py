@@ -279,11 +279,14 @@ class _LawBudget:
             too.
         is_short: Whether the first answer has spent much of the budget: then the search with laws
             is among causes of its best sets and those that act where laws do.
+        plain: Weighted steps that a search begins with, before it weighs any cause: those of the
+            plain model's fit and its checks.
     """
 
     steps: float
     until: float | None
     is_short: bool
+    plain: float = 0.0
 
 
 def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
@@ -301,13 +304,15 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
     if settings.law_steps is not None:
         return _LawBudget(settings.law_steps, None, is_short)
     until, is_over = answer.search.steps + room, room < LEAST_ROOM * given
-    return _LawBudget(0.0 if is_over else ROOM_SHARE * room, until, is_short)
+    plain = float(answer.search.null.case.searching - begun)
+    return _LawBudget(0.0 if is_over else ROOM_SHARE * room, until, is_short, plain)
 
 
-def _without_laws(answer: _Answer) -> _Answer:
-    """The answer of a budget that ended before laws were looked for: none of it is certain."""
+def _without_laws(answer: _Answer, *, are_found: bool = False) -> _Answer:
+    """The answer of a budget that ended before laws were looked for, or before those that were
+    found could be weighed: none of it is certain."""
     frozen = doubted(answer.frozen, FIRST_ANSWER)
-    late = law_gate(answer.search.settings.refit_steps + answer.kept)
+    late = law_gate(answer.search.settings.refit_steps + answer.kept, are_found=are_found)
     return replace(answer, frozen=replace(frozen, gates=(*frozen.gates, late)))
 
 
@@ -319,6 +324,8 @@ def _with_laws(
     answer = _doubted_beside(answer, answer.search.nats(Hypothesis(answer.best)), found.most_nats)
     if not found.laws:
         return answer, None
+    if budget.until is not None and budget.until - answer.search.steps < budget.plain:
+        return _without_laws(answer, are_found=True), None
     setup = port.setup_with([port.block(law) for law in found.laws])
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
     names = {law.name for law in found.laws}
