@@ -121,16 +121,17 @@ def _fit(args: argparse.Namespace) -> None:
     fit = null.fit
     print(f"{'parameter':<32} {'value':>12} {'sd':>10}")
     units = {p.name: p.unit for p in fit.problem.model.base}
-    moves = dict(zip(fit.problem.names, fit.jacobian.any(0).tolist(), strict=True))
-    for name, value in ((n, v) for n, v in fit.values.items() if moves[n]):
+    idle = null.idle
+    for name, value in ((n, v) for n, v in fit.values.items() if n not in idle):
         unit = "" if units[name] == "-" else units[name]
         print(f"{name:<32} {value:>12.6g} {fit.sd[name]:>10.2g} {unit}")
     for a, b, r in null.strongest_correlations():
         print(f"correlated: {a} and {b} ({r:+.2f})")
-    for name in (n for n in fit.undetermined if moves[n]):
+    for name in (n for n in fit.undetermined if n not in idle):
         print(f"not determined by the data: {name}")
-    if idle := dict.fromkeys(words_of(n.partition("@")[0]) for n in moves if not moves[n]):
-        print(f"the plain model does not depend on: {', '.join(idle)}")
+    if idle:
+        words = dict.fromkeys(words_of(name.partition("@")[0]) for name in idle)
+        print(f"the plain model does not depend on: {', '.join(words)}")
     for name in fit.at_bound:
         print(f"on its bound: {name}")
     source = ", ".join(dict.fromkeys(null.noise.source))

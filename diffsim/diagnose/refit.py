@@ -67,6 +67,13 @@ class NullFit:
     num_spikes: int
     num_misread: int = 0
 
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """Names of parameters that move nothing of the plain model, such as those of causes."""
+        moves = self.fit.jacobian.any(0).tolist()
+        named = zip(self.fit.problem.names, moves, strict=True)
+        return tuple(name for name, is_moving in named if not is_moving)
+
     def strongest_correlations(self, limit: float = CORRELATED) -> Iterator[tuple[str, str, float]]:
         """Pairs of parameters above the limit, strongest first."""
         names, r = self.fit.problem.names, self.fit.correlation
