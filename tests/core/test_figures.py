@@ -4,7 +4,15 @@ import math
 
 import pytest
 
-from diffsim.core.figures import figure, limits, probability, signed, with_interval, with_sd
+from diffsim.core.figures import (
+    figure,
+    limits,
+    percent,
+    probability,
+    signed,
+    with_interval,
+    with_sd,
+)
 
 
 @pytest.mark.parametrize(
@@ -52,3 +60,11 @@ def test_a_value_has_the_digits_of_its_standard_deviation():
 def test_zero_has_no_sign_and_no_probability_is_zero():
     assert (signed(-0.04), signed(2.75), signed(-1.6)) == ("0", "+2.8", "-1.6")
     assert (probability(6.6e-162), probability(0.0374)) == ("< 0.001", "0.037")
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.436, "44 %"), (0.0052, "0.5 %"), (0.0, "0 %"), (-0.23, "-23 %")]
+)
+def test_a_share_has_a_space_before_its_sign_and_is_as_exact_as_it_is_small(share, text):
+    """A page said 44% beside 44 %."""
+    assert percent(share) == text
