@@ -279,14 +279,11 @@ class _LawBudget:
             too.
         is_short: Whether the first answer has spent much of the budget: then the search with laws
             is among causes of its best sets and those that act where laws do.
-        plain: Weighted steps that a search begins with, before it weighs any cause: those of the
-            plain model's fit and its checks.
     """
 
     steps: float
     until: float | None
     is_short: bool
-    plain: float = 0.0
 
 
 def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
@@ -304,8 +301,7 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
     if settings.law_steps is not None:
         return _LawBudget(settings.law_steps, None, is_short)
     until, is_over = answer.search.steps + room, room < LEAST_ROOM * given
-    plain = float(answer.search.null.case.searching - begun)
-    return _LawBudget(0.0 if is_over else ROOM_SHARE * room, until, is_short, plain)
+    return _LawBudget(0.0 if is_over else ROOM_SHARE * room, until, is_short)
 
 
 def _without_laws(answer: _Answer, *, are_found: bool = False) -> _Answer:
@@ -324,7 +320,8 @@ def _with_laws(
     answer = _doubted_beside(answer, answer.search.nats(Hypothesis(answer.best)), found.most_nats)
     if not found.laws:
         return answer, None
-    if budget.until is not None and budget.until - answer.search.steps < budget.plain:
+    is_spent = budget.until is not None and answer.search.steps > budget.until
+    if is_spent and answer.frozen.verdict in NAMES:  # of "unknown" a law is all that can be told
         return _without_laws(answer, are_found=True), None
     setup = port.setup_with([port.block(law) for law in found.laws])
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting

@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -39,8 +39,8 @@ from diffsim.identify.setup import LawPort
 
 PARTS_OF_WAY = (1.0, 0.5, 0.25, 0.125)  # of a law's first step, the longest that holds is taken
 KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
-# simulations of all runs, by their weight, that a law's fit may take, or all that laws may still
-# cost: of two tanks, a law beside the cause that leaves least had not come half its way in 200
+# simulations of all runs, by their weight, that a law's fit may take, or all that laws may cost: of
+# two tanks, a law beside the cause that leaves least had not come half its way in 200
 LAW_RECORDS = 200.0
 NUM_JUDGING = 2  # laws of a screen whose fits tell whether its slopes hold
 NUM_FITTED = 8  # laws of each screen that are fitted in the simulator
@@ -177,7 +177,10 @@ def find_laws(
         library: Causes that may act beside a law.
     """
     tally = fits[0].problem.model.simulations
-    until = tally.steps + most_steps
+    begun = tally.steps
+
+    def may_fit() -> bool:
+        return tally.steps - begun <= most_steps
 
     every: list[Candidate] = []
     num_tried = 0
@@ -186,12 +189,13 @@ def find_laws(
         every_fit = (f for fitted in rounds for f in fitted)
         if any(f.evidence > _nats(fit) for f in every_fit if not f.beside):
             break  # laws explain more than the plain model or the best set of causes does
-        if tally.steps > until:
+        if not may_fit():
             break
-        screened = _screen(fit, port, progress, until)
+        screened = _screen(fit, port, progress, most_steps)
         num_tried += screened.num_tried
         every += screened.screen.found
-        for k, fitted in enumerate(_rounds(screened, fit, port, until, library)):
+        table = Table(library, most_steps)
+        for k, fitted in enumerate(_rounds(screened, fit, port, may_fit, table)):
             rounds = [*rounds, []] if len(rounds) == k else rounds
             rounds[k] += fitted
     laws: list[Law] = []
@@ -262,38 +266,27 @@ class _ScreenWithFit:
         return self.candidate is None or self.kept >= KEPT * self.candidate.nats
 
 
-def _screen(fit: Fit, port: LawPort, progress: Progress, until: float) -> _ScreenWithFit:
+def _screen(fit: Fit, port: LawPort, progress: Progress, most_steps: float) -> _ScreenWithFit:
     """All laws weighed along the recordings; where the best of them keeps little of what it
     promises there, along the simulations as fitted, too: the screen that keeps more."""
-    most_of_screen = SCREEN_SHARE * _room(fit, until)
+    most_of_screen = SCREEN_SHARE * most_steps
     screen = screen_laws(follow(fit, port), port, progress, most_of_screen)
-    led = _with_best_fitted(screen, fit, port, until)
+    led = _with_best_fitted(screen, fit, port, most_steps)
     is_led = any(response.shape[1] for response in screen.followed.responses)
     if led.keeps_promise or not is_led:
         return led
-    most_of_screen = SCREEN_SHARE * _room(fit, until)
     along_fit = screen_laws(follow(fit, port, max_steps=0), port, progress, most_of_screen)
-    as_fitted = _with_best_fitted(along_fit, fit, port, until)
+    as_fitted = _with_best_fitted(along_fit, fit, port, most_steps)
     better = as_fitted if as_fitted.kept > led.kept else led
     return replace(better, num_tried=led.num_tried + as_fitted.num_tried)
 
 
-def _room(fit: Fit, until: float) -> float:
-    """Weighted steps that laws may still cost."""
-    return max(until - fit.problem.model.simulations.steps, 0.0)
-
-
-def _has_room(fit: Fit, until: float) -> bool:
-    """Whether a further law can be fitted within what laws may cost."""
-    return _room(fit, until) > LAW_RECORDS * fit.problem.cost()
-
-
-def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort, until: float) -> _ScreenWithFit:
+def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort, most_steps: float) -> _ScreenWithFit:
     """The screen with the first of its best laws that keeps what it promises, or the one that keeps
     most: slopes of one law may hold nowhere near, such as of a mass whose frequency is off."""
     tried = [_ScreenWithFit(screen, None, None, sum(len(c.basis.tried) for c in screen.found))]
     for candidate in _choose(screen.found, KEEP_NATS)[:NUM_JUDGING]:
-        law = _fit_law(screen, fit, candidate, port, (), until)
+        law = _fit_law(screen, fit, candidate, port, (), most_steps)
         kept = 0.0 if law is None else law.nats
         tried.append(replace(tried[0], candidate=candidate, law=law, kept=kept))
         if tried[-1].keeps_promise:
@@ -305,33 +298,32 @@ def _rounds(
     screened: _ScreenWithFit,
     fit: Fit,
     port: LawPort,
-    until: float = np.inf,
-    library: Sequence[Effect] = (),
+    may_fit: Callable[[], bool],
+    table: Table | None = None,
 ) -> Iterator[list[FittedLaw]]:
     """Fitted laws beside a fit, or beside it and a cause of the library; then beside the best of
     them, while that is worth its price."""
     screen = screened.screen
     standing: tuple[FittedLaw, ...] = ()
-    first = 0.0
+    first, most_steps = 0.0, np.inf if table is None else table.most_steps
     for _ in MOST_LAWS:
         beside = []
-        if library and not standing:
+        if table is not None and not standing:
             left = fit if screened.law is None else screened.law.fit
-            price = _price(len(screen.found) * len(library))
+            price = _price(len(screen.found) * len(table.library))
             if 0.5 * (left.chi2 - left.num_samples) > KEEP_NATS + price:  # else no cause could pay
-                beside = _fit_beside(screen, fit, port, library, until)
+                beside = _fit_beside(screen, fit, port, table)
         fitted: list[FittedLaw] = []
         least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
         for candidate in _choose(screen.found, least):
             # along the recordings nats are others than in the simulator: like is held against like
             best = max((min(f.nats, f.candidate.nats) for f in fitted), default=0.0)
             is_fitted = candidate is screened.candidate  # it costs nothing more
-            is_late = not is_fitted and not _has_room(fit, until)
-            if candidate.nats < FITTED_SHARE * best or is_late:
+            if candidate.nats < FITTED_SHARE * best or not (is_fitted or may_fit()):
                 continue
             law = screened.law
             if not is_fitted:
-                law = _fit_law(screen, fit, candidate, port, standing, until)
+                law = _fit_law(screen, fit, candidate, port, standing, most_steps)
             if law is not None and law.nats > least:
                 fitted.append(law)
         most = max((f.nats for f in fitted), default=0.0) + KEEP_NATS
@@ -340,7 +332,7 @@ def _rounds(
             if together:
                 yield together
             return
-        screen, pairs = _fit_pairs(screen, fit, fitted, port, standing, until)
+        screen, pairs = _fit_pairs(screen, fit, fitted, port, standing, most_steps)
         fitted += pairs
         yield [*fitted, *together]
         law = max(fitted, key=lambda f: f.nats)
@@ -355,7 +347,7 @@ def _fit_pairs(
     fitted: Sequence[FittedLaw],
     port: LawPort,
     standing: Sequence[FittedLaw],
-    until: float,
+    most_steps: float,
 ) -> tuple[Screen, list[FittedLaw]]:
     """Laws multiplied by another variable, where fitted laws enter, if two explain more than any of
     these by the price of the choice; none where one leaves noise: a line times a constant is a
@@ -368,28 +360,31 @@ def _fit_pairs(
     least = best.nats + KEEP_NATS + _price(count)
     promised = max(f.candidate.nats for f in fitted) + KEEP_NATS
     better = [c for c in pairs if c.nats > promised and c.gained > KEEP_NATS]
-    kept = []
-    for candidate in better[:NUM_PAIRS]:
-        if not _has_room(fit, until):
-            break
-        law = _fit_law(screen, fit, candidate, port, standing, until)
-        if law is not None and law.nats > least:
-            kept.append(law)
+    made = [_fit_law(screen, fit, c, port, standing, most_steps) for c in better[:NUM_PAIRS]]
+    kept = [law for law in made if law is not None and law.nats > least]
     return screen, [replace(law, num_pairs=count) for law in kept]
 
 
-def _fit_beside(
-    screen: Screen, fit: Fit, port: LawPort, library: Sequence[Effect], until: float
-) -> list[FittedLaw]:
-    """Laws beside a cause of the library, as one table of both ranks them, while laws may cost
-    more."""
-    causes = causes_along(screen.followed, library, SCREEN_SHARE * _room(fit, until))
+@dataclass(frozen=True)
+class Table:
+    """Causes of the library that stand in one table with laws.
+
+    Attributes:
+        library: The causes.
+        most_steps: Weighted steps that laws may cost, their columns a share of it.
+    """
+
+    library: Sequence[Effect]
+    most_steps: float
+
+
+def _fit_beside(screen: Screen, fit: Fit, port: LawPort, table: Table) -> list[FittedLaw]:
+    """Laws beside a cause of the library, as one table of both ranks them."""
+    causes = causes_along(screen.followed, table.library, SCREEN_SHARE * table.most_steps)
     pairs, count = best_pairs(screen, causes)
-    out: list[FittedLaw] = []
+    out = []
     for pair in pairs:
-        if not _has_room(fit, until):
-            break
-        law = _fit_law(screen, fit, pair.law, port, (), until, pair.cause)
+        law = _fit_law(screen, fit, pair.law, port, (), table.most_steps, pair.cause)
         if law is not None:
             out.append(replace(law, num_pairs=count))
     return out
@@ -461,7 +456,7 @@ def _fit_law(
     candidate: Candidate,
     port: LawPort,
     standing: Sequence[FittedLaw],
-    until: float,
+    most_steps: float,
     cause: CauseAlong | None = None,
 ) -> FittedLaw | None:
     """A law fitted in the simulator from what the recordings tell, beside a cause of the library
@@ -481,8 +476,9 @@ def _fit_law(
         gram = every.T @ every + np.eye(every.shape[1])
         asked = np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
         start = linearization_at(problem, _begin(problem, before, asked))
-        least = problem.model.simulations.steps + LAW_RECORDS * problem.cost()
-        ended, _ = gauss_newton(problem, start, until=max(least, until))
+        most = max(LAW_RECORDS * problem.cost(), most_steps)
+        until = problem.model.simulations.steps + most
+        ended, _ = gauss_newton(problem, start, until=until)
     except DiffsimError:
         return None
     u = np.concatenate(list(screen.values(candidate)))

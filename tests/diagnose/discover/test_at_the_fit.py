@@ -7,7 +7,6 @@ import pytest
 
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.diagnose.discover import stage
-from diffsim.diagnose.discover.beside import CauseAlong, Pair
 from diffsim.diagnose.discover.follow import follow
 from diffsim.diagnose.discover.forms import fit_forms
 from diffsim.diagnose.discover.screen import screen_laws
@@ -71,30 +70,10 @@ def test_a_law_may_take_all_that_laws_may_cost(monkeypatch):
     monkeypatch.setattr(stage, "LAW_RECORDS", 0.0)
     ends = [
         law.fit.ended
-        for until in (0.0, math.inf)
-        if (law := stage._fit_law(screen, plain, fitted.candidate, port, (), until))
+        for most_steps in (0.0, 1e3 * plain.problem.cost())
+        if (law := stage._fit_law(screen, plain, fitted.candidate, port, (), most_steps))
     ]
     assert ends == ["budget", "converged"]
-
-
-def test_pairs_of_a_law_and_a_cause_end_with_what_laws_may_cost(monkeypatch):
-    """Each of a beam's eight could take the whole of it: they took 173 of 694 CPU seconds."""
-    plain, port = plain_fit(lambda force: 2e-3 * np.exp(-0.6 * force))
-    screen, fitted = best_law(plain, port)
-    pairs = [Pair(fitted.candidate, CauseAlong(e, fitted.fit.jacobian), 9.0) for e in "abcdefgh"]
-    monkeypatch.setattr(stage, "LAW_RECORDS", 1.0)
-    monkeypatch.setattr(stage, "causes_along", lambda *_: [])
-    monkeypatch.setattr(stage, "best_pairs", lambda *_: (pairs, 8))
-    tally, begun = plain.problem.model.simulations, []
-
-    def fit_law(*given):
-        begun.append(given[-1].effect)
-        plain.problem.record(plain.x)
-
-    monkeypatch.setattr(stage, "_fit_law", fit_law)
-    until = tally.steps + 2.5 * plain.problem.cost()
-    stage._fit_beside(screen, plain, port, (), until)
-    assert begun == ["a", "b"]
 
 
 def test_a_first_step_that_is_too_long_is_shortened():

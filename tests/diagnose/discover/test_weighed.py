@@ -100,21 +100,25 @@ def test_what_a_search_with_laws_found_is_held_against_the_best_set_before(
 
 @dataclass(frozen=True)
 class Gated:
+    verdict: str
     gates: tuple = ()
 
 
-@pytest.mark.parametrize(("left", "is_weighed"), [(2.0, True), (0.5, False)])
-def test_laws_are_weighed_only_where_the_plain_model_can_be_fitted_again(
-    monkeypatch, left, is_weighed
+@pytest.mark.parametrize(
+    ("verdict", "steps", "is_weighed"),
+    [("named", 7.0, True), ("named", 9.0, False), ("unknown", 9.0, True)],
+)
+def test_no_search_weighs_laws_beside_named_causes_once_all_is_spent(
+    monkeypatch, verdict, steps, is_weighed
 ):
     """A beam's search with laws had one step, took 41 million, and told nothing."""
     search = SimpleNamespace(
         nats=lambda hypothesis: 100.0,
-        steps=7.0,
+        steps=steps,
         settings=SearchSettings(refit_steps=10.0),
         wide=SimpleNamespace(model=SimpleNamespace(simulations=None)),
     )
-    before = diagnosis._Answer(Gated(), search, frozenset({0}))  # type: ignore[arg-type]
+    before = diagnosis._Answer(Gated(verdict), search, frozenset({0}))  # type: ignore[arg-type]
     best = SimpleNamespace(problem=SimpleNamespace(effects=()))
     frozen = SimpleNamespace(verdict="none", best_names=(), best=best)
     again = SimpleNamespace(frozen=frozen, found=None)
@@ -125,7 +129,7 @@ def test_laws_are_weighed_only_where_the_plain_model_can_be_fitted_again(
     monkeypatch.setattr(diagnosis, "_answer", lambda *asked: again)
     monkeypatch.setattr(diagnosis, "_doubted_beside", lambda answer, *nats: answer)
     monkeypatch.setattr(diagnosis, "doubted", lambda frozen, why: frozen)
-    budget = diagnosis._LawBudget(1.0, 8.0, is_short=False, plain=1.0 / left)
+    budget = diagnosis._LawBudget(1.0, 8.0, is_short=False)
     given: Any = (asked, before, port, laws, budget)
     answer, searched = diagnosis._with_laws(*given)
     assert (searched is not None) is is_weighed
@@ -139,7 +143,6 @@ def spending(share, records=1e3, **settings):
         steps=5.0 + share * GIVEN,
         settings=SearchSettings(refit_steps=GIVEN, **settings),
         wide=SimpleNamespace(cost=lambda: GIVEN / records),
-        null=SimpleNamespace(case=SimpleNamespace(searching=5)),
     )
     return SimpleNamespace(found=search, search=search, kept=0.0)
 
@@ -211,9 +214,7 @@ def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
         found=(candidate,), with_pairs=lambda _: (screen, [], 1), beside=lambda _: after
     )
     screened = stage._ScreenWithFit(screen, candidate, law, 1)  # type: ignore[arg-type]
-    model = SimpleNamespace(simulations=SimpleNamespace(steps=5))
-    late = SimpleNamespace(problem=SimpleNamespace(model=model))
-    rounds = stage._rounds(screened, late, None, until=4.0)  # type: ignore[arg-type]
+    rounds = stage._rounds(screened, None, None, lambda: False)  # type: ignore[arg-type]
     assert next(rounds) == [law]
     # where it leaves noise, no law of two variables can explain more
     quiet = SimpleNamespace(**{**vars(law), "fit": SimpleNamespace(chi2=99.0, num_samples=100)})
