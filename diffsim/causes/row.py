@@ -36,8 +36,8 @@ def _check_words(words: str) -> str:
 
 
 def with_size(words: str, size: float) -> str:
-    """A text of :data:`SizeWords` with a size in it."""
-    return fill_in(words, {"": size})
+    """A text of :data:`SizeWords` with a size in it; `{:.0%}` makes "16 %"."""
+    return re.sub(r"(\d)%", r"\1 %", fill_in(words, {"": size}))
 
 
 #: Text that a size is filled into: `{:.2g} N lost in each drive`.

@@ -31,7 +31,7 @@ from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
 from diffsim.cli.diagnose_task import command, worth
 from diffsim.cli.export_targets import export_to, only_target
-from diffsim.core.figures import figure, limits
+from diffsim.core.figures import figure, limits, percent
 from diffsim.core.files import write_json_atomic, write_text_atomic
 from diffsim.core.optional import advice, present
 from diffsim.core.threads import one_thread
@@ -121,15 +121,21 @@ def _fit(args: argparse.Namespace) -> None:
     null = fit_null(inputs)
     fit = null.fit
     print(f"{'parameter':<32} {'value':>12} {'sd':>10}")
-    base = null.parameters_shown()
-    shown = {p.name: "" if p.unit == "-" else p.unit for p in base}
-    for name, unit in shown.items():
-        print(f"{name:<32} {fit.values[name]:>12.6g} {fit.sd[name]:>10.2g} {unit}")
+    units = {p.name: p.unit for p in fit.problem.model.base}
+    idle = null.idle
+    for name, value in ((n, v) for n, v in fit.values.items() if n not in idle):
+        unit = "" if units[name] == "-" else units[name]
+        print(f"{name:<32} {value:>12.6g} {fit.sd[name]:>10.2g} {unit}")
     for a, b, r in null.strongest_correlations():
         print(f"correlated: {a} and {b} ({r:+.2f})")
-    for line in listed("not determined by the data", (n for n in fit.undetermined if n in shown)):
+    for line in listed(
+        "not determined by the data", (n for n in fit.undetermined if n not in idle)
+    ):
         print(line)
-    for line in listed("on its bound", (n for n in fit.at_bound if n in shown)):
+    if idle:
+        words = dict.fromkeys(words_of(name.partition("@")[0]) for name in idle)
+        print(f"the plain model does not depend on: {', '.join(words)}")
+    for line in listed("on its bound", fit.at_bound):
         print(line)
     source = ", ".join(dict.fromkeys(null.noise.source))
     print(
@@ -341,7 +347,8 @@ def _judge(args: argparse.Namespace) -> None:
     if saved.components and found.gain is not None:
         single = {} if len(found.gains) < 2 else {f"Run {n}": g for n, g in found.gains.items()}
         for what, gain in {**single, **{f"Runs {n}": g for n, g in found.kinds.items()}}.items():
-            share = f"{gain.value:.0%} ({gain.low:.0%} to {gain.high:.0%})"
+            value, low, high = (percent(v) for v in (gain.value, gain.low, gain.high))
+            share = f"{value} ({low} to {high})"
             said = f"{share} of the error above the noise is removed: " if gain.has_share else ""
             print(f"{what}: {said}{gain.status}")
         print(found.gain.words)

@@ -35,6 +35,16 @@ def figure(value: float, digits: int = DIGITS) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
+def percent(share: float) -> str:
+    """A share such as "44 %" or "0.5 %", as exact as it is small.
+
+    Args:
+        share: 1 is 100 %.
+    """
+    digits = 0 if abs(share) >= 0.095 or share == 0.0 else 1
+    return f"{100.0 * share:.{digits}f} %"
+
+
 def with_interval(value: float, low: float, high: float) -> str:
     """A value with its interval, in as many digits as tell the ends apart."""
     digits = digits_of(low, high)

@@ -24,6 +24,7 @@ NEXT = "next"  # use of a run that nobody has recorded
 _STAIRS = 6
 _PER_PERIOD = 8  # samples in the fastest period of a chirp
 _CYCLES = 3.0  # of the slowest frequency of a chirp in a run
+_SHOWN = 0.005  # of the size of a chirp, below which its middle is zero
 _FLOWN = ("multicopter", "copter")
 
 
@@ -180,7 +181,7 @@ def _chirp(like: Run, drive: _Drive, share: float) -> Iterator[Run]:
     growth = np.log(fast / slow)
     phase = 2.0 * np.pi * slow * total / growth * (np.exp(growth * t / total) - 1.0)
     what = f"chirp {slow:.2g} to {fast:.2g} Hz, {drive.level(size)}"
-    about = f" about {drive.level(middle)}" if middle != 0.0 else ""
+    about = f" about {drive.level(middle)}" if abs(middle) > _SHOWN * size else ""
     yield _drive_command(like, drive, f"{what}{about}", middle + size * np.sin(phase))
 
 

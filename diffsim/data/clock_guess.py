@@ -49,7 +49,8 @@ def guess_clock(
         ):
             return _numeric_time(column, tables, said)
     for column in columns:
-        if tables[0].is_number[column.name] and not COUNTER.match(column.base):
+        is_number = tables[0].is_number[column.name] and not COUNTER.match(column.base)
+        if is_number and may_be_time(column):  # a speed that a bench sweeps only grows, too
             step = np.diff(tables[0].numbers(column.name))
             if len(step) and (step > 0.0).all() and np.ptp(step) < 0.5 * np.median(step):
                 said.append(f"clock: column {column.name}, the first that only grows")

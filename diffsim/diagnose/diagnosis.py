@@ -304,10 +304,11 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
     return _LawBudget(0.0 if is_over else ROOM_SHARE * room, until, is_short)
 
 
-def _without_laws(answer: _Answer) -> _Answer:
-    """The answer of a budget that ended before laws were looked for: none of it is certain."""
+def _without_laws(answer: _Answer, *, are_found: bool = False) -> _Answer:
+    """The answer of a budget that ended before laws were looked for, or before those that were
+    found could be weighed: none of it is certain."""
     frozen = doubted(answer.frozen, FIRST_ANSWER)
-    late = law_gate(answer.search.settings.refit_steps + answer.kept)
+    late = law_gate(answer.search.settings.refit_steps + answer.kept, are_found=are_found)
     return replace(answer, frozen=replace(frozen, gates=(*frozen.gates, late)))
 
 
@@ -319,6 +320,9 @@ def _with_laws(
     answer = _doubted_beside(answer, answer.search.nats(Hypothesis(answer.best)), found.most_nats)
     if not found.laws:
         return answer, None
+    is_spent = budget.until is not None and answer.search.steps > budget.until
+    if is_spent and answer.frozen.verdict in NAMES:  # of "unknown" a law is all that can be told
+        return _without_laws(answer, are_found=True), None
     setup = port.setup_with([port.block(law) for law in found.laws])
     setup.model.simulations = answer.search.wide.model.simulations  # goes on counting
     names = {law.name for law in found.laws}

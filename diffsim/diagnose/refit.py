@@ -40,7 +40,6 @@ from diffsim.identify.effort import FIT_NATS
 from diffsim.identify.extended import ExtendedModel, extended_model
 from diffsim.identify.fitting import summary
 from diffsim.identify.linearization import linearization_at
-from diffsim.identify.model import Parameter
 from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.ranges import Range
@@ -68,12 +67,12 @@ class NullFit:
     num_spikes: int
     num_misread: int = 0
 
-    def parameters_shown(self) -> list[Parameter]:
-        """Base parameters but for numbers of causes, which do nothing in a model without any: those
-        that nobody stated and the data do not determine."""
-        unknown = set(self.fit.undetermined)
-        base = self.fit.problem.model.base
-        return [p for p in base if not (p.name in unknown and (p.of_effect or p.is_usual))]
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """Names of parameters that move nothing of the plain model, such as those of causes."""
+        moves = self.fit.jacobian.any(0).tolist()
+        named = zip(self.fit.problem.names, moves, strict=True)
+        return tuple(name for name, is_moving in named if not is_moving)
 
     def strongest_correlations(self, limit: float = CORRELATED) -> Iterator[tuple[str, str, float]]:
         """Pairs of parameters above the limit, strongest first."""

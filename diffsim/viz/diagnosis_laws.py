@@ -18,6 +18,7 @@ from diffsim.core.expression import Name, Node, NumberNode, parse_expression
 from diffsim.core.figures import figure, unit_of, with_interval
 from diffsim.core.optional import optional
 from diffsim.data.study import Study
+from diffsim.diagnose.discover.stage import TABLE
 from diffsim.diagnose.judge.records import HALF_LEVEL
 from diffsim.diagnose.say.law_records import DescribedLaw, LawAnswer, LawCurve, Number, ScreenRow
 from diffsim.diagnose.say.report import Report
@@ -205,8 +206,7 @@ def _law_table(r: Report, law: DescribedLaw) -> page.Table:
         ["where it enters", _enters(law.entry)],
         ["on what it depends", ", ".join(law.variables)],
         ["form", law.form],
-        ["formula", f"{law.formula}, {VALUE} being {_value_of(law)}{_factor_of(law)}"],
-        *_write_rows(r, law),
+        *([] if law.form == TABLE else _formula_rows(r, law)),
         *([name.replace("_", " "), _number(n)] for name, n in law.numbers.items()),
         ["looks like", " or ".join(law.looks_like) or "–"],
         ["how sure", law.status],
@@ -221,13 +221,14 @@ def _factor_of(law: DescribedLaw) -> str:
     return f", all of it times {law.variables[1]}" if len(law.variables) > 1 else ""
 
 
-def _write_rows(r: Report, law: DescribedLaw) -> list[list[str]]:
-    """The formula with its numbers, as text and as LaTeX."""
+def _formula_rows(r: Report, law: DescribedLaw) -> list[list[str]]:
+    """The formula, and with its numbers, as text and as LaTeX."""
+    formula = ["formula", f"{law.formula}, {VALUE} being {_value_of(law)}{_factor_of(law)}"]
     values = _values_of(r, law)
     written = values and write_formula(law.formula, values, {VALUE: _value_of(law)})
     if not written:
-        return []
-    return [["with its numbers", written.text], ["as LaTeX", written.latex]]
+        return [formula]
+    return [formula, ["with its numbers", written.text], ["as LaTeX", written.latex]]
 
 
 def _number(number: Number) -> str:

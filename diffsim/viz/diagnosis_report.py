@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.core.figures import figure, probability, unit_of
+from diffsim.core.figures import figure, percent, probability, unit_of
 from diffsim.data.study import Channel
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import ljung_box
@@ -241,7 +241,8 @@ def _causes(r: Report) -> page.Section:
         return page.Section(title=title, text=["No cause was judged."])
     text = list(r.sentences)
     if r.unknown_share is not None and r.unknown_share >= 0.01:
-        text.append(f"{r.unknown_share:.0%} of the misfit above the noise stays without a name.")
+        share = percent(r.unknown_share)
+        text.append(f"{share} of the misfit above the noise stays without a name.")
     if r.interval_factor > 1.05:
         text.append(
             f"Intervals are up to {r.interval_factor:.2g} times as wide as noise alone makes them."

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from diffsim.core.figures import signed, with_sd
+from diffsim.diagnose.judge.preconditions import SURE_SD
 from diffsim.diagnose.refit import NullFit
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page
@@ -21,9 +23,10 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
         predicted_runs(study, fit, uses=("fit", "select")),
     )
     per_sample = fit.chi2 / fit.num_samples
+    leaves_more = fit.chi2 - fit.num_samples > SURE_SD * np.sqrt(2.0 * fit.num_samples)
     worst = [page.Chart(figure=draw.runs_over_time(runs, channels), caption=_RUNS)]
     left = [page.Chart(figure=draw.residual_views(runs, channels), caption=_LEFT)]
-    names = [p.name for p in null.parameters_shown()]
+    names = [name for name in fit.problem.names if name not in null.idle]
     own = [fit.problem.names.index(name) for name in names]
     part = fit.correlation[np.ix_(own, own)]
     matrix = draw.confounding_matrix(names, part, bar="posterior correlation")
@@ -33,7 +36,7 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
             subtitle=f"The model “{fit.problem.model.name}”, without any effect",
             verdict=[
                 f"What is left is {per_sample:.3g} noise variances per sample; noise alone "
-                "would leave 1. `diffsim diagnose explain` looks for the cause."
+                f"would leave 1. {_EXPLAIN if leaves_more else ''}".rstrip()
             ],
             numbers=[
                 page.Number(label="chi2 per sample", value=f"{per_sample:.3g}", note="1: noise")
@@ -58,7 +61,8 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
     )
 
 
-_RUNS = "Dots: measured. Dashed: the fitted model. Runs with `use: test` are not looked at here."
+_EXPLAIN = "The command “diffsim diagnose explain” looks for the cause."
+_RUNS = "Dots: measured. Dashed: the fitted model. Runs with use: test are not looked at here."
 _LEFT = (
     "Measured minus predicted over the noise's standard deviation, all runs and channels. Grey: "
     "95 % of noise alone."
@@ -68,9 +72,10 @@ _CORRELATION = "Posterior correlations of the parameters, priors included; beyon
 
 def _parameters(null: NullFit) -> page.Table:
     fit = null.fit
-    rows = []
-    for p in null.parameters_shown():
-        name = p.name
+    rows, idle = [], null.idle
+    for p, name in zip(fit.problem.model.base, fit.problem.names, strict=True):
+        if name in idle:
+            continue
         notes = [
             word
             for word, names in (
@@ -84,10 +89,10 @@ def _parameters(null: NullFit) -> page.Table:
         rows.append(
             [
                 name,
-                f"{fit.values[name]:.6g} ± {fit.sd[name]:.2g}",
+                with_sd(fit.values[name], fit.sd[name]),
                 "" if p.unit == "-" else p.unit,
-                f"{p.value:.6g} ± {width:.2g}",
-                f"{moved:+.1f}",
+                with_sd(p.value, width),
+                signed(moved),
                 ", ".join(notes),
             ]
         )

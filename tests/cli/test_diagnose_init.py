@@ -318,6 +318,21 @@ def test_throws_whose_frames_are_counted(tmp_path):
     np.testing.assert_allclose(run.time_s[[0, -1]], [0.17, 0.37])
 
 
+def test_a_speed_that_a_bench_sweeps_is_no_clock(tmp_path):
+    """Of fans its speeds [rpm] were taken for milliseconds; a run down did not grow."""
+    speed = np.linspace(1000.0, 8000.0, 30)
+    for seed, name in enumerate(("up", "again")):
+        write(
+            tmp_path / f"{name}.csv",
+            "speed_rpm,thrust_N",
+            [speed, 1e-7 * speed**2 + noisy(seed, num=30)],
+        )
+    assert init(tmp_path, "--system", "bench") == 0
+    text = yaml.safe_load((tmp_path / "study.yaml").read_text("utf-8"))
+    assert text["time"] == {"step": 0.01}
+    assert [c["column"] for c in text["commands"]] == ["speed_rpm"]
+
+
 def test_a_counter_of_any_name_is_the_clock(tmp_path):
     shot = [str(k) for k in (1, 2, 3) for _ in range(20)]
     frame = [str(1000 + i) for _ in range(3) for i in range(20)]

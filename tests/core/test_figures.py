@@ -8,6 +8,7 @@ from diffsim.core.figures import (
     figure,
     fold_alike,
     limits,
+    percent,
     probability,
     signed,
     with_interval,
@@ -70,3 +71,11 @@ def test_what_is_said_of_many_files_is_said_once():
         "b.mat, c.mat: Fs: a number",
     ]
     assert fold_alike([f"{n}.mat: lost" for n in "abcd"]) == ["a.mat, b.mat and 2 more: lost"]
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.436, "44 %"), (0.0052, "0.5 %"), (0.0, "0 %"), (-0.23, "-23 %")]
+)
+def test_a_share_has_a_space_before_its_sign_and_is_as_exact_as_it_is_small(share, text):
+    """A page said 44% beside 44 %."""
+    assert percent(share) == text

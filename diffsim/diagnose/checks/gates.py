@@ -315,13 +315,15 @@ def _steps_words(steps: float) -> str:
     return f"{steps:,.0f} steps" if steps > 1.0 else "all steps"
 
 
-def law_gate(steps: float) -> GateResult:
-    """Laws that nobody listed were not looked for, so that is said.
+def law_gate(steps: float, *, are_found: bool = False) -> GateResult:
+    """Laws that nobody listed were not looked for, or not weighed, so that is said.
 
     Args:
-        steps: The budget that causes of the library have spent most of.
+        steps: The budget that most was spent of.
+        are_found: Whether laws were found, which no search has weighed among causes.
     """
-    note = f"laws that nobody listed were not looked for, as most of {steps:,.0f} steps was spent"
+    what = "found, but not weighed among causes" if are_found else "not looked for"
+    note = f"laws that nobody listed were {what}, as most of {steps:,.0f} steps was spent"
     return GateResult(LAWS, False, 0.0, 0.0, note, applies=False)
 
 

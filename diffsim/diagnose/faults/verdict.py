@@ -398,7 +398,9 @@ def plain_words(effect: Effect) -> str:
     """
     if effect.words is None:
         return words_of(effect.name)
-    said, other = (effect.words(times * effect.typical).split(" ") for times in (1.0, 2.0))
+    said, other = (
+        effect.words(times * effect.typical).replace(" %", "%").split(" ") for times in (1.0, 2.0)
+    )
     if len(said) != len(other):
         return words_of(effect.name)
     return " ".join(a if a == b else "some" for a, b in zip(said, other, strict=True))

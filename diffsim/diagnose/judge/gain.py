@@ -15,7 +15,7 @@ from scipy import special
 
 from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
-from diffsim.core.figures import figure
+from diffsim.core.figures import figure, percent
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.left_out import (
@@ -133,11 +133,6 @@ class Gain:
             f"On unseen runs {share} of the error above the noise is removed ({interval}): "
             f"{self.status}{why}."
         )
-
-
-def percent(share: float) -> str:
-    """A share, as exact as it is small."""
-    return f"{share:.0%}" if abs(share) >= 0.095 or share == 0.0 else f"{share:.1%}"
 
 
 @checked

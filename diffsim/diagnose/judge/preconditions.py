@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from diffsim.core.arrays import Array
-from diffsim.core.figures import figure
+from diffsim.core.figures import figure, percent
 from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
@@ -282,7 +282,7 @@ def said_gradient(gate: GateResult, whose: str = "its derivative") -> str:
     if gate.value < USEFUL:
         good = f"sizes are good to {100 * gate.value:.1g} %"
         return f"{whose} could not be confirmed to {gate.limit:g}; {good}"
-    return f"{whose} could not be confirmed: two ways to compute it differ by {gate.value:.0%}"
+    return f"{whose} could not be confirmed: two ways to compute it differ by {percent(gate.value)}"
 
 
 def _gradients_are_wrong(g: Grounds, i: int) -> str:

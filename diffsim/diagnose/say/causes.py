@@ -167,7 +167,7 @@ def _effect_row(known: CauseEvidence, i: int, values: Mapping[str, float]) -> Ca
         unit=effect.unit,
         smallest_visible=smallest,
         gain=gains.get(i),
-        note=effect.form,
+        note="" if effect.family == "law" else effect.form.replace("``", ""),
         shown_unit=effect.shown_unit,
         shown_times=effect.shown_times,
         shown_power=effect.shown_power,

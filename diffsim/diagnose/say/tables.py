@@ -9,7 +9,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
-from diffsim.core.figures import figure
+from diffsim.core.figures import figure, percent
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.averaging import MODEL_FORM
 from diffsim.diagnose.judge.data_sheet import words_of
@@ -37,7 +37,7 @@ def first_look(screened: Screen, effects: Sequence[Effect], chi2: float) -> str:
     """
     share = screened.block_z**2 / chi2
     first = [i for i in np.argsort(-share, kind="stable") if screened.block_z[i] >= VISIBLE]
-    said = [f"{words_of(effects[i].name)} {share[i]:.0%}" for i in first[:FIRST_NAMES]]
+    said = [f"{words_of(effects[i].name)} {percent(share[i])}" for i in first[:FIRST_NAMES]]
     found = "no cause alone stands out of the noise"
     if said:
         found = f"each alone would take of the misfit: {', '.join(said)}"

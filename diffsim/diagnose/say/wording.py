@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from diffsim.core.checked import checked
-from diffsim.core.figures import figure, limits
+from diffsim.core.figures import figure, limits, percent
 from diffsim.core.units import after_number
 from diffsim.diagnose.checks.gates import (
     COARSE,
@@ -31,6 +31,7 @@ from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import EXPLAINED, Decision
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER as ONLY_FIRST
+from diffsim.diagnose.judge.preconditions import said_gradient
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -273,6 +274,13 @@ def sentences(
 
 def _failed_check(gate: GateResult) -> str:
     """A failed check: what it asks, and how far off it is where that is a number."""
+    kind, _, of = gate.name.partition(":")
+    if kind == "gradient":
+        return f"A check failed: {said_gradient(gate, f'the derivative by {words_of(of)}')}."
+    if kind in NUMERICS_GATES:
+        moved = f"moves records and fit by {figure(gate.value)} standard deviations in all"
+        wanted = f"{gate.limit:g} at most were wanted"
+        return f"A check failed: a finer {words_of(kind)} {moved}, {wanted}."
     name = gate.name.replace(":", " of ").replace("_", " ")
     if (gate.value, gate.limit) == (0.0, 1.0):
         return f"A check failed: {name} ({gate.note})."
@@ -439,7 +447,7 @@ def _rest(answer: Answer) -> list[str]:
         out.append(f"What else acts cannot be told: {_sets(answer, [a for a in apart if a])}.")
     if answer.verdict in ("named", "ambiguous") and decision.best and decision.share < EXPLAINED:
         out.append(
-            f"That explains {decision.share:.0%} of the misfit; what is left is no cause that "
+            f"That explains {percent(decision.share)} of the misfit; what is left is no cause that "
             "repeats and evidence single out."
         )
     if answer.beside:

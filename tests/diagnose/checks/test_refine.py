@@ -205,7 +205,7 @@ def test_what_a_coarse_mesh_explains_is_not_certain():
     assert report.named == ("kink",)
     other = next(row for row in report.causes if row.name == "other")
     assert other.status == LIKELY and "too coarse a mesh" in other.rivals
-    assert any(s.startswith("A check failed: mesh ") for s in report.sentences)
+    assert any(s.startswith("A check failed: a finer mesh ") for s in report.sentences)
 
 
 def test_a_step_that_is_no_coarser_in_effect_is_refined_beyond_the_models_own():

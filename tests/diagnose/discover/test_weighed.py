@@ -98,6 +98,45 @@ def test_what_a_search_with_laws_found_is_held_against_the_best_set_before(
     assert diagnosis._with_laws(*given)[0] is (again if takes_over else before)
 
 
+@dataclass(frozen=True)
+class Gated:
+    verdict: str
+    gates: tuple = ()
+
+
+@pytest.mark.parametrize(
+    ("verdict", "steps", "is_weighed"),
+    [("named", 7.0, True), ("named", 9.0, False), ("unknown", 9.0, True)],
+)
+def test_no_search_weighs_laws_beside_named_causes_once_all_is_spent(
+    monkeypatch, verdict, steps, is_weighed
+):
+    """A beam's search with laws had one step, took 41 million, and told nothing."""
+    search = SimpleNamespace(
+        nats=lambda hypothesis: 100.0,
+        steps=steps,
+        settings=SearchSettings(refit_steps=10.0),
+        wide=SimpleNamespace(model=SimpleNamespace(simulations=None)),
+    )
+    before = diagnosis._Answer(Gated(verdict), search, frozenset({0}))  # type: ignore[arg-type]
+    best = SimpleNamespace(problem=SimpleNamespace(effects=()))
+    frozen = SimpleNamespace(verdict="none", best_names=(), best=best)
+    again = SimpleNamespace(frozen=frozen, found=None)
+    setup = SimpleNamespace(model=SimpleNamespace(), effects=(), unknowns=())
+    port = SimpleNamespace(setup_with=lambda blocks: setup, block=lambda law: law)
+    laws = SimpleNamespace(laws=(SimpleNamespace(name=LAW),), most_nats=-np.inf, begins=())
+    asked = SimpleNamespace(within=lambda steps: asked)
+    monkeypatch.setattr(diagnosis, "_answer", lambda *asked: again)
+    monkeypatch.setattr(diagnosis, "_doubted_beside", lambda answer, *nats: answer)
+    monkeypatch.setattr(diagnosis, "doubted", lambda frozen, why: frozen)
+    budget = diagnosis._LawBudget(1.0, 8.0, is_short=False)
+    given: Any = (asked, before, port, laws, budget)
+    answer, searched = diagnosis._with_laws(*given)
+    assert (searched is not None) is is_weighed
+    notes = [gate.note for gate in answer.frozen.gates]
+    assert any("found, but not weighed" in note for note in notes) is not is_weighed
+
+
 def spending(share, records=1e3, **settings):
     """An answer that spent a share of what was given, which is worth so many simulations."""
     search = SimpleNamespace(

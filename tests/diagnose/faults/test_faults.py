@@ -122,6 +122,7 @@ def test_no_code_name_is_said_where_there_are_words(judged):
     """A cause without a size is said by its words, numbers that are its size by "some"."""
     for said, plain in (
         (lambda size: f"{size:.0%} more at rotor 1", "some more at rotor 1"),
+        (lambda size: f"{100.0 * size:.0f} % more at rotor 1", "some more at rotor 1"),
         (None, "weight at 1 2"),
         (lambda size: "more " * round(100 * size), "weight at 1 2"),
     ):

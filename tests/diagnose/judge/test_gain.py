@@ -103,7 +103,7 @@ def test_more_than_all_of_the_error_says_that_the_noise_is_not_what_was_stated()
     found = share_removed(quieter(np.random.default_rng(4), 0.4, 1.3), seed=0)
     assert found.value > 1.2 and found.low > 1.0
     assert found.status == "confirmed" and np.sqrt(found.left) == pytest.approx(0.4, abs=0.02)
-    assert found.words.endswith("confirmed; the stated noise is too large, 40% of it is left.")
+    assert found.words.endswith("confirmed; the stated noise is too large, 40 % of it is left.")
 
 
 def test_next_to_nothing_and_a_fit_that_ran_away_refute_nothing():

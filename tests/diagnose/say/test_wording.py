@@ -88,7 +88,12 @@ def test_a_check_that_failed_is_said_in_words_with_three_digits():
         name="gradient:sliding_friction", passed=False, value=0.395931, limit=1e-4, note="1 run"
     )
     text = said("named", [cause("lag", "certain")], gates=[gate])
-    assert "A check failed: gradient of sliding friction 0.396, wanted 0.0001 (1 run)." in text
+    failed = "A check failed: the derivative by sliding friction could not be confirmed: two ways"
+    assert f"{failed} to compute it differ by 40 %." in text
+    finer = GateResult("time_step", False, 3.14159, 2.0, "what refining moves")
+    text = said("named", [cause("lag", "certain")], gates=[finer])
+    moved = "a finer time step moves records and fit by 3.14 standard deviations in all"
+    assert f"A check failed: {moved}, 2 at most were wanted." in text
 
 
 def test_a_size_without_a_unit_has_no_dash():
