@@ -10,7 +10,7 @@ from re import Match
 _STAMP = re.compile(
     r"(?:(?P<a>\d{1,4})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<c>\d{4}|\d{1,2})(?:[T,; ]\s*|$))?"
     r"(?:(?P<h>\d{1,2}):(?P<min>\d\d)(?::(?P<s>\d\d)(?:[.,](?P<part>\d+))?)?\s*(?P<half>[AP]M)?)?"
-    r"\s*(?:Z|(?P<zone>[+-]\d\d):?(?P<zone_min>\d\d))?",
+    r"\s*(?:Z|(?P<zone>[+-]\d\d)(?::?(?P<zone_min>\d\d))?)?",
     re.IGNORECASE,
 )
 _EXPECTED = "expected 12:30:05.25, 2024-05-01 12:30:05.25 or 01.05.2024 12:30:05.25"
@@ -20,7 +20,8 @@ def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
     """Seconds since midnight, or since 1970 where a date is written [s].
 
     Dates are written 2024-05-01, 01.05.2024 or, with the month first where a day of any cell says
-    so, 5/13/2024. A clock without a zone is taken as UTC, so that no machine's own zone moves it.
+    so, 5/13/2024 and 5-13-2024. A clock without a zone is taken as UTC, so that no machine's own
+    zone moves it.
 
     Args:
         cells: Stamps, all written alike.
@@ -45,20 +46,27 @@ def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
 
 
 def _is_day_first(stamps: Sequence[Match[str]]) -> bool:
-    """Whether 5/6/2024 is in June; it must be known where such dates differ."""
-    dates = {(int(s["a"]), int(s["b"])) for s in stamps if s["mark"] == "/" and len(s["a"]) < 3}
+    """Whether 5/6/2024 or 5-6-2024 is in June; it must be known where such dates differ."""
+    dates = {(int(s["a"]), int(s["b"])) for s in stamps if _has_two_orders(s)}
     if any(first > 12 for first, _ in dates):
         return True
     if any(second > 12 for _, second in dates):
         return False
-    if len(dates) > 1:
-        k = next(k for k, s in enumerate(stamps) if s["a"] != s["b"])
+    if len(dates) > 1 and any(first != second for first, second in dates):
+        k = next(
+            k for k, s in enumerate(stamps) if _has_two_orders(s) and int(s["a"]) != int(s["b"])
+        )
         raise ValueError(
             f"{stamps[k][0]!r} may have the day or the month first, and no other row tells; write "
             "dates as 2024-05-01",
             k,
         )
     return True
+
+
+def _has_two_orders(stamp: Match[str]) -> bool:
+    """Whether its day or its month may stand first; with points the day does."""
+    return stamp["mark"] in ("/", "-") and len(stamp["a"]) < 3
 
 
 def _seconds(stamp: Match[str], day_first: bool) -> float:

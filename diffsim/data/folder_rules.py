@@ -133,7 +133,7 @@ def topics(guess: Guess) -> Iterable[str]:
     known = {part: one for (path, part), one in by.items() if path == main.path}
     parts = (main.part, *guess.parts[1:])
     if not guess.parts:
-        parts = _topics_beside(main.part, {part: one.size() for part, one in known.items()})
+        parts = _topics_beside(main.part, known)
     if len(known) > 1:
         hint = "" if guess.parts else "; --part TOPIC, repeated, uses others"
         yield f"topics: {' and '.join(parts)}{hint}"
@@ -156,8 +156,10 @@ def exported_topics(guess: Guess) -> Iterable[str]:
     if len(of) < 2:
         return
     main = max(of, key=lambda topic: (topic in BESIDE, bool(STATE.search(topic))))
-    chosen = _topics_beside(main, {topic: kind.files[0].size() for topic, kind in of.items()})
-    yield from listed("other topics", (topic for topic in of if topic not in chosen), OTHERS)
+    chosen = _topics_beside(main, {topic: kind.files[0] for topic, kind in of.items()})
+    taken = [of[topic] for topic in chosen]
+    others = (kind.tag for kind in guess.kinds if not any(kind is one for one in taken))
+    yield from listed("other topics", others, OTHERS)
     unused = []
     guess.kinds = []
     for topic in chosen:
@@ -168,17 +170,19 @@ def exported_topics(guess: Guess) -> Iterable[str]:
     yield from listed("fields of topics, not used", dict.fromkeys(unused))
 
 
-def _topics_beside(main: str, sizes: Mapping[str, int]) -> tuple[str, ...]:
+def _topics_beside(main: str, known: Mapping[str, FoundTable]) -> tuple[str, ...]:
     """The record of a log, topics that belong to it, and one that sounds commanded.
 
     Args:
         main: Topic of the record.
-        sizes: How much each topic of the log holds.
+        known: Tables of the log by their topics.
     """
-    beside = tuple(topic for topic in BESIDE.get(main, ()) if topic in sizes)
-    asked = [topic for topic in sizes if is_asked(topic) and topic != main]
-    best = sorted(asked, key=lambda topic: (bool(DRIVES.search(topic)), sizes[topic]))[-1:]
-    return (main, *beside, *best)
+    beside = tuple(topic for topic in BESIDE.get(main, ()) if topic in known)
+    asked = [topic for topic in known if is_asked(topic) and topic != main]
+    if not asked:
+        return (main, *beside)
+    best = max(asked, key=lambda topic: (bool(DRIVES.search(topic)), known[topic].size()))
+    return (main, *beside, best)
 
 
 def headers(guess: Guess) -> Iterable[str]:

@@ -144,7 +144,7 @@ def _header(
     samples = [file.readline()] if line else [first]
     while line and samples[-1] and (samples[-1].lstrip() or "#").startswith("#"):
         samples.append(file.readline())  # a remark below the names tells no delimiter
-    mark = delimiter_of(first, samples[-1])
+    mark = delimiter_of(first, samples[-1] or samples[0])
     if len(first) > MAX_LINE or (count := first.count(mark) + 1) > MAX_COLUMNS:
         size = f"{count:,} columns" if len(first) <= MAX_LINE else f"more than {MAX_LINE:,} letters"
         raise ValueError(
@@ -504,8 +504,10 @@ def _all_numbers_of(
                 return None
             if num_rows + len(now) > found.shape[1]:  # about as many as these rows are long
                 size = int(1.05 * state.st_size * len(filled) / sum(map(len, filled)))
-                more = np.empty((len(header), max(size - num_rows, len(now))))
-                found = np.hstack([found[:, :num_rows], more])
+                size = max(size, num_rows + len(now))
+                # what is never filled in is never touched: it takes no memory
+                found, before_it = np.empty((len(header), size)), found
+                found[:, :num_rows] = before_it[:, :num_rows]
             found[:, num_rows : num_rows + len(now)] = now.T
             num_rows += len(now)
             if len(filled) < len(block):

@@ -13,7 +13,7 @@ import yaml
 
 from diffsim.data import find_dataset, load_study
 from diffsim.data.folder_rules import guess_study
-from diffsim.data.formats import parts_of, write_columns
+from diffsim.data.formats import parts_of, read_columns, write_columns
 from tests.cli.test_diagnose_init import T, init, noisy, write
 
 STEPS = np.repeat([0.0, 1.0, -1.0], 20)
@@ -464,8 +464,10 @@ def test_topics_of_px4_that_were_exported_are_one_flight(tmp_path, capsys):
         none = {f"control[{i}]": np.full(400, np.nan) for i in range(4, 12)}
         exported(tmp_path, log, "actuator_motors", motors | none)
         exported(tmp_path, log, "battery_status", {"voltage_v": noisy(50 + k, num=8) + 15.0})
+        exported(tmp_path, log, "cpuload", {"load": noisy(60 + k, num=8)})
     assert init(tmp_path, "--system", "multicopter") == 0
-    assert "other topics: battery_status" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "other topics: battery_status" in said and "cpuload" in said
     study = load_study(tmp_path)
     assert names(study.channels) == ["x", "y", "z", "q_0", "q_1", "q_2", "q_3"]
     assert [c.unit for c in study.channels[:4]] == ["m", "m", "m", "-"]
@@ -494,6 +496,8 @@ def test_messages_of_several_topics_are_one_record(tmp_path, capsys):
     study = load_study(tmp_path)
     assert names(study.channels) == ["data_pitch"] and names(study.commands) == ["data_torque"]
     assert names(study.runs) == ["session_1", "session_2"]
+    whole = read_columns(tmp_path / "session_1.jsonl")  # as studies of before name it
+    assert len(whole["t"]) == 303 and set(whole["topic"]) == {"/imu", "/cmd/torque", "/battery"}
     run = study.runs[0]
     assert len(run.time_s) == 240 and run.time_s[0] == 0.0
     assert run.command["data_torque"][[0, 3, 4, 9]].tolist() == [0.0, 0.0, 4.0, 1.0]

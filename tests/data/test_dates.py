@@ -22,6 +22,9 @@ DAY = 86400.0
         (("2026/10/24 09:12:04", "2026/10/25 09:12:04"), DAY),
         (("12/31/2026 11:59:59 PM", "1/1/2027 12:00:01 AM"), 2.0),
         (("31/12/2026 11:59:59", "1/1/2027 11:59:59"), DAY),
+        (("12-31-2026 23:59:59", "01-01-2027 00:00:01"), 2.0),
+        (("5/5/2026 10:00:00", "6/6/2026 10:00:00"), 32 * DAY),  # either way the same
+        (("2026-10-24 09:12:04+02", "2026-10-24 09:12:04+00"), 7200.0),
         (("5/6/2026 10:00:00", "5/6/2026 10:00:01"), 1.0),  # whichever it is, it is one day
         (("9:05:00", "9:05:00.250"), 0.25),
     ],
@@ -31,9 +34,11 @@ def test_the_ways_people_write_dates(cells: tuple[str, str], apart: float) -> No
     assert second - first == pytest.approx(apart, abs=1e-6)
 
 
-def test_day_or_month_first_is_not_guessed() -> None:
-    with pytest.raises(ValueError, match="'5/6/2026 23:59:00' may have the day or the month first"):
-        seconds_of_stamps(["5/6/2026 23:59:00", "6/6/2026 00:01:00"])
+@pytest.mark.parametrize("mark", ["/", "-"])
+def test_day_or_month_first_is_not_guessed(mark: str) -> None:
+    cells = [f"5{mark}6{mark}2026 23:59:00", f"6{mark}6{mark}2026 00:01:00"]
+    with pytest.raises(ValueError, match=f"'{cells[0]}' may have the day or the month first"):
+        seconds_of_stamps(cells)
 
 
 @pytest.mark.parametrize("cell", ["", "31.02.2026 10:00:00", "25:00:00", "13:00 PM", "1.2.3", "on"])

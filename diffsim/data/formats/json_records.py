@@ -71,9 +71,11 @@ def read(path: Path, part: str) -> Columns:
     """Columns of a table, and one constant column for every fact that stands beside it.
 
     A fact is a number or text of an object that holds the table, or of an object in such a one,
-    ``config.rate``; a column of its name goes first.
+    ``config.rate``; a column of its name goes first. The part "" of a log is all of its messages,
+    as studies from before topics were told apart have it.
     """
-    return _tables_of(path)[part].columns()
+    found = _tables_of(path)
+    return found[part].columns() if part in found else _Table(_content(path), {}).columns()
 
 
 def left_out(path: Path, part: str) -> list[str]:
@@ -105,14 +107,15 @@ def _tables(value: Any, name: str, facts: Mapping[str, Any]) -> Iterator[tuple[s
     if isinstance(value, list):
         if not value or not all(isinstance(entry, Mapping) for entry in value):
             return
-        if key := _topic_key(value):
+        are_runs = _are_runs(value)
+        if not are_runs and (key := _topic_key(value)):
             by: dict[str, list[Mapping[str, Any]]] = {}
             for message in value:
                 rest = {k: own for k, own in message.items() if k != key}
                 by.setdefault(str(message.get(key, "")), []).append(rest)
             yield from ((_below(name, topic), _Table(own, facts)) for topic, own in by.items())
             return
-        if not _are_runs(value):
+        if not are_runs:
             yield name, _Table(value, facts)
             return
         for k, run in enumerate(value):
@@ -156,7 +159,7 @@ def is_log(path: Path) -> bool:
     """
     content = _content(path)
     messages = isinstance(content, list) and all(isinstance(m, Mapping) for m in content)
-    return bool(messages and content and _topic_key(content))
+    return bool(messages and content and not _are_runs(content) and _topic_key(content))
 
 
 def _below(name: str, key: str) -> str:

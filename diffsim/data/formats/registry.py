@@ -164,7 +164,8 @@ def _part_of(path: str | Path) -> tuple[Path, str]:
     parts = parts_of(file)
     if not part and len(parts) == 1:
         part = parts[0]
-    if part not in parts:
+    is_whole = not part and _READERS[file.suffix.lower()][1] is json_records.read
+    if part not in parts and not (is_whole and json_records.is_log(file)):
         shown = ", ".join(f"{file.name}#{p}" for p in parts[:30])
         what = f"has no part {part!r}{did_you_mean(part, parts)}" if part else "holds several parts"
         raise ValueError(f"{file}: {what}; name one as FILE#PART: {shown}")
