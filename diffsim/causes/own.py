@@ -118,6 +118,10 @@ def _mistakes(where: str, row: OwnRow, plant: Plant) -> Iterator[str]:
                 f"{where}: no {row.at} {name!r}{did_you_mean(name, known)}; "
                 f"known: {', '.join(known)}"
             )
+    taken = {"force": OF_FORCES, "number": ("size",)}.get(row.at, OF_SIGNALS)
+    for name in (*row.shapes, *row.memories):
+        if name in taken:
+            yield f"{where}: {name!r} is a letter of formulas of a {row.at}; call it otherwise"
     if row.at == "number" and row.of:
         yield f"{where}.of: a cause of numbers names them under add or scale; leave of out"
     if row.at == "force" and len(row.of) != 1:

@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from diffsim.causes.row import with_size
+from diffsim.identify import Problem, WhiteNoise
 from diffsim.systems.registry import setup_of
 from tests.systems.toy_cart import cart_study
+
+ONE = {"value": 1.0, "sd": 0.1}
 
 
 def with_rows(study, *rows):
@@ -25,6 +29,11 @@ def with_rows(study, *rows):
         ({"typical": "0.1*rech"}, "did you mean 'reach'"),
         ({"needs": "luck"}, "needs must be one of"),
         ({"at": "number", "map": None, "scale": "c", "of": "force"}, "leave of out"),
+        (
+            {"at": "force", "map": None, "law": "size*v", "of": "cart", "shapes": {"v": ONE}},
+            "'v' is",
+        ),
+        ({"shapes": {"size": ONE}}, "'size' is a letter"),
     ],
 )
 def test_a_wrong_row_is_refused_with_the_mend(change, said):
@@ -35,3 +44,20 @@ def test_a_wrong_row_is_refused_with_the_mend(change, said):
 
 def test_words_of_a_size_in_percent_have_a_space_before_the_sign():
     assert with_size("rotor 3 lost {:.0%} of its thrust", 0.16) == "rotor 3 lost 16 % of its thrust"
+
+
+@pytest.mark.parametrize("letter", ["width", "inertia", "slow", "stop"])
+def test_a_number_of_a_row_is_its_formulas_alone(letter):
+    """Called as the library calls one of its own, it was the width of all friction, too."""
+    study = cart_study()
+    run = study.fit_runs[0]
+
+    def moved(name):
+        law = f"-size*tanh(v/w)*exp(-(v/{name})**2)"
+        row = {"name": "mine", "at": "force", "of": "cart", "law": law, "typical": 0.1}
+        setup = setup_of(with_rows(study, row | {"shapes": {name: ONE}}))
+        effect = next(e for e in setup.effects if e.name == "mine")
+        problem = Problem(setup.model, (run,), WhiteNoise(study.channels), (effect,))
+        return problem.record(np.where([n == "mine" for n in problem.names], 1.0, 0.0))
+
+    np.testing.assert_array_equal(moved(letter), moved("stribeck"))

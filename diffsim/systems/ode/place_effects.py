@@ -78,10 +78,9 @@ def _list_numbers(place: Place, scale: PlaceScale) -> dict[str, float]:
 
 
 def _list_letters(
-    library: Library, place: Place, scale: PlaceScale, row: Row
+    library: Library, place: Place, scale: PlaceScale, name: str
 ) -> dict[str, Expression]:
-    """What the letters of a force's formula stand for; its own are shapes of its row."""
-    name, fitted = row.name, _list_fitted(row)
+    """What the letters of a force's formula stand for, those of its row's shapes apart."""
     numbers = {k: parse_expression(repr(n)) for k, n in _list_numbers(place, scale).items()}
     stiffness = repr(STOP_STIFFNESS * scale.force / scale.position)
     own = {k: named(f"{k}_at_{place.name}") for k in ("stop_hardness", "stop_loss")}
@@ -95,8 +94,6 @@ def _list_letters(
         "bend": named(f"stiffening_bend_at_{place.name}"),
         "hard": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
         "loss": filled(parse_expression("exp(stop_loss)"), own),
-        **{k: named(f"{k} of {name}") for k in fitted},
-        **{k: parse_expression(repr(s.value)) for k, s in row.shapes.items() if k not in fitted},
     }
     if place.force is not None:
         out["load"] = named(place.force)
@@ -118,19 +115,35 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
         row: Cause with ``at: force``, of the effect's name.
     """
     name = row.name
-    parts = _list_letters(library, place, scale, row)
+    parts = _list_letters(library, place, scale, name)
+    own = _list_shapes(row)
     slow = f"slow state of {name}"
     law = row.said("law", "ode")
-    letters = parse_expression(law, parts)
-    creeps = "slow" in letters.names
+    # letters of a row's own are of its formula alone: a `width` there is not that of w
+    known = {**parts, **own}
+    letters = parse_expression(law, known)
+    creeps = "slow" in letters.names and "slow" not in own
     is_friction = law.count(SLIDING) == 1 and f"{SLIDING}**" not in law
-    enters = entering(library.system, "force", place.name, filled(letters, parts))
+    if is_friction and place.force is None:
+        strength = filled(parse_expression(law.replace(SLIDING, "(-1)"), known), known)
+        change = _holding(library, place, strength, parts)
+    else:
+        change = entering(library.system, "force", place.name, filled(letters, known))
     change = replace(
-        _holding(library, place, law, parts) if is_friction and place.force is None else enters,
+        change,
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
     return by_formulas(change, symbol(name), *(f"{shape} of {name}" for shape in _list_fitted(row)))
+
+
+def _list_shapes(row: Row) -> dict[str, Expression]:
+    """What the further numbers of a row stand for in its formula."""
+    fitted = _list_fitted(row)
+    return {
+        k: named(f"{k} of {row.name}") if k in fitted else parse_expression(repr(s.value))
+        for k, s in row.shapes.items()
+    }
 
 
 def _list_fitted(row: Row) -> list[str]:
@@ -138,15 +151,20 @@ def _list_fitted(row: Row) -> list[str]:
     return [name for name, shape in row.shapes.items() if shape.sd is not None]
 
 
-def _holding(library: Library, place: Place, law: str, parts: Mapping[str, Expression]) -> Change:
+def _holding(
+    library: Library,
+    place: Place,
+    strength: Expression,
+    parts: Mapping[str, Expression],
+) -> Change:
     """Dry friction that holds at rest, however long the step is.
 
     Where friction could turn the velocity within a step (most > w/step), tanh(v/w) is not followed:
     the velocity rattles about zero, and what should stick slides. There friction acts against the
     velocity that all else makes of a step, v + step*rate, and is at most what stops that.
     """
-    strength = law.replace(SLIDING, "(-1)")
-    most = filled(parse_expression(f"({strength})/inertia", parts), parts)
+    of_rate = {"strength": strength, "inertia": parts["inertia"]}
+    most = filled(parse_expression("strength/inertia"), of_rate)
     step = parse_expression(repr(library.system.step))
     unfollowed = "clip(most*step/w - 1, 0, 1)"
     after = filled(
