@@ -128,15 +128,13 @@ def _fit(args: argparse.Namespace) -> None:
         print(f"{name:<32} {value:>12.6g} {fit.sd[name]:>10.2g} {unit}")
     for a, b, r in null.strongest_correlations():
         print(f"correlated: {a} and {b} ({r:+.2f})")
-    for line in listed(
-        "not determined by the data", (n for n in fit.undetermined if n not in idle)
-    ):
-        print(line)
+    notes = (("not determined by the data", fit.undetermined), ("on its bound", fit.at_bound))
+    for what, names in notes:
+        for line in listed(what, (n for n in names if n not in idle)):
+            print(line)
     if idle:
         words = dict.fromkeys(words_of(name.partition("@")[0]) for name in idle)
         print(f"the plain model does not depend on: {', '.join(words)}")
-    for line in listed("on its bound", fit.at_bound):
-        print(line)
     source = ", ".join(dict.fromkeys(null.noise.source))
     print(
         f"chi2 {fit.chi2:.6g} of {fit.num_samples} samples: {fit.chi2 / fit.num_samples:.3g} per "

@@ -30,6 +30,7 @@ from labs.systems import setup_file, setup_of
 from tests.diagnose import linear, toy, toy_setup
 from tests.kills import Killed, killing_replace
 from tests.labs.short_copter import ShortCopterLab
+from tests.systems.toy_cart import cart_study
 
 SETUP = str(Path(toy_setup.__file__))
 
@@ -325,6 +326,16 @@ def test_a_fit_lists_no_number_that_the_plain_model_does_not_depend_on():
     slopes = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 0.0]])
     null = SimpleNamespace(fit=SimpleNamespace(jacobian=slopes, problem=problem))
     assert NullFit.idle.fget(null) == ("stop_hardness",)
+
+
+@pytest.mark.cpu(8)  # 3 s
+def test_a_fit_says_of_numbers_of_causes_that_nothing_depends_on_them(tmp_path, capsys):
+    """How a drift slows begins at its least value: that is no finding of a fit without drifts."""
+    save_study(cart_study(), tmp_path / "study")
+    assert cli.main(["diagnose", "fit", str(tmp_path / "study"), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "does not depend on: " in said and "bend of sensor drift" in said
+    assert "on its bound" not in said and "not determined" not in said
 
 
 def test_extend_begins_where_explain_ended_and_says_the_same(
