@@ -54,6 +54,7 @@ class _Iterate:
         residual: Whitened residual, (num_valid,).
         jacobian: Whitened slopes d(W S)/du by the scaled coordinates, (num_valid, n).
         radius: Radius of the trust region, in scaled coordinates.
+        with_shapes: Whether shapes that were never fitted move, too.
     """
 
     problem: Problem
@@ -61,6 +62,7 @@ class _Iterate:
     residual: Array
     jacobian: Array
     radius: float = MAX_RADIUS
+    with_shapes: bool = False
 
     @property
     def misfit(self) -> float:
@@ -76,7 +78,8 @@ class _Iterate:
         """The iterate with slopes simulated here."""
         x, problem = self.at.x, self.problem
         # far from the sizes, shapes that were never fitted lead elsewhere, and cost
-        free = np.flatnonzero(~unfitted_shapes(problem, x))
+        held = unfitted_shapes(problem, x) & (not self.with_shapes)
+        free = np.flatnonzero(~held)
         at = linearization_at(problem, x, free.tolist())
         columns = np.zeros((len(at.record), len(x)))
         columns[:, free] = at.columns
@@ -194,8 +197,11 @@ def gauss_newton(
     jacobian = s.jacobian
     held = np.flatnonzero(unfitted_shapes(problem, s.at.x))
     behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
+    is_wanted = len(held) > 0 and SLOPE_RTOL * behind < ALONE_NATS
     is_late = problem.model.simulations.steps > until
-    if len(held) and not is_late and SLOPE_RTOL * behind < ALONE_NATS:
+    if is_wanted and is_late and ended == "converged":  # in the sizes alone
+        ended, message = "budget", OVERSPENT
+    elif is_wanted and not is_late:
         columns = s.at.columns.copy()
         columns[:, held] = linearization_at(problem, s.at.x, held.tolist()).columns
         sloped = _first(problem, replace(s.at, columns=columns), with_shapes=True)
@@ -284,7 +290,8 @@ def _first(problem: Problem, start: Linearization, *, with_shapes: bool = False)
         slopes = np.where(held, 0.0, slopes)
     at = replace(start, idx=coordinates, columns=slopes)
     residual = problem.residual_of(at.record)
-    return _Iterate(problem, at, residual, problem.whiten_all(slopes))
+    white = problem.whiten_all(slopes)
+    return _Iterate(problem, at, residual, white, with_shapes=with_shapes)
 
 
 def _step(s: _Iterate, low: Array, high: Array) -> Array:

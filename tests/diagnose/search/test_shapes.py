@@ -68,3 +68,13 @@ def test_a_shape_that_is_held_has_the_sd_that_its_slopes_tell():
     found = fitted(problem)
     assert found.values[BEND] == 0.001
     assert found.sd[BEND] < 1.0  # 3 beforehand
+
+
+def test_a_shape_that_a_budget_left_unfitted_is_no_converged_fit():
+    problem, _ = drift_beside(cart_study(reading=lambda x: x + 0.03 * (1.0 - np.exp(-TIME / 0.8))))
+    start = linearization_at(problem, fitted(problem).x)
+    start = linearization_at(problem, np.where([n == BEND for n in problem.names], 0.0, start.x))
+    spent = problem.model.simulations.steps
+    found = gauss_newton(problem, start, until=spent)[0]
+    assert found.values[BEND] == 0.001 and found.ended == "budget"
+    assert gauss_newton(problem, start)[0].values[BEND] > 1.0
