@@ -10,6 +10,7 @@ from diffsim.cli.diagnose_init import init
 from diffsim.data.study_file import load_study
 from diffsim.identify import Problem, WhiteNoise
 from diffsim.systems.outside.mjcf import Mjcf
+from diffsim.systems.outside.mjcf_guess import _joint_of
 from diffsim.systems.registry import setup_of
 
 mujoco = pytest.importorskip("mujoco", reason="MJCF needs the extra 'robots'")
@@ -376,3 +377,12 @@ def test_words_that_all_joints_share_tell_none_and_a_current_is_no_torque(tmp_pa
     (todo,) = [one for one in stated["todo"] if one.startswith("commands:")]
     assert "calf_current_A is in A, but actuator m2 takes N m: state unit: N m" in todo
     assert "joints of the MJCF by their names" in capsys.readouterr().out
+
+
+def test_an_actuator_of_a_tendon_drives_no_joint():
+    """Its number among tendons was read as one among joints."""
+    text = """<mujoco><worldbody><body><joint name="a" type="hinge"/><geom size="0.1"/></body>
+      </worldbody><tendon><fixed name="t"><joint joint="a" coef="2"/></fixed></tendon>
+      <actuator><motor name="pull" tendon="t"/><motor name="turn" joint="a"/></actuator></mujoco>"""
+    plain = mujoco.MjModel.from_xml_string(text)
+    assert [_joint_of(plain, i) for i in range(2)] == ["", "a"]

@@ -34,6 +34,7 @@ SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
 #: Entries of a free joint's place and orientation by what loggers call them
 _PLACE = re.compile(r"(?:(?:p|pos|position|base|root)_?)?([xyz])(?:_m|_mm|_cm)?")
 _TURN = re.compile(r"(?:(?:q|quat|quaternion|orientation)_?)([wxyz])")
+_OF_JOINTS = (0, 1)  # mjtTrn: of actuators on joints
 #: What actuators of joints that turn and that slide take: a position, a speed, a push
 _TAKES = (("rad", "rad/s", "N m"), ("m", "m/s", "N"))
 _VELOCITIES, _PUSHES = ("rad/s", "m/s"), ("N", "N m", "A")
@@ -288,8 +289,10 @@ def _other_units(
 
 
 def _joint_of(plain: Any, actuator: int) -> str:
+    """Name of the joint that an actuator acts on; empty: on a tendon, a site or something else."""
     joint = int(plain.actuator_trnid[actuator, 0])
-    return str(plain.joint(joint).name) if 0 <= joint < plain.njnt else ""
+    is_joint = int(plain.actuator_trntype[actuator]) in _OF_JOINTS and 0 <= joint < plain.njnt
+    return str(plain.joint(joint).name) if is_joint else ""
 
 
 def _parameters(simulator: Any) -> dict[str, Any]:
