@@ -81,7 +81,7 @@ def _list_letters(
     library: Library, place: Place, scale: PlaceScale, row: Row
 ) -> dict[str, Expression]:
     """What the letters of a force's formula stand for; its own are shapes of its row."""
-    name, fitted = row.name, _list_fitted(row)
+    name = row.name
     numbers = {k: parse_expression(repr(n)) for k, n in _list_numbers(place, scale).items()}
     stiffness = repr(STOP_STIFFNESS * scale.force / scale.position)
     own = {k: named(f"{k}_at_{place.name}") for k in ("stop_hardness", "stop_loss")}
@@ -95,8 +95,10 @@ def _list_letters(
         "bend": named(f"stiffening_bend_at_{place.name}"),
         "hard": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
         "loss": filled(parse_expression("exp(stop_loss)"), own),
-        **{k: named(f"{k} of {name}") for k in fitted},
-        **{k: parse_expression(repr(s.value)) for k, s in row.shapes.items() if k not in fitted},
+        **{
+            k: parse_expression(repr(s.value)) if s.sd is None else named(f"{k} of {name}")
+            for k, s in row.shapes.items()
+        },
     }
     if place.force is not None:
         out["load"] = named(place.force)
@@ -130,12 +132,8 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
-    return by_formulas(change, symbol(name), *(f"{shape} of {name}" for shape in _list_fitted(row)))
-
-
-def _list_fitted(row: Row) -> list[str]:
-    """Further numbers of a row that are fitted; those of a user's may be known."""
-    return [name for name, shape in row.shapes.items() if shape.sd is not None]
+    fitted = (f"{k} of {name}" for k, shape in row.shapes.items() if shape.sd is not None)
+    return by_formulas(change, symbol(name), *fitted)
 
 
 def _holding(library: Library, place: Place, law: str, parts: Mapping[str, Expression]) -> Change:
