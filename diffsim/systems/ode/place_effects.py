@@ -116,7 +116,10 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
     """
     name = row.name
     parts = _list_letters(library, place, scale, name)
-    own = _list_shapes(row)
+    own = {
+        k: parse_expression(repr(s.value)) if s.sd is None else named(f"{k} of {name}")
+        for k, s in row.shapes.items()
+    }
     slow = f"slow state of {name}"
     law = row.said("law", "ode")
     # letters of a row's own are of its formula alone: a `width` there is not that of w
@@ -134,21 +137,8 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
         states={slow: filled(parse_expression("(x - slow)/tau"), parts)} if creeps else {},
         starts={slow: named(at_start(place.position))} if creeps else {},
     )
-    return by_formulas(change, symbol(name), *(f"{shape} of {name}" for shape in _list_fitted(row)))
-
-
-def _list_shapes(row: Row) -> dict[str, Expression]:
-    """What the further numbers of a row stand for in its formula."""
-    fitted = _list_fitted(row)
-    return {
-        k: named(f"{k} of {row.name}") if k in fitted else parse_expression(repr(s.value))
-        for k, s in row.shapes.items()
-    }
-
-
-def _list_fitted(row: Row) -> list[str]:
-    """Further numbers of a row that are fitted; those of a user's may be known."""
-    return [name for name, shape in row.shapes.items() if shape.sd is not None]
+    fitted = (f"{k} of {name}" for k, shape in row.shapes.items() if shape.sd is not None)
+    return by_formulas(change, symbol(name), *fitted)
 
 
 def _holding(
