@@ -503,7 +503,8 @@ def _refit_siblings(search: Search, until: float) -> Search:
     """Refit sets that do the same as the best ones by another kink: linear evidence is no guide."""
     best = _best_of(search)
     least = search.nats(Hypothesis(best)) - ALONE_NATS
-    near = [s for s in search.fits if len(s) <= len(best) and search.nats(Hypothesis(s)) >= least]
+    several = [s for s in search.fits if 1 < len(s) <= len(best)]  # one is scanned where it is
+    near = [s for s in several if search.nats(Hypothesis(s)) >= least]
     siblings = {s for of in near for s in _kinked_siblings(search.wide.effects, of)}
     for members in sorted(siblings - set(search.fits), key=sorted):
         search = search.with_late() if search.steps > until else refit(search, members)
@@ -516,8 +517,6 @@ def _kinked_siblings(effects: Sequence[Effect], members: Members) -> set[Members
     Where others have moved beside the first one, slopes tell nothing of the second: a valve's dead
     band with an offset is slack with another offset.
     """
-    if len(members) < 2:
-        return set()
     kinked = [i for i, effect in enumerate(effects) if not effect.smooth]
     return {
         (members - {i}) | {j}

@@ -63,4 +63,3 @@ def test_siblings_have_a_kink_one_family_and_one_place():
     ]
     effects = [SimpleNamespace(name=n, family=f, smooth=s) for n, f, s in rows]
     assert _kinked_siblings(cast(Any, effects), frozenset({0, 1})) == {frozenset({1, 2})}
-    assert _kinked_siblings(cast(Any, effects), frozenset({0})) == set()  # scanned where it is
