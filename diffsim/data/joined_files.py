@@ -19,7 +19,7 @@ import yaml
 
 from diffsim.data.clock_guess import guess_clock, is_late, seconds_of
 from diffsim.data.folder_tables import FoundTable
-from diffsim.data.names import IDLE, STATE, TIME, has_role, is_asked, unit_of_clock
+from diffsim.data.names import IDLE, STATE, TIME, has_role, is_asked, may_be_time, unit_of_clock
 from diffsim.data.table_guess import Column, column_of
 
 _MARK = re.compile(r"[_\-. ]+")
@@ -198,8 +198,10 @@ def _share_columns(a: Kind, b: Kind) -> bool:
         return True
     if not (a.files[0].layout.has_names and b.files[0].layout.has_names):
         return len(a.columns) == len(b.columns)
-    shared = {c.name for c in a.columns if c.name} & {c.name for c in b.columns}
-    rest = {name for name in shared if not (TIME.match(name) or IDLE.search(name))}
+    of_b = {c.name for c in b.columns}
+    shared = {c.name: c for c in a.columns if c.name in of_b - {""}}
+    stamps = {n for n, c in shared.items() if (TIME.match(n) and may_be_time(c)) or IDLE.search(n)}
+    rest = shared.keys() - stamps
     return len(rest) > (len(rest) == len(shared))
 
 

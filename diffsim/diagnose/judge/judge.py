@@ -401,6 +401,6 @@ def confirmed(
     rest = tuple(h for h in decision.rivals if h != asked)
     # noise alone is no answer that a 90 % interval would hold, though the check lets it pass
     if gates[0].value <= 1.0 - LEVEL:
-        rest = (asked, *rest)
+        rest = decision.rivals or (asked,)
     verdict = "ambiguous" if rest else "named"
     return replace(decision, verdict=verdict, rivals=rest, unknown=None), gates
