@@ -1,6 +1,7 @@
 """Systems that a study describes by formulas: the plain model, its causes, and mistakes in it."""
 
 import itertools
+import re
 from dataclasses import replace
 from functools import lru_cache
 
@@ -301,8 +302,8 @@ def test_numbers_that_nobody_stated_are_usual_ones(stated):
     plain = plain_study()
     model = {**plain.model, **({"slow_time": {"value": "2 s", "percent": 50}} if stated else {})}
     base = setup_of(replace(plain, model=model)).model.base
-    usual = {p.name.partition("_at_")[0] for p in base if p.is_usual and not p.of_effect}
-    assumed = {"sticking", "stop_hardness", "stop_loss", "stiffening_bend"}
+    usual = {re.split("_at_|@", p.name)[0] for p in base if p.is_usual and not p.of_effect}
+    assumed = {"sticking", "stop_hardness", "stop_loss", "stiffening_bend", "play_start"}
     assert usual == assumed | (set() if stated else {"slow_time"})
 
 
