@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.diagnose.judge.records import ErrorRow, pooled_by_kind
 from diffsim.diagnose.say.headline import MAX_WORDS, first_of
 
 RECORD = Path(__file__).parents[1] / "studies/records/first_sentences.json"
@@ -35,18 +36,11 @@ def row_of(answer: Mapping[str, Any]) -> dict[str, Any]:
         answer: Content of ``report.json`` or ``faults.json``.
 
     Returns:
-        Verdict, first sentence, and errors on unseen runs: ``unit``, ``shown_times``, root mean
-        squares ``before`` and ``after`` of each quantity.
+        Verdict, first sentence, and errors on unseen runs: ``kind``, ``unit``, root mean squares
+        ``before`` and ``after`` of each quantity.
     """
-    squares: dict[tuple[str, str], list[float]] = {}
-    for e in answer.get("errors", ()):
-        sums = squares.setdefault((e["kind"], e["unit"]), [0.0, 0.0, 0.0])
-        for k, value in enumerate((e["before"] ** 2, e["after"] ** 2, 1.0)):
-            sums[k] += value * e["num_samples"]
-    errors = [
-        {"kind": kind, "unit": unit, "before": (b / n) ** 0.5, "after": (a / n) ** 0.5}
-        for (kind, unit), (b, a, n) in squares.items()
-    ]
+    pooled = pooled_by_kind([ErrorRow(**e) for e in answer.get("errors", ())])
+    errors = [{k: getattr(row, k) for k in ("kind", "unit", "before", "after")} for row in pooled]
     said = first_of(answer["headline"])
     return {"verdict": answer.get("verdict", "faults"), "said": said, "errors": errors}
 

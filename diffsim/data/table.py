@@ -30,6 +30,7 @@ from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES, text_of
 
 Rows = IntArray
 MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
+NO_ROW = ("", "#")  # begins of lines between names and numbers that hold neither
 BLOCK = 1 << 20  # letters that are looked at together
 MAX_LINE = 4_000_000  # characters
 ROWS_SHOWN = 20_000  # rows after which reading says how far it is
@@ -142,7 +143,7 @@ def _header(
     first = before[line - 1] if line else file.readline(MAX_LINE + 1)
     where = f"{path}, row {line or skipped + 1}"
     samples = [file.readline()] if line else [first]
-    while line and samples[-1] and (samples[-1].lstrip() or "#").startswith("#"):
+    while line and samples[-1] and samples[-1].lstrip()[:1] in NO_ROW:
         samples.append(file.readline())  # a remark below the names tells no delimiter
     mark = delimiter_of(first, samples[-1] or samples[0])
     if len(first) > MAX_LINE or (count := first.count(mark) + 1) > MAX_COLUMNS:

@@ -9,7 +9,15 @@ from itertools import islice
 from pathlib import Path
 
 from diffsim.core.units import to_si
-from diffsim.data.table import MISSING, cells_of, delimiter_of, is_list, names_of, open_text
+from diffsim.data.table import (
+    MISSING,
+    NO_ROW,
+    cells_of,
+    delimiter_of,
+    is_list,
+    names_of,
+    open_text,
+)
 
 FIRST_LINES = 60  # in which the header must be
 FEWEST_ROWS = 5  # of numbers, that a file without a header must have
@@ -96,7 +104,7 @@ def layout_of(path: Path) -> TableLayout | None:
     rows = [cells_of(line, mark) for line, mark in zip(lines, marks, strict=True)]
     last = next((row for row in reversed(rows) if _is_numeric(row)), [])
     first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_like(row, last)), None)
-    are_remarks = [line.lstrip()[:1] in ("", "#") for line in lines]
+    are_remarks = [line.lstrip()[:1] in NO_ROW for line in lines]
     above = [] if first is None else _lines_above(rows, first, are_remarks)
     if first is None or not above:
         return _without_header(rows)

@@ -39,7 +39,8 @@ def test_what_is_amiss_is_seen(said, why):
 
 
 def test_errors_of_several_runs_are_their_root_mean_square():
-    run = {"kind": "angle", "unit": "rad", "before": 3.0, "after": 0.0, "num_samples": 1}
+    run = {"run": "a", "kind": "angle", "unit": "rad", "before": 3.0, "after": 0.0, "noise": 1.0}
+    run |= {"num_samples": 1, "num_fitted": 0}
     other = {**run, "before": 0.0, "after": 2.0, "num_samples": 3}
     row = first_sentences.row_of({"headline": "Lag is missing.", "errors": [run, other]})
     assert row["errors"] == [

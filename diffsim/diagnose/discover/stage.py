@@ -208,7 +208,7 @@ def find_laws(
     fitted = [f for of_round in rounds for f in of_round]
     first = sorted((f for of_round in rounds[:1] for f in of_round), key=lambda f: -f.evidence)
     best = max(fitted, key=lambda f: f.evidence, default=None)
-    begins = _begins_at_each(first if best is None else [best, *first], laws)
+    begins = _begins_at_each([best, *first], laws) if best is not None else ()
     beside = frozenset(name for f in fitted for name in f.beside)
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried, begins, beside)
 
