@@ -13,6 +13,7 @@ import yaml
 from diffsim.cli.arguments import described
 from diffsim.cli.init_target import require_target
 from diffsim.core.check import require_choice
+from diffsim.core.figures import counted
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
@@ -88,7 +89,9 @@ def init(
     except ValueError:
         print(f"{out} was written, but must be mended", file=sys.stderr)
         raise
-    print(f"wrote {out}: {len(study.runs)} runs, {len(study.channels)} channels")
+    print(
+        f"wrote {out}: {counted(len(study.runs), 'run')}, {counted(len(study.channels), 'channel')}"
+    )
     for found in record_findings(study):
         print(f"record: {found.where}: {found}")
     is_missing = "the model, and " if model is None else ""

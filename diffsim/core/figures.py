@@ -45,6 +45,16 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.{digits}f} %"
 
 
+def counted(number: int, noun: str) -> str:
+    """How many there are, such as "1 run" or "3 runs".
+
+    Args:
+        number: How many.
+        noun: Of one; more have an "s".
+    """
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def with_interval(value: float, low: float, high: float) -> str:
     """A value with its interval, in as many digits as tell the ends apart."""
     digits = digits_of(low, high)

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from diffsim.core.arrays import Array, IntArray
+from diffsim.core.figures import counted
 from diffsim.core.schema import Part
 from diffsim.data.study_types import Number
 
@@ -178,7 +179,7 @@ def stamp_fault(now: Array) -> tuple[int, str, str] | None:
     said = f"time must increase, got {now[at]:g} s after {now[at - 1]:g} s"
     if not len(back):
         pairs = int((steps == 0.0).sum())
-        said += f" ({pairs} equal stamp{'s' if pairs > 1 else ''})"
+        said += f" ({counted(pairs, 'equal stamp')})"
         return (
             at,
             said,

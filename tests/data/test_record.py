@@ -11,8 +11,8 @@ import yaml
 from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
 from diffsim.data.record.columns import find_units
-from diffsim.data.record.encodings import find_codes, find_wraps
-from diffsim.data.record.shapes import _flat_at, find_flat, find_frozen, find_lasting
+from diffsim.data.record.encodings import find_codes, find_folded, find_signs, find_wraps
+from diffsim.data.record.shapes import _flat_at, find_far, find_flat, find_frozen, find_lasting
 from diffsim.data.record.signals import Record, Samples, Signal
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import check_study
@@ -345,3 +345,48 @@ def test_what_leaps_from_the_end_of_its_way_is_still_told():
     record = Record(Study("rig", "ode", (), ()), tuple(signals[:1]), tuple(signals[1:]))
     (told,) = [f.says for find in (find_frozen, find_lasting) for f in find(record)]
     assert "jumps by 0.04" in told
+
+
+def runs_of(*values: np.ndarray) -> tuple[Samples, ...]:
+    """Runs "0", "1", .. at 0.1 s."""
+    rows = [np.arange(len(x)) for x in values]
+    return tuple(
+        Samples(str(i), k, 0.1 * k, x) for i, (k, x) in enumerate(zip(rows, values, strict=True))
+    )
+
+
+@pytest.mark.parametrize("rest", [0, 300])
+def test_what_rests_most_of_the_time_moves_within_its_range(rest):
+    """A servo's speed in counts: "far outside of all other values in 115 samples", left out."""
+    rng = np.random.default_rng(4)
+    moves = [np.concatenate([np.zeros(15 + rest // 20), 50.0 * rng.integers(1, 9, 4)])
+             for _ in range(20)]  # fmt: skip
+    values = np.concatenate(moves)
+    seen = Signal("speed", "channel", "speed", None, runs_of(values))
+    assert not list(find_far(Record(Study("rig", "ode", (), ()), (seen,), ())))
+    values[[100, 101]] = 32767.0
+    seen = Signal("speed", "channel", "speed", None, runs_of(values))
+    (found,) = find_far(Record(Study("rig", "ode", (), ()), (seen,), ()))
+    assert "in 2 samples" in found.says
+
+
+@pytest.mark.parametrize(("before", "is_flat"), [(0, False), (20, True)])
+def test_a_car_that_starts_from_rest_can_show_less(before, is_flat):
+    """Speeds of 0 at the start of every run were the end of the sensor's range."""
+    rng = np.random.default_rng(2)
+    ahead = 1.0 + 0.1 * rng.normal(size=before)
+    runs = [np.concatenate([ahead, np.zeros(9), 0.3 + 0.1 * np.arange(60.0)
+            + 0.02 * rng.normal(size=60)]) for _ in range(3)]  # fmt: skip
+    seen = Signal("speed", "channel", "speed", "m/s", runs_of(*runs))
+    assert (_flat_at(seen, 0.0) is not None) is is_flat
+
+
+def test_a_sign_that_a_bit_holds_was_not_lost_as_well():
+    true = np.round(90.0 * np.sin(0.11 * np.arange(600.0)))
+    words = np.where(true < 0.0, 128.0 - true, true)
+    seen = Signal("load", "channel", "load", None, runs_of(words))
+    asked = Signal("u", "command", "u", None, runs_of(true))
+    record = Record(Study("rig", "ode", (), ()), (seen,), (asked,))
+    assert len(list(find_signs(record))) == 1 and not list(find_folded(record))
+    lost = Signal("load", "channel", "load", None, runs_of(np.abs(true)))
+    assert list(find_folded(Record(record.study, (lost,), (asked,))))

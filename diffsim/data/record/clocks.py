@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from diffsim.core.figures import counted
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 from diffsim.data.signal import GAP
@@ -61,7 +62,7 @@ def find_gaps(record: Record) -> Iterator[Finding]:
             yield Finding(
                 f"run {run.name}",
                 f"rows are lost while command {command} moves, {lost} of them at "
-                f"{run.time_s[k]:.6g} s ({len(moved)} gap{'s' if len(moved) > 1 else ''}, "
+                f"{run.time_s[k]:.6g} s ({counted(len(moved), 'gap')}, "
                 f"{rows_shown(times)}): what it was meanwhile is not known",
                 f"`gaps: line` in run {run.name} takes a line between its neighbors",
                 lost >= 2,

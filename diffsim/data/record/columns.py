@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.figures import counted
 from diffsim.core.unit_slips import UNIT_SLIPS
 from diffsim.data.record.finding import Finding
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
@@ -50,7 +51,7 @@ def _copy(
     if channel.role == "command" and (not is_stated or channel.unit == other.unit):
         return None  # two drives may be given one course
     what = "equal to" if times == 1.0 else f"{times:.6g} times"
-    late = f", {rows} row{'s' if rows > 1 else ''} late" if rows else ""
+    late = f", {counted(rows, 'row')} late" if rows else ""
     return Finding(
         channel.where,
         f"its column {channel.column} is {what} column {other.column} of {other.where} in all "

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.figures import counted
 from diffsim.data.codes import from_sign_bit, from_twos_complement
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
@@ -185,6 +186,8 @@ def find_folded(record: Record) -> Iterator[Finding]:
     for signal in record.channels if two_sided else ():
         if signal.low < 0.0 or any(mark in text.get(signal.name, "") for mark in UNSIGNED):
             continue
+        if _sign_of(signal) is not None:
+            continue  # a bit holds it
         touches = [t for samples in signal.runs for t in _touches(samples, signal.high)]
         if len(touches) >= 3:
             name = two_sided[0].name
@@ -306,8 +309,8 @@ def _code(signal: Signal, code: float) -> Finding | None:
         return None
     return Finding(
         signal.where,
-        f"column {signal.column} is {code:g} in {count} samples ({share:.2g} of all), far from "
-        f"those around, {rows_shown(times)}: a number for nothing measured",
+        f"column {signal.column} is {code:g} in {counted(count, 'sample')} ({share:.2g} of all), "
+        f"far from those around, {rows_shown(times)}: a number for nothing measured",
         _decode(signal, f"{{missing: {code:g}}}"),
         share > FEW_MISREAD or longest > 2 or signal.role == "command",
     )

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from diffsim.core.arrays import Array, IntArray
+from diffsim.core.figures import counted
 from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.core.units import factor
 from diffsim.data.command_jumps import Jumps, jumps_of
@@ -40,9 +41,11 @@ def find_far(record: Record) -> Iterator[Finding]:
     """Values far outside of all others, at any share of the rows."""
     for signal in record.channels:
         values = signal.all_values
+        # a rest counts once: what moves a tenth of the time is far from no usual value
+        kept = [x.values[np.concatenate([[True], x.changes != 0.0])] for x in signal.runs if len(x)]
         if len(values) < FEW:
             continue
-        low, high = np.quantile(values, [0.1, 0.9])
+        low, high = np.quantile(np.concatenate(kept), [0.1, 0.9])
         reach = USUAL_SPREADS * float(high - low)
         inside = values[(values >= low - reach) & (values <= high + reach)]
         if len(inside) == len(values):
@@ -65,8 +68,9 @@ def find_far(record: Record) -> Iterator[Finding]:
         margin = 0.5 * least
         yield Finding(
             signal.where,
-            f"column {signal.column} is far outside of all other values in {count} samples "
-            f"(up to {share:.2g} of a run), by up to {worst:.4g}, {rows_shown(times)}",
+            f"column {signal.column} is far outside of all other values in "
+            f"{counted(count, 'sample')} (up to {share:.2g} of a run), by up to {worst:.4g}, "
+            f"{rows_shown(times)}",
             f"`decode: {{valid: [{low - margin:.4g}, {high + margin:.4g}]}}` in {signal.where} "
             "leaves them out",
             (share > FEW_MISREAD or longest > MOST_TOGETHER) and signal.unit not in SPIKY,
@@ -116,8 +120,8 @@ def find_misread(record: Record) -> Iterator[Finding]:
             if len(rows):
                 yield Finding(
                     f"run {samples.run}",
-                    f"channel {signal.name} is misread at {len(rows)} "
-                    f"sample{'s' if len(rows) > 1 else ''}, "
+                    f"channel {signal.name} is misread at "
+                    f"{counted(len(rows), 'sample')}, "
                     f"{rows_shown(samples.times[rows].tolist())}: the diagnosis leaves such "
                     "samples out where the model does not jump, too",
                     "",
@@ -143,8 +147,8 @@ def find_jumps(record: Record) -> Iterator[Finding]:
                 if rows:
                     yield Finding(
                         f"run {samples.run}",
-                        f"command {signal.name} {how} at {len(rows)} "
-                        f"sample{'s' if len(rows) > 1 else ''}, {by}, first at "
+                        f"command {signal.name} {how} at "
+                        f"{counted(len(rows), 'sample')}, {by}, first at "
                         f"{samples.times[rows[0]]:g} s",
                         does,
                         False,
@@ -272,7 +276,7 @@ def _si_at(record: Record, signal: Signal, end: float) -> float:
 
 def _flat_at(signal: Signal, end: float) -> tuple[int, list[tuple[Samples, int, int]], bool] | None:
     """Samples at an end, stretches of them, and whether the channel is noisy elsewhere."""
-    count, abrupt, parts, longest, left = 0, 0, 0, 0, 0
+    count, abrupt, parts, longest, inside = 0, 0, 0, 0, 0
     stretches = []
     equal = of = 0
     for samples in signal.runs:
@@ -289,7 +293,7 @@ def _flat_at(signal: Signal, end: float) -> tuple[int, list[tuple[Samples, int, 
             if len(part) < 3:
                 continue
             parts += 1
-            left += part[-1] + 1 < len(samples)
+            inside += part[0] > 0 and part[-1] + 1 < len(samples)
             longest = max(longest, len(part))
             stretches.append((samples, int(part[0]), int(part[-1])))
             k = part[0] - 1
@@ -299,7 +303,8 @@ def _flat_at(signal: Signal, end: float) -> tuple[int, list[tuple[Samples, int, 
     total = len(signal.all_values)
     if count < max(8, 0.01 * total) or count > 0.8 * total or not of:
         return None
-    if (parts < 2 and longest < 8) or 2 * left < parts:  # what stays to the end came to rest
+    # what begins a run or stays to its end is at rest
+    if (parts < 2 and longest < 8) or 2 * inside < parts:
         return None
     is_noisy = equal < 0.1 * of
     if not is_noisy and abrupt < 0.8 * parts:
