@@ -10,7 +10,7 @@ import yaml
 
 from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
-from diffsim.data.record.columns import find_units
+from diffsim.data.record.columns import find_unit_changes, find_units
 from diffsim.data.record.encodings import find_codes, find_folded, find_signs, find_wraps
 from diffsim.data.record.shapes import _flat_at, find_far, find_flat, find_frozen, find_lasting
 from diffsim.data.record.signals import Record, Samples, Signal
@@ -390,3 +390,60 @@ def test_a_sign_that_a_bit_holds_was_not_lost_as_well():
     assert len(list(find_signs(record))) == 1 and not list(find_folded(record))
     lost = Signal("load", "channel", "load", None, runs_of(np.abs(true)))
     assert list(find_folded(Record(record.study, (lost,), (asked,))))
+
+
+def take_off(seed: int, size: float = 1.0) -> dict[str, np.ndarray]:
+    """A vehicle that idles for 3 s, hovers to 5.5 s and flies away; positions to 0.1 mm."""
+    rng, t = np.random.default_rng(seed), 0.02 * np.arange(500.0)
+    hover, away = np.clip(t - 3.0, 0.0, None), np.clip(t - 5.5, 0.0, None)
+    x = 0.01 * size * np.sin(2.0 * hover) ** 2 + size * away * np.sin(3.0 * away)
+    z = 0.5 * np.tanh(hover) ** 2
+    noise = 3e-5 * rng.normal(size=(3, len(t)))
+    v = np.gradient(x, t) + 100.0 * noise[2] * (1.0 + 2.0 * (away > 0.0))
+    x, z = (
+        1e-4 * np.round(1e4 * (p + n * (hover > 0.0))) for p, n in ((x, noise[0]), (z, noise[1]))
+    )
+    motor = np.where(t < 2.8, 0.05, 0.6 + 0.01 * rng.normal(size=len(t)))
+    return {"x": x, "z": z, "v": v, "motor": motor}
+
+
+def of_flights(*flights: dict[str, np.ndarray]) -> Record:
+    """A record of flights."""
+    units = {"x": "m", "z": "m", "v": "m/s", "motor": None}
+    seen = {
+        name: Signal(name, "command" if name == "motor" else "channel", name, unit,
+                     runs_of(*(f[name] for f in flights)))
+        for name, unit in units.items()
+    }  # fmt: skip
+    motor = seen.pop("motor")
+    return Record(Study("rig", "ode", (), ()), tuple(seen.values()), (motor,))
+
+
+def test_a_vehicle_that_takes_off_was_not_stuck_on_the_ground():
+    flights = [take_off(seed) for seed in range(4)]
+    assert not list(find_frozen(of_flights(*flights)))
+    stuck = {name: values[160:].copy() for name, values in flights[0].items()}
+    stuck["x"][170:240] = stuck["x"][170]
+    assert [f.where for f in find_frozen(of_flights(stuck, *flights[1:]))] == ["run 0"]
+
+
+@pytest.mark.parametrize("is_unit", [False, True])
+def test_a_flight_along_the_other_axis_is_in_no_other_unit(is_unit):
+    """Another unit changes one column; another course changes what is beside it as well."""
+    flights = [take_off(seed, 1.0 + 0.1 * seed) for seed in range(4)]
+    along = {**take_off(3), "x": flights[3]["x"] / 25.4}
+    if not is_unit:
+        along["v"] = flights[3]["v"] / 9.0
+    found = list(find_units(of_flights(*flights[:3], along)))
+    assert [f.where for f in found] == (["run 3"] if is_unit else [])
+
+
+@pytest.mark.parametrize("more", [1.0, 5.0])
+def test_a_unit_that_changes_changes_one_column(more):
+    """75 real flights: "its unit changes there, by 25.4 (inches)", where a vehicle flew away."""
+    rng = np.random.default_rng(1)
+    later = np.arange(400) >= 200
+    x = 0.001 * rng.normal(size=400) * np.where(later, 25.4, 1.0)
+    v = rng.normal(size=400) * np.where(later, more, 1.0)
+    flight = {"x": x, "z": rng.normal(size=400), "v": v, "motor": rng.normal(size=400)}
+    assert bool(list(find_unit_changes(of_flights(flight)))) is (more == 1.0)

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from diffsim.core.arrays import Array
-from diffsim.core.figures import counted
+from diffsim.core.figures import counted, list_first
 from diffsim.core.unit_slips import UNIT_SLIPS
 from diffsim.data.record.finding import Finding
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
@@ -28,6 +28,7 @@ MOST_SPREAD = 0.3  # of the logarithm of gains: others are not alike
 WINDOW = 20  # samples whose scatter is compared
 FOLLOWS = 0.85  # share of the squares that a command explains of what follows it
 LAGS = (2.0, 5.0, 12.0, 30.0, 80.0)  # rows by which a channel may follow
+DIFFERS = 0.7  # of the logarithm of a factor, two: by more, others move by another one
 BIG = 20.0  # factor between units of a channel and its command: less may be a gain
 
 
@@ -146,7 +147,7 @@ def find_units(record: Record) -> Iterator[Finding]:
 
 
 def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
-    runs = [s for s in channel.runs if len(s) >= FEW and s.range > 0.0]
+    runs = _moving_runs(channel)
     if len(runs) < 3:
         return
     gains = np.array([_gain(record, s) for s in runs])
@@ -176,6 +177,10 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
             continue  # where runs differ anyway, noise nearer to unchanged than to the factor
         if _sensor_step(samples) in {_sensor_step(s) for s in runs if s is not samples} - {None}:
             continue  # another unit would have scaled it, too
+        if _others_differ(
+            off, [_off_usual(record, c, samples.run) for c in _beside(record, channel)]
+        ):
+            continue
         yield Finding(
             f"run {samples.run}",
             f"channel {channel.name} is about {np.exp(off):.3g} times what it is in other runs, "
@@ -184,6 +189,31 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
             f" in run {samples.run}, or {{column, unit: ...}}",
             True,
         )
+
+
+def _moving_runs(channel: Signal) -> list[Samples]:
+    return [s for s in channel.runs if len(s) >= FEW and s.range > 0.0]
+
+
+def _beside(record: Record, channel: Signal) -> list[Signal]:
+    return [c for c in record.channels if c is not channel]
+
+
+def _off_usual(record: Record, channel: Signal, run: str) -> float:
+    """Logarithm of how much more a channel moves in a run than it usually does."""
+    gains = {s.run: _gain(record, s) for s in _moving_runs(channel)}
+    rest = [gain for name, gain in gains.items() if name != run]
+    return gains[run] - float(np.median(rest)) if run in gains and rest else 0.0
+
+
+def _others_differ(off: float, others: Sequence[float]) -> bool:
+    """Whether what changes is the motion: other channels change as well, by another factor.
+
+    Args:
+        off: Logarithm of the factor by which a channel changes.
+        others: The same of the channels beside it.
+    """
+    return any(min(abs(other), abs(other - off)) > DIFFERS for other in others)
 
 
 def _sensor_step(samples: Samples) -> float | None:
@@ -313,6 +343,8 @@ def _change_of(record: Record, channel: Signal, samples: Samples) -> tuple[int, 
         if abs(near - np.log(factor[0])) > 0.8 or abs(drive) > 1.0:
             continue
         times = factor[0]
+        if _others_differ(noise, [_off_at(c, samples, k) for c in _beside(record, channel)]):
+            continue
         before = float(np.abs(samples.changes[max(k - 6, 0) : k - 1]).max(initial=0.0))
         after = float(np.abs(samples.changes[k : k + 6]).max(initial=0.0))
         pace = max(before, after / times, 1e-300)
@@ -323,6 +355,19 @@ def _change_of(record: Record, channel: Signal, samples: Samples) -> tuple[int, 
         if is_clear or (_is_driven(record, samples.run) and abs(np.log(times)) > np.log(BIG)):
             return k, times, factor[1]  # what is not driven comes to rest, and its noise with it
     return None
+
+
+def _off_at(channel: Signal, samples: Samples, k: int) -> float:
+    """Logarithm of how much more a channel scatters right after a sample of another one."""
+    of = channel.of_run(samples.run)
+    if of is None or len(of) < 4 * WINDOW:
+        return 0.0
+    bends = np.abs(np.diff(of.changes))
+    at = int(
+        np.clip(np.searchsorted(of.times, samples.times[k]), WINDOW + 2, len(bends) - WINDOW - 1)
+    )
+    left, right = bends[at - 2 - WINDOW : at - 2], bends[at + 1 : at + 1 + WINDOW]
+    return _log_ratio(right, left) if min(np.median(left), np.median(right)) > 0.0 else 0.0
 
 
 def _places_of_change(samples: Samples, bends: Array) -> list[int]:
@@ -368,20 +413,22 @@ def find_shifted(record: Record) -> Iterator[Finding]:
         of = [(s, x) for s in signals if (x := s.of_run(run.name)) is not None and len(x) > 40]
         if len(of) < 2 or len({len(x) for _, x in of}) > 1:
             continue
-        if (k := _shift_at([x for _, x in of])) is None:
+        if (found := _shift_at([x for _, x in of])) is None:
             continue
+        k, sources = found
+        ways = [f"{of[a][0].column} where {of[b][0].column} ended" for a, b in sources.items()]
         time = float(of[0][1].times[k])
         yield Finding(
             f"run {run.name}",
             f"from row {int(of[0][1].at[k]) + 1} ({time:.6g} s) on, columns go on where others "
-            f"ended ({', '.join(s.column for s, _ in of[:4])}): cells are shifted",
+            f"ended ({list_first(ways, 4)}): cells are shifted, or markers exchanged",
             f"mend the file, or `until_s: {time:.6g}` in run {run.name} ends before",
             True,
         )
 
 
-def _shift_at(of: Sequence[Samples]) -> int | None:
-    """Row from which on columns hold what others held."""
+def _shift_at(of: Sequence[Samples]) -> tuple[int, dict[int, int]] | None:
+    """Row from which on columns hold what others held, and which hold which."""
     loudest = max(of, key=lambda x: x.largest_change / max(x.usual_change, 1e-300))
     for j in np.argsort(-np.abs(loudest.changes))[:3]:
         k = int(j) + 1
@@ -397,7 +444,7 @@ def _shift_at(of: Sequence[Samples]) -> int | None:
             if least < 4.0 and own > 5.0 * max(least, 0.3):
                 sources[a] = b
         if len(leaping) == len(sources) == len(set(sources.values())) >= 2:
-            return k
+            return k, sources
     return None
 
 

@@ -29,6 +29,7 @@ SMALL = 0.1  # of the range of a command: a goal so near is none
 HELD = 0.8  # share of rows in which a command of goals keeps its value
 REACTION = 5  # rows after which a channel moves to a new goal, at most
 NOISY = 0.1  # of its samples equal the one before, at most, where noise makes them differ
+FEW_DIGITS = 4.5  # of a sensor, by which what comes to rest changes at most
 FROZEN = 6  # samples of which a stop can be told
 CHANCE = 1e-8  # of so long a stop where neighbors differ
 MAX_RATE = 20  # rows on one line
@@ -337,7 +338,8 @@ def find_frozen(record: Record) -> Iterator[Finding]:
             if _is_flat_top(signal, samples, first):
                 continue
             start, end = float(samples.times[first]), float(samples.times[last])
-            moving = record.moving(samples.run, start, end, signal)
+            # what moves with the last of them ends a rest
+            moving = record.moving(samples.run, start, float(samples.times[last - 1]), signal)
             is_free = _comes_free(record, signal, samples) is not None
             if _rests(record.command_of(signal), samples, first, last) and not is_free:
                 continue
@@ -431,7 +433,10 @@ def _longest_stop(samples: Samples) -> tuple[int, int] | None:
     leap = abs(samples.changes[last]) if last < len(samples.changes) else 0.0
     jumps = leap > max(4.0 * float(np.quantile(moved, 0.9)), 3.0 * samples.digit)
     if p < 0.5 and count * np.log(max(p, 1e-3)) + np.log(len(same)) < np.log(CHANCE):
-        return (first, last) if p < 0.1 or jumps else None
+        # what comes to rest, or leaves it, changes by a few digits
+        ends = np.abs(samples.changes[[k for k in (first - 1, last) if 0 <= k < len(same)]])
+        is_abrupt = p < 0.1 and float(ends.max(initial=0.0)) > FEW_DIGITS * samples.digit
+        return (first, last) if is_abrupt or jumps else None
     return (first, last) if jumps and count > 3 * second else None
 
 
