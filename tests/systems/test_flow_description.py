@@ -267,7 +267,9 @@ def test_hidden_causes_of_the_laboratory_are_named_and_nothing_else(cause):
     setup = setup_of(s)
     report = diagnose(s, setup.model, setup.effects, settings=setup.settings, seed=0)
     assert list(report.named) == ([] if cause is None else [cause])
-    assert report.verdict == ("none" if cause is None else "named")
+    # a pump that gives less than it is told to does nearly the same to a Stokes flow
+    assert report.verdict == ("none" if cause is None else "ambiguous")
+    assert cause is None or "May as well be: pump_gain" in report.causes[0].note
 
 
 def test_channels_and_commands_that_are_not_there_are_named():
