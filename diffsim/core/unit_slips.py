@@ -14,7 +14,7 @@ class UnitSlip(NamedTuple):
         ratio: Number in the finer unit over that in the coarser one, above 1.
         words: What the factor is, such as "60/(2 pi) (rpm)".
         coarse, fine: Units that a number may have been read as; "": none is usual.
-        of: Parts of the SI units of what may be so; none: of all.
+        of: SI units of what may be so, or parts of them; none: of all.
     """
 
     ratio: float
@@ -29,7 +29,9 @@ class UnitSlip(NamedTuple):
         Args:
             unit: SI unit, such as "rad/s".
         """
-        return unit is None or not self.of or bool({*self.of} & {*re.split(r"[^A-Za-z]+", unit)})
+        if unit is None or not self.of:
+            return True
+        return bool({*self.of} & {unit, *re.split(r"[^A-Za-z]+", unit)})
 
 
 RPM = 30.0 / math.pi
@@ -37,7 +39,7 @@ UNIT_SLIPS: tuple[UnitSlip, ...] = (
     UnitSlip(180.0 / math.pi, "180/pi (degrees)", "radians", "degrees", ("rad",)),
     UnitSlip(RPM, "60/(2 pi) (rpm)", "rad/s", "rpm", ("rad",)),
     UnitSlip(2.0 * math.pi, "2 pi (turns)", "turns", "radians", ("rad",)),
-    UnitSlip(9.80665, "g", "kilograms-force", "newtons", ("N", "m")),
+    UnitSlip(9.80665, "g", "kilograms-force", "newtons", ("N", "m/s^2")),
     UnitSlip(1000.0, "a thousand (milli or kilo)"),
     UnitSlip(100.0, "a hundred (centi or percent)"),
     UnitSlip(1e6, "a million (micro or mega)"),

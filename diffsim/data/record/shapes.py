@@ -22,6 +22,7 @@ BURST = 6  # far samples that may be alike: more are a place where it stays
 MOST_TOGETHER = 2  # samples off both sides that are told from what a model lacks
 USUAL_SPREADS = 2.0  # spreads beyond which a value is none of the usual ones
 OUTSIDE = 0.5  # of the range of the others: how far a value must leap
+UNANSWERED = 10.0  # such leaps, beyond which no command is the reason
 ALONE = 4.0  # largest changes around, beyond which a sample lies off both sides
 SPIKY = ("m/s^2", "rad/s^2", "N", "N m", "A", "V", "W")  # SI units of what an impact makes jump
 PLACES = ("m", "rad", "-", None, "K", "Pa")  # SI units of what cannot jump and stay
@@ -93,7 +94,7 @@ def _leaping(
         if len(part) > BURST and np.abs(samples.changes[part[:-1]]).max() < 0.2 * least:
             continue  # it stays there
         off = float(np.abs(samples.changes[ends]).min())
-        if off > 3.0 * least or not _is_commanded(record, samples, int(part[0])):
+        if off > UNANSWERED * least or not _is_commanded(record, samples, int(part[0])):
             out += part.tolist()
     return np.array(out, dtype=np.int64)
 
@@ -339,7 +340,8 @@ def find_frozen(record: Record) -> Iterator[Finding]:
                 continue
             start, end = float(samples.times[first]), float(samples.times[last])
             # what moves with the last of them ends a rest
-            moving = record.moving(samples.run, start, float(samples.times[last - 1]), signal)
+            ends = float(samples.times[max(last - REACTION, first)])
+            moving = record.moving(samples.run, start, ends, signal)
             is_free = _comes_free(record, signal, samples) is not None
             if _rests(record.command_of(signal), samples, first, last) and not is_free:
                 continue
