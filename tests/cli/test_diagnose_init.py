@@ -779,5 +779,19 @@ def test_a_temperature_beside_a_motor_is_no_command(tmp_path):
     assert not any("repeat_of" in run for run in stated["runs"])
 
 
+@pytest.mark.parametrize(("seconds", "every"), [(40.0, 2), (0.1, 1)])
+def test_samples_are_left_out_where_the_course_is_seen_without_them(
+    tmp_path, seconds, every, capsys
+):
+    """Flights of 100 Hz were thinned to 4 Hz, and their commands with them."""
+    t = 0.01 * np.arange(105_000.0)
+    wave = np.sin(2.0 * np.pi * t / seconds)
+    np.savez(tmp_path / "a.npz", time_s=t, x_m=wave, y_m=np.sin(0.1 * t))
+    assert init(tmp_path, "--system", "ode") == 0
+    assert load_text(tmp_path).get("defaults", {}).get("every", 1) == every
+    said = "one of 2 is used" if every > 1 else "all are used"
+    assert f"210000 samples cost time: {said}" in capsys.readouterr().out
+
+
 def load_text(folder: Path) -> dict:
     return yaml.safe_load((folder / "study.yaml").read_text())
