@@ -447,3 +447,15 @@ def test_a_unit_that_changes_changes_one_column(more):
     v = rng.normal(size=400) * np.where(later, more, 1.0)
     flight = {"x": x, "z": rng.normal(size=400), "v": v, "motor": rng.normal(size=400)}
     assert bool(list(find_unit_changes(of_flights(flight)))) is (more == 1.0)
+
+
+@pytest.mark.parametrize("is_peak", [True, False])
+def test_a_peak_reaches_far_through_what_lies_between(is_peak):
+    """Rates of a servo that reverses: "far outside of all other values in 38 samples"."""
+    rng = np.random.default_rng(6)
+    values = rng.normal(size=2000)
+    for k in range(100, 2000, 100):
+        top = 8.0 + 4.0 * rng.uniform()
+        values[k : k + 3] = (0.8 * top, top, 0.7 * top) if is_peak else 3.0 * top
+    seen = Signal("rate", "channel", "rate", "rad/s", runs_of(values))
+    assert bool(list(find_far(Record(Study("rig", "ode", (), ()), (seen,), ())))) is not is_peak

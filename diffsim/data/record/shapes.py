@@ -54,6 +54,9 @@ def find_far(record: Record) -> Iterator[Finding]:
             continue
         low, high = float(inside.min()), float(inside.max())
         least = OUTSIDE * (high - low)
+        beyond = np.maximum(low - values, values - high)
+        if np.sum((beyond > 0.0) & (beyond < least)) >= np.sum(beyond >= least):
+            continue  # a peak reaches there through all that lies between
         times, count, worst, share, longest = [], 0, 0.0, 0.0, 0
         for samples in signal.runs:
             off = np.maximum(low - samples.values, samples.values - high)
