@@ -15,8 +15,8 @@ from tests.systems import test_multicopter_description as copter
 from tests.systems.rod.test_rod_description import MODEL as ROD
 from tests.systems.soft_body.described import TENDON
 
-DAYS = (291.0, 303.0, 288.0, 305.0, 293.0, 301.0, 290.0)  # [K]
-USES = ("fit",) * 4 + ("select", "select", "test")
+DAYS = (291.0, 303.0, 296.0, 299.0, 288.0, 305.0, 293.0, 301.0, 290.0, 304.0)  # [K]
+USES = ("fit",) * 6 + ("select", "select", "test", "test")
 EFFORT = {"max_effects": 1, "num_refits": 2, "max_rounds": 2}
 
 
@@ -99,7 +99,7 @@ def entry_of(report):
     return law.entry["kind"], law.entry["target"], law.variables
 
 
-@pytest.mark.cpu(35)  # two diagnoses, laws of every number of a body, causes beside them
+@pytest.mark.cpu(20)  # two diagnoses, laws of every number of a body, causes beside them
 @pytest.mark.parametrize(("make", "sd"), [(finger, 1e-4), (arm, 2e-4)])
 def test_a_stiffness_that_falls_with_the_days_warmth_is_described(make, sd):
     report = found(over_days(make(), 0.02, sd), accept_numerics=True)
