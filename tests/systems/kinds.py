@@ -635,10 +635,9 @@ def many_points_are_as_one_by_one(ready: Ready) -> None:
         with torch.no_grad():
             side_by_side = {e: torch.stack([own[e] for own in sizes]) for e in sizes[0]}
             many = model.predict_many(ready.run, q, side_by_side) / ready.noise
-            alone = [
-                model.predict(ready.run, at, own) / ready.noise
-                for at, own in zip(q, sizes, strict=True)
-            ]
+            alone = [ready.plain[0]]  # no size, at the best guess
+            for at, own in zip(q[1:], sizes[1:], strict=True):
+                alone.append(model.predict(ready.run, at, own) / ready.noise)
         off, moved = (many - torch.stack(alone)).nan_to_num(), (many - many[0]).nan_to_num()
         if is_flown and float(off.norm()) < 0.3 * float(moved.norm()):
             continue
@@ -701,7 +700,10 @@ def clocks_may_begin_at_any_second(ready: Ready) -> None:
     later = Ready(replace(ready.study, runs=tuple(map(begun_later, ready.study.runs))))
     assert later.effects.keys() == ready.effects.keys()
     timed = {"gust"}  # swings by the clock: its two sizes hold any phase
-    for names in [[], *few_at_once(e for n, e in ready.effects.items() if n not in timed)]:
+    for names in [
+        [],
+        *few_at_once((e for n, e in ready.effects.items() if n not in timed), 2 * TOGETHER),
+    ]:
         for run, same in zip(ready.cut.runs[1:2], later.cut.runs[1:2], strict=True):
             found = later.shown(same, sized(later, names, 0.7))
             wanted = ready.shown(run, sized(ready, names, 0.7))
