@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -9,6 +10,11 @@ from pathlib import Path
 # Two workers of one thread each; libraries read these when they are first loaded.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+# As scripts/test does: each worker and each process that a test starts would compile all anew.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    bytecode = str(Path(__file__).resolve().parents[1] / "build" / "bytecode")
+    sys.pycache_prefix = os.environ.setdefault("PYTHONPYCACHEPREFIX", bytecode)
+    sys.dont_write_bytecode = False
 
 import pytest  # noqa: E402
 

@@ -6,6 +6,7 @@ Neither is a bare participle; a constant says of what it is, a docstring more th
 import ast
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -57,14 +58,18 @@ def is_bare_class(node: ast.AST) -> bool:
     )
 
 
+@cache
+def documented() -> dict[Path, list[ast.Module | ast.ClassDef | ast.FunctionDef]]:
+    """Files of the package, what may have a docstring in each: first the module itself."""
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    trees = {p.relative_to(FOLDER): ast.parse(p.read_text("utf-8")) for p in FOLDER.rglob("*.py")}
+    return {p: [n for n in ast.walk(trees[p]) if isinstance(n, kinds)] for p in sorted(trees)}
+
+
 def names_of(is_bare: Callable[[ast.AST], bool]) -> list[str]:
     """Names that are bare participles, with their files."""
-    found = []
-    for path in sorted(FOLDER.rglob("*.py")):
-        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        place = path.relative_to(FOLDER)
-        found += [f"{place}:{n.lineno} {n.name}" for n in nodes if is_bare(n)]
-    return found
+    nodes = ((place, node) for place, own in documented().items() for node in own)
+    return [f"{place}:{n.lineno} {n.name}" for place, n in nodes if is_bare(n)]
 
 
 @pytest.mark.parametrize(
@@ -96,11 +101,10 @@ def test_no_class_is_one_bare_participle():
 
 def docstrings():
     """Every docstring of the package, with its place."""
-    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    for path in sorted(FOLDER.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, documented) and (text := ast.get_docstring(node, clean=False)):
-                yield f"{path.relative_to(FOLDER)} {getattr(node, 'name', '')}", text
+    for place, nodes in documented().items():
+        for node in nodes:
+            if text := ast.get_docstring(node, clean=False):
+                yield f"{place} {getattr(node, 'name', '')}", text
 
 
 def has_only_units(text: str) -> list[str]:
@@ -117,8 +121,8 @@ def test_a_noun_stands_beside_every_unit():
 def test_constants_say_of_what_they_are():
     """Constants of modules; three are left, and none may be new."""
     named = []
-    for path in sorted(FOLDER.rglob("*.py")):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for module, *_ in documented().values():
+        for node in module.body:
             targets = node.targets if isinstance(node, ast.Assign) else []
             named += [t.id for t in targets if isinstance(t, ast.Name) and t.id in VAGUE]
     assert len(set(named)) == len(named)

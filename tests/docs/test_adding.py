@@ -41,6 +41,7 @@ DIAGNOSE = """
 import json, sys
 from pathlib import Path
 
+sys.modules |= dict.fromkeys(("matplotlib", "plotly", "rerun"))  # pictures take longer than this
 from diffsim.cli.main import main
 
 folder, keys = Path(sys.argv[1]), json.loads(sys.argv[2])
@@ -105,7 +106,7 @@ def add_a_kind_and_a_format(folder):
     change(formats / "registry.py", "import arrays,", "import triples, arrays,")
 
 
-@pytest.mark.cpu(12)  # a diagnosis from the command line, in a process of its own
+@pytest.mark.cpu(8)  # a diagnosis from the command line, in a process of its own
 def test_a_kind_with_its_causes_and_a_format_work_to_a_verdict(tmp_path):
     add_a_kind_and_a_format(tmp_path)
     recorded = tmp_path / "recorded"

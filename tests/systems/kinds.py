@@ -41,7 +41,7 @@ from diffsim.systems.registry import description_of, setup_of
 SMALL = 1e-9  # added to a number: a leak of 0.01 m^2/(s Pa) is no flow any more
 SHARE = 0.3  # of usual sizes: one-sided causes act there, and no delay is a whole sample
 ROUNDING = 1e-9  # of a channel [noise sd]
-TOGETHER = 4  # causes that are simulated at once where each has its own trace
+TOGETHER = 8  # causes that are simulated at once where each has its own trace
 SEEN = 1e-2  # change of a channel that is something [noise sd]
 #: kinds whose own code still lists causes: the rules of the tables say nothing of them
 LISTED_BY_CODE = ("multicopter",)
@@ -635,10 +635,9 @@ def many_points_are_as_one_by_one(ready: Ready) -> None:
         with torch.no_grad():
             side_by_side = {e: torch.stack([own[e] for own in sizes]) for e in sizes[0]}
             many = model.predict_many(ready.run, q, side_by_side) / ready.noise
-            alone = [
-                model.predict(ready.run, at, own) / ready.noise
-                for at, own in zip(q, sizes, strict=True)
-            ]
+            alone = [ready.plain[0]]  # no size, at the best guess
+            for at, own in zip(q[1:], sizes[1:], strict=True):
+                alone.append(model.predict(ready.run, at, own) / ready.noise)
         off, moved = (many - torch.stack(alone)).nan_to_num(), (many - many[0]).nan_to_num()
         if is_flown and float(off.norm()) < 0.3 * float(moved.norm()):
             continue
@@ -702,7 +701,7 @@ def clocks_may_begin_at_any_second(ready: Ready) -> None:
     assert later.effects.keys() == ready.effects.keys()
     timed = {"gust"}  # swings by the clock: its two sizes hold any phase
     for names in [[], *few_at_once(e for n, e in ready.effects.items() if n not in timed)]:
-        for run, same in zip(ready.cut.runs[:2], later.cut.runs[:2], strict=True):
+        for run, same in zip(ready.cut.runs[1:2], later.cut.runs[1:2], strict=True):
             found = later.shown(same, sized(later, names, 0.7))
             wanted = ready.shown(run, sized(ready, names, 0.7))
             # stamps are rounded otherwise; a flight makes 1e-14 s up to 4e-5 noise sd

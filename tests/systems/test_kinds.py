@@ -85,11 +85,13 @@ def published_set(name):
     return Ready(load_study(Path(published.__file__).parent / f"{name}.yaml"))
 
 
+@pytest.mark.story
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_test_runs_of_published_sets_change_nothing(name):
     kinds.test_runs_change_nothing(published_set(name))
 
 
+@pytest.mark.story
 @pytest.mark.parametrize("name", QUICK)
 def test_answers_of_published_sets_do_not_depend_on_what_was_asked_before(name):
     kinds.answers_do_not_depend_on_what_was_asked_before(published_set(name))

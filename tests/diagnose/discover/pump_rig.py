@@ -61,7 +61,7 @@ def recorded(
     stiffen=lambda day: 1.0,
     show=lambda p_a, p_b, temperature: p_a,
     uses=("fit",) * 5 + ("select", "test"),
-    count=60,
+    count=40,
     seed=0,
 ):
     """A study of the rig.

@@ -98,7 +98,7 @@ def test_place_and_variable_are_found(hidden, entry):
     assert is_confirmed(report)
 
 
-@pytest.mark.story  # of a command every term is simulated: 13 CPU s
+@pytest.mark.story  # of a command every term is simulated: 11 CPU s
 def test_a_pump_that_warms_is_found_with_its_time():
     report = found(recorded(pump=weaker_when_warm, uses=FEW))
     assert report.verdict == "described", report.sentences

@@ -38,19 +38,19 @@ def thinner_when_warm(angle, speed, temp):
 
 @pytest.fixture(scope="module")
 def cogs():
-    return found(turntable_study(cogging, uses=USES, noise=NOISE, count=200))
+    return found(turntable_study(cogging, uses=USES, noise=NOISE, count=130))
 
 
-@pytest.mark.cpu(10)  # a whole diagnosis, then another one with the laws that it found
+@pytest.mark.cpu(8)  # a whole diagnosis, then another one with the laws that it found
 def test_one_recording_alone_claims_no_law():
     """The same cogging: nothing that was not fitted could contradict its law."""
-    report = found(turntable_study(cogging, uses=USES[:1], noise=NOISE, count=200))
+    report = found(turntable_study(cogging, uses=USES[:1], noise=NOISE, count=130))
     assert report.verdict == "ambiguous" and len(report.described.laws) == 1
     row = next(c for c in report.causes if c.name == report.described.laws[0].name)
     assert row.status == "likely" and "no other recording could contradict it" in row.doubts
 
 
-@pytest.mark.cpu(10)  # a whole diagnosis, then another one with the laws that it found
+@pytest.mark.cpu(8)  # a whole diagnosis, then another one with the laws that it found
 def test_a_hidden_cogging_is_described(cogs):
     assert cogs.verdict == "described"
     (law,) = cogs.described.laws
@@ -105,7 +105,7 @@ def test_unseen_runs_confirm_it(cogs):
     assert row.after < 1.2 * NOISE and row.before > 10.0 * NOISE
 
 
-@pytest.mark.cpu(10)  # as the first
+@pytest.mark.cpu(8)  # as the first
 def test_a_law_that_unseen_runs_do_not_ask_for_stays_out():
     """Fitted runs have twice the torque of the others, from which the law takes one error and to
     which it gives another as large: what stood before it stands."""
@@ -114,12 +114,12 @@ def test_a_law_that_unseen_runs_do_not_ask_for_stays_out():
     def faded(angle, speed, temp):
         return share * cogging(angle, speed, temp)
 
-    report = found(turntable_study(faded, uses=USES, noise=NOISE, count=200))
+    report = found(turntable_study(faded, uses=USES, noise=NOISE, count=130))
     assert report.verdict == "unknown" and not report.named
 
 
 def test_nothing_is_described_where_nothing_is_hidden():
-    report = found(turntable_study(uses=USES, noise=NOISE, count=200))
+    report = found(turntable_study(uses=USES, noise=NOISE, count=130))
     assert report.verdict == "none"
     assert report.described is None or report.described.laws == ()
 
@@ -155,7 +155,7 @@ def turned_camera(seed=0):
     return Study("camera", "bench", channels, tuple(runs), commands=commands, model=model)
 
 
-@pytest.mark.cpu(10)
+@pytest.mark.cpu(8)
 def test_two_laws_at_once_are_found_and_said_as_one_rotation():
     report = found(turned_camera())
     assert report.verdict == "described"
@@ -198,10 +198,10 @@ def stiffer_when_warm(angle, speed, temp):
     return -5e-4 * (temp - 298.0) * angle
 
 
-@pytest.mark.cpu(12)  # every law of one variable, and pairs of them, fitted in the simulator
+@pytest.mark.cpu(8)  # every law of one variable, and pairs of them, fitted in the simulator
 def test_a_law_of_two_variables_is_found_where_none_of_them_explains_as_much():
     """A spring that only warmth makes: it pulls by the angle times the temperature above a zero."""
-    study = turntable_study(stiffer_when_warm, uses=("fit", "fit"), noise=NOISE, count=160)
+    study = turntable_study(stiffer_when_warm, uses=("fit", "fit"), noise=NOISE, count=120)
     laws = fitted_laws(study)
     best = max(laws.fitted, key=lambda f: f.nats)
     pair = best.candidate.variable
@@ -217,7 +217,7 @@ def test_a_law_of_two_variables_is_found_where_none_of_them_explains_as_much():
 
 def test_one_variable_is_enough_where_it_explains_all():
     """No law of two stands beside a cogging, whatever noise promises of one."""
-    laws = fitted_laws(turntable_study(cogging, uses=("fit", "fit"), noise=NOISE, count=160))
+    laws = fitted_laws(turntable_study(cogging, uses=("fit", "fit"), noise=NOISE, count=120))
     assert laws.fitted and all(f.candidate.variable.times is None for f in laws.fitted)
 
 
@@ -259,13 +259,13 @@ def test_a_saved_law_judges_another_study(cogs, tmp_path, capsys):
     assert "confirmed" in capsys.readouterr().out
 
 
-@pytest.mark.cpu(12)  # a whole diagnosis
+@pytest.mark.cpu(10)  # a whole diagnosis
 def test_weight_off_the_shaft_is_told_in_less_than_a_turn():
     """Bumps follow it where runs went, and lead elsewhere; what an angle brings back holds."""
     noise = 1e-3  # [rad]
     report = found(
         turntable_study(
-            lambda angle, speed, temp: -0.2 * np.sin(angle + 0.4), noise=noise, count=200
+            lambda angle, speed, temp: -0.2 * np.sin(angle + 0.4), noise=noise, count=130
         )
     )
     (law,) = report.described.laws

@@ -137,7 +137,7 @@ def at_truth(model, base):
     return q
 
 
-FAST = ("propeller", "load_cell", "rod")
+FAST = ("propeller", "load_cell")
 
 
 @pytest.mark.parametrize(

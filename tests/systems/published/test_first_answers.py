@@ -7,7 +7,7 @@ import pytest
 from diffsim.cli import main
 from tests.measured import data_folder
 
-pytestmark = [pytest.mark.reference, pytest.mark.story]
+pytestmark = [pytest.mark.reference, pytest.mark.slow]
 
 # what a first answer must name
 NAMED = {
@@ -18,11 +18,8 @@ NAMED = {
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "pneumatic_arm_p25",
-        # its tosses are told apart in tests/systems/published/test_cube_toss.py
-        pytest.param("cube_toss", marks=pytest.mark.slow),
-    ],
+    # tosses are told apart in tests/systems/published/test_cube_toss.py
+    ["pneumatic_arm_p25", "cube_toss"],
 )
 def test_a_first_answer_names_the_main_causes_within_its_budget(name, tmp_path):
     data_folder(name.removesuffix("_p25"))
