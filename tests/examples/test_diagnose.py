@@ -41,7 +41,7 @@ def test_a_simulator_of_my_own_is_read_and_misses_what_rubs(tmp_path):
     assert left[0] < 4e-3 < 1e-2 < left[1]  # [m]; Euler's steps alone cost 2.7 mm
 
 
-@pytest.mark.slow
+@pytest.mark.story
 def test_a_simulator_of_my_own_lacks_friction(tmp_path):
     size = found("own_simulator", tmp_path, "dry_friction_at_rail")
     assert size.low < 0.3 < size.high < size.low + 0.06

@@ -124,7 +124,7 @@ def test_the_legs_close_by_the_diagnosed_models_command(starfish):
     assert misses[0] < 0.5 * misses[1]
 
 
-@pytest.mark.slow
+@pytest.mark.story
 @pytest.mark.parametrize("case", CASES)
 def test_what_it_buys_to_mend_the_cause(case, request):
     twin, task = request.getfixturevalue(case)

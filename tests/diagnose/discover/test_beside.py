@@ -7,7 +7,7 @@ from diffsim.diagnose.diagnosis import diagnosed
 from labs.search_compare.cars import CARS
 
 
-@pytest.mark.slow  # a whole first answer, laws looked for, and causes beside them: 15 CPU s
+@pytest.mark.story  # a whole first answer, laws looked for, and causes beside them: 15 CPU s
 def test_a_car_that_understeers_and_steers_late_is_told_by_both():
     """Alone the law leaves 12 noise sd, and no cause of the library less than 40."""
     study = CARS["car"].record(0, False)

@@ -47,7 +47,7 @@ def test_torus_learns_to_roll():
     assert abs(after["drift mm"]) < 0.05 * after["travel mm"]
 
 
-@pytest.mark.slow
+@pytest.mark.story
 def test_quadruped_goes_further_than_its_best_random_signal():
     application = dataclasses.replace(quick("quadruped", steps=160), num_starts=3)
     found = minimize(application, max_evaluations=3)

@@ -59,7 +59,7 @@ def case(tmp_path_factory):
     return {"master": 2, "domain": "bench", "index": 4, "effort": "quick", "studies": str(studies)}
 
 
-@pytest.mark.slow
+@pytest.mark.story
 def test_what_is_not_asked_cannot_change_the_answer(case):
     found = followed(case)
     assert found["followed"] and found["plain"]["outcome"] != "no answer"

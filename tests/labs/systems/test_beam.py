@@ -117,7 +117,7 @@ def beginning(run):
     return replace(run, time_s=run.time_s[:68], measured=run.measured[:68], command=command)
 
 
-@pytest.mark.slow  # a whole diagnosis
+@pytest.mark.story  # a whole diagnosis
 def test_few_runs_and_causes_end_to_end(lab):
     """A lag hidden by beam theory is named by the solid, with its size."""
     study = lab.case(7, {"lag": None}).study

@@ -81,7 +81,7 @@ def test_every_library_term_at_the_true_size_is_the_laboratorys(name):
     assert np.sqrt(found.chi2 / found.num_samples) < 0.1
 
 
-@pytest.mark.parametrize("name", ["body_drag", pytest.param("lag", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["body_drag", pytest.param("lag", marks=pytest.mark.story)])
 def test_a_hidden_cause_is_named(name):
     """Among a few candidates, from two short flights."""
     case = ShortCopterLab().case(5, {name: None})

@@ -232,7 +232,7 @@ def test_other_terms_match_the_laboratory(name):
 FEW = ("thinning", "pressure_offset_2", "pump_gain_1", "blocked_branch_1", "entrance_loss")
 
 
-@pytest.mark.slow
+@pytest.mark.story
 def test_a_hidden_cause_is_named_on_the_real_simulator():
     """Few causes and samples, a coarser grid; the full list: docs/measured/lab_network.md."""
     case = LabCase("pressure_offset", 101, hidden("pressure_offset", 1.0))

@@ -7,7 +7,7 @@ import pytest
 from diffsim.cli import main
 from tests.measured import data_folder
 
-pytestmark = [pytest.mark.reference, pytest.mark.slow]
+pytestmark = [pytest.mark.reference, pytest.mark.story]
 
 # what a first answer must name
 NAMED = {

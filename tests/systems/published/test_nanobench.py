@@ -85,7 +85,7 @@ def describe(model: dict[str, Any]) -> None:
     }
 
 
-@pytest.mark.slow  # a whole diagnosis of flights
+@pytest.mark.story  # a whole diagnosis of flights
 def test_what_the_rotors_lose_and_the_drag_are_named_with_their_sizes(study):
     report = found(study)
     assert set(report.best_names) == {"body_drag", "voltage_exponent"}, report.sentences
