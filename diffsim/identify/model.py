@@ -367,7 +367,7 @@ class SimModel:
             sizes: Size of each effect at the K points, (K, num_components) in the effect's unit.
             numerics: Factors on time step, mesh and tolerance; None: the model's own.
         """
-        if self.batched and not self._omits_zeros:
+        if self.batched and (torch.is_grad_enabled() or not self.leaves_zeros):
             out = self.predict(run, q, sizes, numerics)
             # readings that nothing of these points enters are alike at all of them
             return out.expand(len(q), *out.shape[-2:])
@@ -381,11 +381,6 @@ class SimModel:
                 change = self.predict_many(run, q[rows], there, finer) - plain[rows]
                 out = out.index_add(0, rows, size[rows, :, None] * change)
         return out
-
-    @property
-    def _omits_zeros(self) -> bool:
-        """Whether effects at size zero are left out: derivatives need all of them."""
-        return self.leaves_zeros and not torch.is_grad_enabled()
 
     @checked(kinds_only=True)
     def left_of_readings(
@@ -425,30 +420,22 @@ class SimModel:
     ) -> Tensor:
         """Predictions as of ``predict_many``, without numerical effects; faster models override
         this."""
-        if self.batched:
-            return self._simulate_groups(run, q, sizes, numerics)
-        every = not self._omits_zeros
-        acting = [{e: s[k] for e, s in sizes.items() if every or s[k].any()} for k in range(len(q))]
-        scenes = [self.scene(run, q[k], own, numerics) for k, own in enumerate(acting)]
-        return torch.stack(self.simulate_scenes(scenes))
-
-    def _simulate_groups(
-        self,
-        run: Run,
-        q: Tensor,
-        sizes: Mapping[Effect, Tensor],
-        numerics: Numerics | None = None,
-    ) -> Tensor:
-        """Predictions as of ``simulate_many``, at once at all points where the same effects act:
-        each is as if no other effect were known, and a table costs as much as it has points."""
+        if not self.batched:
+            # of a table's points nearly all sizes are zero; derivatives need all of them
+            every = torch.is_grad_enabled() or not self.leaves_zeros
+            each = range(len(q))
+            acting = [{e: s[k] for e, s in sizes.items() if every or s[k].any()} for k in each]
+            scenes = [self.scene(run, q[k], acting[k], numerics) for k in each]
+            return torch.stack(self.simulate_scenes(scenes))
+        # at once where the same effects act: each is as if no other effect were known, and a table
+        # costs as much as it has points
         groups: dict[tuple[Effect, ...], list[int]] = {}
         acts = {e: (s != 0.0).any(-1).tolist() for e, s in sizes.items()}
         for k in range(len(q)):
-            acting = tuple(e for e, there in acts.items() if there[k])
-            groups.setdefault(acting, []).append(k)
+            groups.setdefault(tuple(e for e, there in acts.items() if there[k]), []).append(k)
         parts = []
-        for acting, rows in groups.items():
-            own = {e: sizes[e][rows] for e in acting}
+        for effects, rows in groups.items():
+            own = {e: sizes[e][rows] for e in effects}
             found = self.scene(run, q[rows], own, numerics).simulate()
             # readings that nothing of these points enters are alike at all of them
             parts.append(found.expand(len(rows), *found.shape[-2:]))

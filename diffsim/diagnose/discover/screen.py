@@ -577,7 +577,7 @@ class Weigher:
             nats, typical = gain
             grams = parts.grams_of(columns[:, first:end] * typical)
             after = parts.misfit_of([part[:, first:end] * typical for part in seen], grams)
-            yield nats, *self._held(before, after), typical
+            yield nats, *self._share_out(before, after), typical
 
     def reduced(self, columns: Array) -> tuple[Array, Array]:
         """Parabola of the misfit over factors of columns, whatever the model's numbers are."""
@@ -624,9 +624,11 @@ class Weigher:
             columns: Slopes by factors that are N(0, 1), (N, k).
         """
         parts, before = self._parts
-        return self._held(before, parts.misfit_of(parts.seen(columns), parts.grams_of(columns)))
+        return self._share_out(
+            before, parts.misfit_of(parts.seen(columns), parts.grams_of(columns))
+        )
 
-    def _held(self, before: float, after: float) -> tuple[float, float]:
+    def _share_out(self, before: float, after: float) -> tuple[float, float]:
         """What ``left_out`` says of misfits without a law and with it."""
         # where the stated noise is too large, what it takes away is all that was missing
         missing = max(before - len(self.missing), before - after, 1.0)
