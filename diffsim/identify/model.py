@@ -367,7 +367,7 @@ class SimModel:
             sizes: Size of each effect at the K points, (K, num_components) in the effect's unit.
             numerics: Factors on time step, mesh and tolerance; None: the model's own.
         """
-        if self.batched:
+        if self.batched and (torch.is_grad_enabled() or not self.leaves_zeros):
             out = self.predict(run, q, sizes, numerics)
             # readings that nothing of these points enters are alike at all of them
             return out.expand(len(q), *out.shape[-2:])
@@ -420,11 +420,27 @@ class SimModel:
     ) -> Tensor:
         """Predictions as of ``predict_many``, without numerical effects; faster models override
         this."""
-        # of a table's points nearly all sizes are zero; derivatives need all of them
-        every = torch.is_grad_enabled() or not self.leaves_zeros
-        acting = [{e: s[k] for e, s in sizes.items() if every or s[k].any()} for k in range(len(q))]
-        scenes = [self.scene(run, q[k], own, numerics) for k, own in enumerate(acting)]
-        return torch.stack(self.simulate_scenes(scenes))
+        if not self.batched:
+            # of a table's points nearly all sizes are zero; derivatives need all of them
+            every = torch.is_grad_enabled() or not self.leaves_zeros
+            each = range(len(q))
+            acting = [{e: s[k] for e, s in sizes.items() if every or s[k].any()} for k in each]
+            scenes = [self.scene(run, q[k], acting[k], numerics) for k in each]
+            return torch.stack(self.simulate_scenes(scenes))
+        # at once where the same effects act: each is as if no other effect were known, and a table
+        # costs as much as it has points
+        groups: dict[tuple[Effect, ...], list[int]] = {}
+        acts = {e: (s != 0.0).any(-1).tolist() for e, s in sizes.items()}
+        for k in range(len(q)):
+            groups.setdefault(tuple(e for e, there in acts.items() if there[k]), []).append(k)
+        parts = []
+        for effects, rows in groups.items():
+            own = {e: sizes[e][rows] for e in effects}
+            found = self.scene(run, q[rows], own, numerics).simulate()
+            # readings that nothing of these points enters are alike at all of them
+            parts.append(found.expand(len(rows), *found.shape[-2:]))
+        order = [k for rows in groups.values() for k in rows]
+        return torch.cat(parts)[np.argsort(order)]
 
     @checked(kinds_only=True)
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:

@@ -14,7 +14,7 @@ from functools import cached_property
 from itertools import pairwise, permutations
 
 import numpy as np
-from scipy import linalg, special
+from scipy import linalg
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import DiffsimError
@@ -40,6 +40,7 @@ TOLD = 1e-9  # of what the record tells best, below which it tells nothing
 MOST_AGAIN = 100  # laws that are weighed again beside one that stands
 MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
 SMALL = 0.01  # of the usual magnitude at an entry: a term at which slopes are taken
+COLUMNS = 400  # of several laws, that are weighed at once
 MOST_PAIRS = 8  # laws of two variables that are weighed by what was left out, too
 WITH_PAIRS = ("force", "rate", "input", "reading")  # a number multiplies as it is
 PARTS = 4  # of a recording of less runs, that are left out one after the other
@@ -184,25 +185,32 @@ class Screen:
         Returns:
             The screen, the best of these laws, the best first, and how many were weighed.
         """
-        courses, asked = dict(self.courses), []
+        courses, asked = dict(self.courses), list[Candidate]()
+        screen, nats = replace(self, courses=courses), list[float]()
         for entry in entries:
-            if entry.kind not in WITH_PAIRS or self.reaches[entry] is None:
+            reach = self.reaches[entry]
+            if entry.kind not in WITH_PAIRS or reach is None:
                 continue
             plain = {c.variable.name: c for c in self.found if c.entry == entry and c.is_plain}
+            own = []
             for law, other in permutations(plain.values(), 2):
                 pair = law.variable.with_factor(other.variable)
                 courses[id(pair)] = courses[id(law.variable)]
-                asked.append(replace(law, variable=pair))
-        screen = replace(self, courses=courses)
-        best = sorted(asked, key=lambda c: -screen.nats_of(c))[:MOST_PAIRS]
+                own.append(replace(law, variable=pair))
+            asked += own
+            nats += screen._nats_at(reach, own)
+        best = [asked[k] for k in np.argsort(-np.array(nats), kind="stable")[:MOST_PAIRS]]
         weighed = sorted((screen.reweighed(c) for c in best), key=lambda c: c.rank)
         return screen, weighed, len(asked)
 
-    def nats_of(self, law: Candidate) -> float:
-        """Evidence of a law by its basis."""
-        columns = self.columns_of(law, law.basis.values)
-        power = float(np.sqrt(np.sum(columns**2) / len(columns)))
-        return self.weigher.gain(columns / power)[0] if 0.0 < power < np.inf else -np.inf
+    def _nats_at(self, reach: Reach, laws: Sequence[Candidate]) -> Iterator[float]:
+        """Evidence of laws of one entry by their bases."""
+        counts = [len(law.basis.terms) for law in laws]
+        for part in _in_batches(counts):
+            every = [self._terms_along(law.variable, law.basis.values) for law in laws[part]]
+            columns = reach.columns([np.hstack(run) for run in zip(*every, strict=True)])
+            for gain in self.weigher.gains(columns, counts[part]):
+                yield -np.inf if gain is None else gain[0]
 
     def misfit_of(self, candidate: Candidate) -> LawMisfit:
         """What the record tells of a law over its variable, by straight lines between points."""
@@ -249,11 +257,10 @@ class Screen:
 
     def reweighed(self, candidate: Candidate) -> Candidate:
         """The same law by the evidence of this screen."""
-        made = [
-            _weigh(self.weigher, candidate, basis, self.columns_of(candidate, basis.values))
-            for basis in candidate.basis.tried
-        ]
-        return _together(made)
+        law = candidate.basis
+        columns = np.hstack([self.columns_of(candidate, basis.values) for basis in law.tried])
+        nothing = replace(candidate, nats=-np.inf, gained=-np.inf, share=0.0)
+        return next(_weigh(self.weigher, [(candidate, law)], columns), nothing)
 
 
 def _made_of_bumps(reach: tuple[float, float], terms: Callable[[Array], Array]) -> Array:
@@ -296,12 +303,12 @@ def screen_laws(
     for k, entry in enumerate(entries):
         progress("laws", 0.5 + 0.5 * k / len(entries), f"at {entry.words}")
         at = _AtEntry(followed, weigher, port, entry, reaches[entry])
-        for variable in (v for v in variables if v.may_be_at(entry)):
-            if at.reach is None:
-                dear.append((variable, at))
-            else:
-                numbers = waves.get(id(variable), {}).get(entry, [])
-                out += at.weigh(variable, courses[id(variable)], numbers)
+        own = [v for v in variables if v.may_be_at(entry)]
+        if at.reach is None:
+            dear += [(variable, at) for variable in own]
+        else:
+            numbers = {id(v): waves.get(id(v), {}).get(entry, []) for v in own}
+            out += at.weigh(own, courses, numbers)
     # what is there at once is tried before what lasts, its own past before that of others
     dear.sort(key=lambda d: (bool(d[0].memory), d[0].of not in ("", d[1].entry.target)))
     simulated: dict[tuple[Entry, int], Array] = {}
@@ -320,12 +327,38 @@ def screen_laws(
     return Screen(followed, weigher, found, courses, reaches, simulated)
 
 
-def _weigh(weigher: Weigher, of: AskedLaw, basis: Basis, columns: Array) -> Candidate:
-    """A law by its columns, whose factors have the most probable amplitude."""
-    power = float(np.sqrt(np.sum(columns**2) / len(columns)))
-    nats, amplitude = weigher.gain(columns / power)
-    gained, share = weigher.left_out(columns / power * amplitude)
-    return Candidate(of.entry, of.variable, basis, nats, gained, share, amplitude / power)
+def _weigh(
+    weigher: Weigher, laws: Sequence[tuple[AskedLaw, Basis]], columns: Array
+) -> Iterator[Candidate]:
+    """Laws by their columns, whose factors have the most probable amplitude; those that do nothing
+    are left out.
+
+    Args:
+        weigher: Evidence beside a model.
+        laws: Each with its basis.
+        columns: Of all that each is weighed by, side by side, (num_valid, num_columns).
+    """
+    tried = [basis for _, law in laws for basis in law.tried]
+    weighed = iter(weigher.weighed(columns, [len(basis.terms) for basis in tried]))
+    for of, law in laws:
+        each = [(basis, next(weighed)) for basis in law.tried]
+        made = [Candidate(of.entry, of.variable, b, *told) for b, told in each if told is not None]
+        if made:
+            yield _together(made)
+
+
+def _in_batches(sizes: Sequence[int]) -> Iterator[slice]:
+    """Consecutive parts of about ``COLUMNS`` columns.
+
+    Args:
+        sizes: Columns of each member.
+    """
+    edges = np.cumsum([0, *sizes])
+    number = max(int(np.ceil(edges[-1] / COLUMNS)), 1)
+    cuts = np.searchsorted(edges, np.linspace(0, edges[-1], number + 1)[1:-1])
+    for first, end in pairwise([0, *cuts.tolist(), len(sizes)]):
+        if end > first:
+            yield slice(first, end)
 
 
 def _together(made: Sequence[Candidate]) -> Candidate:
@@ -347,29 +380,47 @@ class _AtEntry:
     reach: Reach | None
 
     def weigh(
-        self, variable: Variable, u: Sequence[Array], waves: Sequence[float]
+        self,
+        variables: Sequence[Variable],
+        courses: Mapping[int, Sequence[Array]],
+        waves: Mapping[int, Sequence[float]],
     ) -> Iterator[Candidate]:
-        """Laws of one variable with bumps, with the waves that repeat best, and, of an angle, with
-        that of one turn: known beforehand, it holds where bumps have no samples.
+        """Laws of each variable.
 
         Args:
-            variable: On what they depend.
-            u: The variable along each run, (num_samples,).
-            waves: Wave numbers.
+            variables: On what they depend.
+            courses: Each variable along each run, (num_samples,), by its ``id``.
+            waves: Wave numbers that repeat best, by the same.
         """
+        reach, entry = self.reach, self.entry
+        assert reach is not None
+        laws = [
+            (AskedLaw(entry, v), law)
+            for v in variables
+            for law in self._list_bases(v, courses[id(v)], waves[id(v)])
+        ]
+        for part in _in_batches([sum(len(b.terms) for b in law.tried) for _, law in laws]):
+            own = laws[part]
+            terms = [
+                np.hstack(
+                    [b.values(courses[id(of.variable)][k]) for of, law in own for b in law.tried]
+                )
+                for k in range(len(reach.runs))
+            ]
+            yield from _weigh(self.weigher, own, reach.columns(terms))
+
+    def _list_bases(
+        self, variable: Variable, u: Sequence[Array], waves: Sequence[float]
+    ) -> list[Basis]:
+        """Bumps, the waves that repeat best, and, of an angle, that of one turn: known beforehand,
+        it holds where bumps have no samples. None of a variable that rests."""
         found = _range_of(np.concatenate(u))
         if found is None:
-            return
-        reach = self.reach
-        assert reach is not None
-        laws = [bumps(*found)]
+            return []
         is_angle = variable.is_turn and variable.unit == "rad"
-        waves = [*waves, ONE_TURN] if is_angle else waves
-        laws += [Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k) for k in waves]
-        for law in laws:
-            yield from self._weigh(
-                variable, law, lambda basis: reach.columns([basis.values(v) for v in u])
-            )
+        every = [*waves, ONE_TURN] if is_angle else waves
+        turning = [Basis((f"sin({k!r}*{VALUE})", f"cos({k!r}*{VALUE})"), k) for k in every]
+        return [bumps(*found), *turning]
 
     def simulate(self, variable: Variable, reach: tuple[float, float]) -> Array | None:
         """Whitened response to bumps of a variable, a tangent for each; None where there is none
@@ -386,22 +437,9 @@ class _AtEntry:
         self, variable: Variable, reach: tuple[float, float], block: Array
     ) -> Iterator[Candidate]:
         """The law of one variable whose bumps were simulated."""
-        yield from self._weigh(
-            variable, bumps(*reach), lambda basis: block @ _made_of_bumps(reach, basis.values)
-        )
-
-    def _weigh(
-        self, variable: Variable, law: Basis, columns_of: Callable[[Basis], Array]
-    ) -> Iterator[Candidate]:
-        """The law by what it is weighed by, if it does anything."""
-        made = []
-        for basis in law.tried:
-            block = columns_of(basis)
-            power = float(np.sum(block**2))
-            if power > 0.0 and np.isfinite(power):
-                made.append(_weigh(self.weigher, AskedLaw(self.entry, variable), basis, block))
-        if made:
-            yield _together(made)
+        law = bumps(*reach)
+        columns = [block @ _made_of_bumps(reach, basis.values) for basis in law.tried]
+        yield from _weigh(self.weigher, [(AskedLaw(self.entry, variable), law)], np.hstack(columns))
 
 
 def _repeating(
@@ -500,14 +538,46 @@ class Weigher:
             columns: Slopes by its factors, (N, k); of root mean square one.
         """
         gram, right = self.reduced(columns)
-        values, vectors = linalg.eigh(gram)
-        values, along = np.maximum(values, 0.0), (vectors.T @ right) ** 2
-        squares = np.array(AMPLITUDES)[:, None] ** 2
-        nats = 0.5 * np.sum(
-            squares * along / (1.0 + squares * values) - np.log1p(squares * values), axis=1
-        )
-        mean = float(special.logsumexp(nats)) - float(np.log(len(nats)))
-        return mean, AMPLITUDES[int(np.argmax(nats))]
+        return _average(gram, right)
+
+    def gains(self, columns: Array, counts: Sequence[int]) -> Iterator[tuple[float, float] | None]:
+        """``gain`` of several laws, each as if alone, and the size of its factors.
+
+        Args:
+            columns: Slopes by the factors of each, side by side, (N, sum of ``counts``).
+            counts: Number of factors of each.
+
+        Yields:
+            Nats, and the most probable amplitude; None of a law that does nothing.
+        """
+        mixed = self.jacobian.T @ columns
+        solved = linalg.cho_solve(self.factor, mixed)
+        right = columns.T @ self.missing - solved.T @ (self.jacobian.T @ self.missing)
+        for first, end in pairwise(np.cumsum([0, *counts]).tolist()):
+            own = columns[:, first:end]
+            gram = own.T @ own
+            power = float(np.sqrt(np.trace(gram) / len(own)))
+            if not 0.0 < power < np.inf:
+                yield None
+                continue
+            gram -= mixed[:, first:end].T @ solved[:, first:end]
+            nats, amplitude = _average(gram / power**2, right[first:end] / power)
+            yield nats, amplitude / power
+
+    def weighed(
+        self, columns: Array, counts: Sequence[int]
+    ) -> Iterator[tuple[float, float, float, float] | None]:
+        """Nats of each law, ``left_out`` of it, and the size of its factors; as ``gains``."""
+        parts, before = self._parts
+        seen, edges = parts.seen(columns), np.cumsum([0, *counts]).tolist()
+        for (first, end), gain in zip(pairwise(edges), self.gains(columns, counts), strict=True):
+            if gain is None:
+                yield None
+                continue
+            nats, typical = gain
+            grams = parts.grams_of(columns[:, first:end] * typical)
+            after = parts.misfit_of([part[:, first:end] * typical for part in seen], grams)
+            yield nats, *self._share_out(before, after), typical
 
     def reduced(self, columns: Array) -> tuple[Array, Array]:
         """Parabola of the misfit over factors of columns, whatever the model's numbers are."""
@@ -554,7 +624,12 @@ class Weigher:
             columns: Slopes by factors that are N(0, 1), (N, k).
         """
         parts, before = self._parts
-        after = parts.misfit(columns)
+        return self._share_out(
+            before, parts.misfit_of(parts.seen(columns), parts.grams_of(columns))
+        )
+
+    def _share_out(self, before: float, after: float) -> tuple[float, float]:
+        """What ``left_out`` says of misfits without a law and with it."""
         # where the stated noise is too large, what it takes away is all that was missing
         missing = max(before - len(self.missing), before - after, 1.0)
         return 0.5 * (before - after), (before - after) / missing
@@ -563,7 +638,8 @@ class Weigher:
     def _parts(self) -> tuple[_Parts, float]:
         """The parts of the record, and their misfit without a law."""
         parts = _Parts.of(self.jacobian, self.missing, self.folds)
-        return parts, parts.misfit(np.zeros((len(self.missing), 0)))
+        none = np.zeros((len(self.missing), 0))
+        return parts, parts.misfit_of(parts.seen(none), parts.grams_of(none))
 
 
 @dataclass(frozen=True, eq=False)
@@ -607,19 +683,28 @@ class _Parts:
         rest = (every.sum(0) - every)[:, :count, :count] + np.eye(count)
         return cls(begins, known, every, np.linalg.inv(np.linalg.cholesky(rest)))
 
-    def misfit(self, columns: Array) -> float:
+    def seen(self, columns: Array) -> list[Array]:
+        """What each part sees of columns (N, K), (n + 1 + num_own, K) each."""
+        rows = pairwise(self.begins.tolist())
+        return [
+            known @ columns[low:high] for known, (low, high) in zip(self.known, rows, strict=True)
+        ]
+
+    def grams_of(self, columns: Array) -> Array:
+        """Their products in each part, (P, K, K)."""
+        rows = pairwise(self.begins.tolist())
+        return np.array([columns[low:high].T @ columns[low:high] for low, high in rows])
+
+    def misfit_of(self, seen: Sequence[Array], grams: Array) -> float:
         """Misfit of all parts, each with what the rest tells.
 
         Args:
-            columns: Slopes by factors of a law, (N, k).
+            seen: What parts see of the columns of a law, as of ``seen``.
+            grams: Their products, as of ``grams_of``.
         """
-        n, k, num_parts = self.roots.shape[1], columns.shape[1], len(self.known)
-        mixed, own = np.empty((num_parts, n + 1, k)), np.empty((num_parts, k, k))
-        for p, (low, high) in enumerate(pairwise(self.begins.tolist())):
-            part = columns[low:high]
-            seen = self.known[p] @ part
-            mixed[p] = seen[: n + 1]
-            own[p] = part.T @ part - seen[n + 1 :].T @ seen[n + 1 :]
+        n, k = self.roots.shape[1], grams.shape[2]
+        mixed = np.array([part[: n + 1] for part in seen])
+        own = grams - np.array([part[n + 1 :].T @ part[n + 1 :] for part in seen])
         rest = self.grams.sum(0) - self.grams
         beside = mixed.sum(0) - mixed
         # block elimination of the model's own numbers, which are the same for every law
@@ -631,6 +716,18 @@ class _Parts:
         square = d.transpose(0, 2, 1) @ (self.grams[:, :n, :n] @ d + 2.0 * mixed[:, :n] @ h)
         square = square + h.transpose(0, 2, 1) @ own @ h
         return float(np.sum(self.grams[:, n, n] + (square - 2.0 * linear)[:, 0, 0]))
+
+
+def _average(gram: Array, right: Array) -> tuple[float, float]:
+    """Nats of factors by their parabola, averaged over their amplitude; the best one."""
+    values, vectors = linalg.eigh(gram)
+    values, along = np.maximum(values, 0.0), (vectors.T @ right) ** 2
+    squares = np.array(AMPLITUDES)[:, None] ** 2
+    nats = 0.5 * np.sum(
+        squares * along / (1.0 + squares * values) - np.log1p(squares * values), axis=1
+    )
+    most = float(nats.max())
+    return most + float(np.log(np.mean(np.exp(nats - most)))), AMPLITUDES[int(np.argmax(nats))]
 
 
 @dataclass(frozen=True, eq=False)

@@ -274,7 +274,9 @@ def null_fit(case: Case) -> Null:
     """
     study = case.study
     recorded = study.runs
-    case, num_jumps = _without_jumps(case)
+    found = [without_misread(run, study.commands) for run in recorded]
+    num_jumps = sum(count for _, count in found)
+    case = replace(case, study=replace(study, runs=tuple(run for run, _ in found)))
     raw = {r.name: r.measured for r in study.runs}
     channels = [
         c
@@ -307,13 +309,6 @@ def null_fit(case: Case) -> Null:
         at = linearization_at(problem, fit.x)
     ended = gauss_newton(problem, at, until=until)
     return Null(case, noise, *ended, num_spikes, num_misread)
-
-
-def _without_jumps(case: Case) -> tuple[Case, int]:
-    """The case without jumps of measured commands, and their number."""
-    found = [without_misread(run, case.study.commands) for run in case.study.runs]
-    runs, counts = (tuple(x) for x in zip(*found, strict=True))
-    return replace(case, study=replace(case.study, runs=runs)), sum(counts)
 
 
 def _prepare(case: Case, whitener: Whitener, ended: Ended, until: float) -> tuple[Case, Ended]:

@@ -163,6 +163,7 @@ def model_of(system: FormulaSystem) -> SimModel:
     """The model of a system without effects."""
     build = partial(_build_scene, system)
     made = SimModel(build, system.base.base, system.study.name, batched=True)
+    made.leaves_zeros = True
     made.moves = bool(system.motion.states and system.motion.places)
     stated = system.motion.time_step
     num_steps = max(system.usual_interval / stated, 1.0) if stated else system.parts
