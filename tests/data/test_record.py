@@ -10,7 +10,7 @@ import yaml
 
 from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
-from diffsim.data.record.columns import find_units
+from diffsim.data.record.columns import find_copies, find_units
 from diffsim.data.record.encodings import find_codes, find_wraps
 from diffsim.data.record.shapes import _flat_at, find_flat, find_frozen, find_lasting
 from diffsim.data.record.signals import Record, Samples, Signal
@@ -345,3 +345,17 @@ def test_what_leaps_from_the_end_of_its_way_is_still_told():
     record = Record(Study("rig", "ode", (), ()), tuple(signals[:1]), tuple(signals[1:]))
     (told,) = [f.says for find in (find_frozen, find_lasting) for f in find(record)]
     assert "jumps by 0.04" in told
+
+
+def test_a_copy_is_told_once_and_with_the_constant_that_it_adds():
+    """Four motors that a log derives of one were six sentences, which called them equal."""
+    index, course = np.arange(300), 36000.0 + 3000.0 * np.sin(0.05 * np.arange(300.0))
+    signals = [
+        Signal(f"m{k}", "channel", f"m{k}", "-", (Samples("a", index, 0.1 * index, course + add),))
+        for k, add in enumerate((0.0, 50.0, -30.0, 0.0))
+    ]
+    record = Record(Study("rig", "ode", (), ()), tuple(signals), ())
+    said = [found.says for found in find_copies(record)]
+    assert len(said) == 3
+    assert ["but for a constant" in one for one in said] == [True, True, False]
+    assert "m3 is equal to column m0 of channel m0 in all rows: nothing" in said[2]
