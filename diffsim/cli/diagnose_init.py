@@ -208,6 +208,8 @@ def _runs(guess: Guess) -> Iterator[str]:
     shared: dict[str, Any] = {"setup": facts} if facts else {}
     if guess.stamps:
         shared["stamps"] = guess.stamps
+    if guess.duplicates:
+        shared["duplicates"] = guess.duplicates
     if guess.every > 1:
         shared["every"] = guess.every
     if guess.is_late:

@@ -31,7 +31,7 @@ def progress_bar(title: str, *, quiet: bool = False) -> Iterator[Progress]:
             last = fraction
             share = start + OF_THE_REST * (1.0 - start) * min(max(fraction, 0.0), 1.0)
             bar.n = max(bar.n, min(round(100 * share), NEARLY))
-            text = f"{stage} {message}".strip().replace("_", " ")  # names of causes, as words
+            text = f"{stage} {message}".strip()
             if stage == FIRST_LOOK:  # a line of its own, which stays
                 if stage not in begun:
                     bar.write(message)

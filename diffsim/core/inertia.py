@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,28 @@ def inertia_matrix(entries: Sequence[float]) -> Array:
     """The matrix (3, 3) of xx, yy, zz, xy, xz, yz."""
     xx, yy, zz, xy, xz, yz = entries
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def entries_of_matrix(given: Any) -> Any:
+    """What a user states, with three rows of three as their six entries; all else as it is.
+
+    Args:
+        given: As YAML reads it.
+
+    Raises:
+        ValueError: two entries that are one number differ.
+    """
+    if not isinstance(given, list | tuple) or len(given) != 3:
+        return given
+    if not all(isinstance(row, list | tuple) and len(row) == 3 for row in given):
+        return given
+    for i, k in _PAIRS:
+        if given[i][k] != given[k][i]:
+            raise ValueError(
+                f"row {i + 1}, column {k + 1} must equal row {k + 1}, column {i + 1}, got "
+                f"{given[i][k]!r} and {given[k][i]!r}: a matrix of inertia is symmetric"
+            )
+    return [*(given[k][k] for k in range(3)), *(given[i][k] for i, k in _PAIRS)]
 
 
 def inertia_mistake(

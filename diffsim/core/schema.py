@@ -245,11 +245,24 @@ def problem_lines(where: str, error: ValidationError) -> list[str]:
             message += " (YAML reads on, off, yes, no so; quote it, or use another word)"
         is_plain = isinstance(one["input"], (str, int, float, bool))
         is_said = "got" in message or (is_plain and repr(one["input"]) in message)
-        came = f", got {one['input']!r}" if is_plain and not is_said else ""
+        is_other_kind = one["type"].endswith("_type")
+        shown = repr(one["input"]) if is_plain else _kind_words(one["input"]) * is_other_kind
+        came = f", got {shown}" if shown and not is_said else ""
         out.append(
             f"{where}{path}: {message}{came}" if path else f"{where.rstrip(': ')}: {message}"
         )
     return out
+
+
+def _kind_words(given: Any) -> str:
+    """A block that stands where another kind is expected; empty: what came says nothing."""
+    if given is None:
+        return "nothing"
+    if isinstance(given, list | tuple):
+        return f"a list of {len(given)}"
+    if isinstance(given, Mapping):
+        return f"a mapping with {', '.join(map(str, list(given)[:3]))}" if given else "{}"
+    return ""
 
 
 def _is_below(path: tuple[str | int, ...], other: tuple[str | int, ...]) -> bool:

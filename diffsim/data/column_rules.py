@@ -30,6 +30,7 @@ from diffsim.data.names import (
     without_role,
 )
 from diffsim.data.signal import rest_and_jump, scatter, step_of
+from diffsim.data.table import is_number
 from diffsim.data.table_guess import Column
 
 _SET_UNITS = ("N", "Nm", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
@@ -55,7 +56,24 @@ def texts(guess: Guess) -> Iterable[str]:
     for c in told:
         c.role = "fact"
     rest = [c for c in guess.those("text") if c.column.name]
-    return listed("texts and empty columns, not used", dict.fromkeys(c.column.name for c in rest))
+    odd = {c.column.name: why for c in rest if (why := _odd_cell(guess, c))}
+    yield from (f"a column of numbers that cannot be read, not used: {why}" for why in odd.values())
+    rest = [c for c in rest if c.column.name not in odd]
+    yield from listed(
+        "texts and empty columns, not used", dict.fromkeys(c.column.name for c in rest)
+    )
+
+
+def _odd_cell(guess: Guess, c: GuessedColumn) -> str:
+    """The first cell that is no number where most are; empty: it is a column of texts."""
+    for run in guess.runs:
+        filled = [cell for cell in run.texts(c) if cell]
+        if 2 * sum(map(is_number, filled)) > len(filled):
+            try:
+                run.numbers(c)
+            except ValueError as error:
+                return str(error)
+    return ""
 
 
 def facts(guess: Guess) -> Iterable[str]:
@@ -77,10 +95,23 @@ def counters_and_flags(guess: Guess) -> Iterable[str]:
     for c in guess.those(""):
         run = guess.runs[0]
         rows = run.rows if not c.place else np.arange(len(run.tables[c.place]))
-        if is_counter(c.column, run.tables[c.place], rows) or IDLE.search(c.column.base):
+        is_count = is_counter(c.column, run.tables[c.place], rows)
+        if is_count or IDLE.search(c.column.base) or _is_clock_again(guess, c):
             c.role = "idle"
     names = [c.column.name for c in guess.those("idle") if not _constants(guess, c)]
     return listed("counters and flags, not used (see missing_if)", names)
+
+
+def _is_clock_again(guess: Guess, c: GuessedColumn) -> bool:
+    """Whether a column repeats the clock of the runs, as Simulink's tout does."""
+    clocks = [
+        k for k in guess.those("clock") if guess.runs[0].tables[k.place].is_number[k.column.name]
+    ]
+    return any(
+        np.array_equal(run.numbers(c), run.numbers(clock))
+        for clock in clocks
+        for run in guess.runs[:1]
+    )
 
 
 def sensed(guess: Guess) -> None:

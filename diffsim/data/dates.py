@@ -13,15 +13,21 @@ _STAMP = re.compile(
     r"\s*(?:Z|(?P<zone>[+-]\d\d)(?::?(?P<zone_min>\d\d))?)?",
     re.IGNORECASE,
 )
+#: Without colons: 20240501T123005.25Z, 2024-05-01_12-30-05.
+_BARE = re.compile(
+    r"(\d{4})([-_]?)(\d\d)\2(\d\d)[T_ -](\d\d)([-_.]?)(\d\d)(?:\6(\d\d))?"
+    r"((?:[.,]\d+)?\s*(?:Z|[+-]\d\d.*)?)",
+    re.IGNORECASE,
+)
 _EXPECTED = "expected 12:30:05.25, 2024-05-01 12:30:05.25 or 01.05.2024 12:30:05.25"
 
 
 def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
     """Seconds since midnight, or since 1970 where a date is written [s].
 
-    Dates are written 2024-05-01, 01.05.2024 or, with the month first where a day of any cell says
-    so, 5/13/2024 and 5-13-2024. A clock without a zone is taken as UTC, so that no machine's own
-    zone moves it.
+    Dates are written 2024-05-01, 20240501T123005, 01.05.2024 or, with the month first where a day
+    of any cell says so, 5/13/2024 and 5-13-2024. A clock without a zone is taken as UTC, so that
+    no machine's own zone moves it.
 
     Args:
         cells: Stamps, all written alike.
@@ -30,7 +36,7 @@ def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
         ValueError: a cell is no time, or nothing says whether the day or the month stands first;
             the exception's second argument is the index of the cell.
     """
-    found = [_STAMP.fullmatch(cell) for cell in cells]
+    found = [_STAMP.fullmatch(_with_colons(cell)) for cell in cells]
     for k, (one, cell) in enumerate(zip(found, cells, strict=True)):
         if one is None or not cell or (one["h"] is None and one["a"] is None):
             raise ValueError(f"{cell!r} is no time; {_EXPECTED}", k)
@@ -43,6 +49,15 @@ def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
         except ValueError:
             raise ValueError(f"{cells[k]!r} is no time; {_EXPECTED}", k) from None
     return out
+
+
+def _with_colons(cell: str) -> str:
+    """A stamp with the marks that ISO 8601 lets one leave out."""
+    bare = _BARE.fullmatch(cell)
+    if bare is None:
+        return cell
+    year, _, month, day, hour, _, minute, second, rest = bare.groups()
+    return f"{year}-{month}-{day} {hour}:{minute}:{second or '00'}{rest}"
 
 
 def _is_day_first(stamps: Sequence[Match[str]]) -> bool:

@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -20,6 +21,7 @@ from diffsim.core.check import did_you_mean
 from diffsim.core.figures import fold_alike
 from diffsim.data.clock_guess import guess_clock, guess_split, is_late, seconds_of
 from diffsim.data.column_rules import COLUMN_RULES
+from diffsim.data.facts_beside import facts_beside, facts_of
 from diffsim.data.folder_tables import FoundTable, files_below, find_tables
 from diffsim.data.formats import SUFFIXES
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
@@ -27,6 +29,7 @@ from diffsim.data.joined_files import Kind, join_files
 from diffsim.data.names import BESIDE, DRIVES, STATE, is_asked, log_column, px4_topic
 from diffsim.data.stamps import stamp_fault
 from diffsim.data.table import MAKER, Table
+from diffsim.data.table_guess import TABLES, last_line
 
 Rule: TypeAlias = Callable[[Guess], Iterable[str] | None]
 
@@ -53,6 +56,7 @@ _USES = {
 }
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
 _MIXED = 0.01  # of the rows, that are out of order
+_TURNS = 0.3  # of the rows have another name than the one before, where readings take turns
 _SAME = 0.02  # rms over range: commands of repeats agree to this
 
 
@@ -60,7 +64,8 @@ def search(guess: Guess) -> Iterable[str]:
     """Tables of the folder and of those in it; where there are some on top, these alone."""
     not_read: list[str] = []
     found = list(find_tables(guess.folder, not_read))
-    yield from not_read
+    sheets = tuple(f"not read: {p}: holds no" for p in files_below(guess.folder) if facts_of(p))
+    yield from (said for said in not_read if not said.startswith(sheets))
     packed = [path for path in files_below(guess.folder) if path.suffix.lower() in _PACKED]
     names = sorted(path.relative_to(guess.folder).as_posix() for path in packed)
     yield from listed("packed files, not looked into; unpack them first", names)
@@ -120,8 +125,10 @@ def families(guess: Guess) -> Iterable[str]:
         for one in guess.found
         if one.path not in taken
     )
+    is_apart = any("not joined" in said for said in guess.said)  # of one run, with their own clocks
+    other_rig = "; recordings of another rig need a folder, and a study, of their own"
     for sentence in listed("files with other columns, not used", others):
-        yield f"{sentence}; recordings of another rig need a folder, and a study, of their own"
+        yield sentence if is_apart else f"{sentence}{other_rig}"
     used = {one.reference for kind in guess.kinds for one in kind.files}
     beside = [one for one in guess.found if one.path in taken and not one.is_topic]
     rest = [one.reference for one in beside if one.reference not in used]
@@ -228,6 +235,30 @@ def clock(guess: Guess) -> Iterable[str]:
         yield "zero_time: the clock counts from long ago; every run starts at 0 s"
 
 
+def long_form(guess: Guess) -> None:
+    """A row for each reading, with its name beside it, is no record: rows are moments."""
+    if len(guess.kinds) > 1 or not guess.those("clock"):
+        return
+    table = guess.kinds[0].files[0].table
+    texts = [c.column.name for c in guess.those("") if not table.is_number[c.column.name]]
+    numbers = [c.column.name for c in guess.those("") if table.is_number[c.column.name]]
+    if not texts or len(numbers) != 1:
+        return
+    steps = np.diff(seconds_of(table, guess.time[0]))
+    for name in texts:
+        cells = table.texts(name)
+        known = list(dict.fromkeys(cells))
+        changes = sum(a != b for a, b in pairwise(cells))
+        if 1 < len(known) <= OTHERS and changes > _TURNS * len(cells) and (steps <= 0.0).any():
+            clock = guess.those("clock")[0].column.name
+            raise ValueError(
+                f"{table.path.name} has a row for each reading, by the names in column {name}; "
+                f"write a column for each of {', '.join(known)}: Grafana's transformation `Series "
+                f"joined by time`, InfluxDB's pivot(), or pandas' df.pivot(index={clock!r}, "
+                f"columns={name!r}, values={numbers[0]!r}).to_csv(...)"
+            )
+
+
 def splits(guess: Guess) -> Iterable[str]:
     """Columns whose values are runs."""
     said: list[str] = []
@@ -266,21 +297,52 @@ def runs(guess: Guess) -> Iterable[str]:
 
 
 def order(guess: Guess) -> Iterable[str]:
-    """Rows that a logger wrote out of order, a few in each file: they are sorted."""
+    """Rows that a logger wrote out of order or twice, a few in each file: they are sorted, and one
+    is kept."""
     if guess.split or len(guess.kinds) != 1 or not guess.those("clock"):
         return
-    mixed = []
+    if wrapped := _wraps(guess):
+        guess.stamps = {"jumps": "close"}
+        yield from listed(f"clocks that wrap at {wrapped[0]} go on by the usual step", wrapped[1])
+        return
+    mixed, equal = [], []
     for run in guess.runs:
         now = seconds_of(run.tables[0], guess.time[0])
         latest, least = np.maximum.accumulate(now), np.minimum.accumulate(now[::-1])[::-1]
         # rows out of place, not steps back: of recordings one after another these are few
         back = min(int((now < latest).sum()), int((now > least).sum()))
+        again = len(now) - len(np.unique(now))
         fault = stamp_fault(now)
-        if back > _MIXED * len(now) or (fault is not None and "sort" not in fault[2]):
+        known = ("sort", "duplicates")
+        is_other = fault is not None and not any(word in fault[2] for word in known)
+        if back > _MIXED * len(now) or again > max(_MIXED * len(now), 1) or is_other:
             return
         mixed += [f"{run.name} ({back})"] if back else []
+        equal += [f"{run.name} ({again})"] if again else []
     guess.stamps = {"backward": "sort"} if mixed else {}
+    guess.duplicates = "first" if equal else None
+    yield from listed("rows with the stamp of another, of which the first is kept", equal)
     yield from listed("rows out of order, sorted by their stamps", mixed)
+
+
+def _wraps(guess: Guess) -> tuple[int, list[str]] | None:
+    """The count at which the clock of some runs begins anew, and these runs; None: it does not."""
+    clock = guess.those("clock")[0]
+    for most in (2**16, 2**32):
+        found = []
+        for run in guess.runs:
+            if not run.tables[0].is_number[clock.column.name]:
+                return None
+            steps = np.diff(run.numbers(clock))
+            back = steps[steps < 0.0]
+            usual = float(np.median(steps)) if len(steps) else 0.0
+            if len(back) and not (np.abs(back + most - usual) <= usual).all():
+                break
+            found += [run.name] if len(back) else []
+        else:
+            if found:
+                return most, found
+    return None
 
 
 def lists_of_runs(guess: Guess) -> Iterable[str]:
@@ -378,14 +440,15 @@ def uses(guess: Guess) -> Iterable[str]:
 
 
 def _set_named_uses(guess: Guess) -> bool:
-    """Give runs the uses of their names, where some are called fitted and others kept back; whether
-    these are."""
+    """Give runs the uses of their names, where some are kept back by theirs and others are not;
+    whether these are. Where most are called so, "test" is what a run is called."""
     named: list[str] = []
     for run in guess.runs:
         words = _words_of(run).values()
         found = [use for use, one in _USES.items() if any(one.fullmatch(w) for w in words)]
         named.append(found[0] if len(found) == 1 else "")
-    if "fit" not in named or not {"select", "test"} & set(named):
+    kept = sum(use in ("select", "test") for use in named)
+    if not kept or kept == len(named) or ("fit" not in named and 2 * kept > len(named)):
         return False
     for run, use in zip(guess.runs, named, strict=True):
         # what chooses is what judges where nothing else does
@@ -431,6 +494,7 @@ RULES: tuple[Rule, ...] = (
     exported_topics,
     headers,
     clock,
+    long_form,
     splits,
     runs,
     order,
@@ -438,6 +502,7 @@ RULES: tuple[Rule, ...] = (
     lists_of_runs,
     numbers_in_names,
     labels_in_names,
+    facts_beside,
     repeats,
     uses,
     size,
@@ -486,6 +551,12 @@ def _why_none(folder: Path) -> str:
     mend = f"unpack {packed[0]} first" if packed else ""
     mend = f"`python {folder / MAKER}` makes its files" if MAKER in there else mend
     expected = f"a table is a CSV file, or one of {', '.join(SUFFIXES)}"
+    texts = (folder / name for name in there if Path(name).suffix.lower() in TABLES)
+    if line := next(filter(None, map(last_line, texts)), ""):
+        expected = (
+            f"lines such as {line!r} are no rows; a table is a line of names above rows of nothing "
+            "but numbers, dates and labels, with commas, semicolons, tabs or blanks between them"
+        )
     return (
         f"{folder} has no table with rows of numbers, nor has a folder in it; it has "
         f"{', '.join(there[:8])}{', ...' if there[8:] else ''}: {mend or expected}"

@@ -91,6 +91,7 @@ class Guess:
         columns: Columns of the files of a run.
         time: Keys of ``time``, of each clock where a run's files have several.
         stamps: Keys of ``stamps`` that mend the clock of all runs.
+        duplicates: What is done with equal stamps of all runs; None: nothing, there are none.
         is_late: Whether the clock counts from long ago, so that runs should start at 0 s.
         runs: Runs, one for each file or value of ``split``.
         split: Columns whose values are runs; empty: each file is one.
@@ -107,6 +108,7 @@ class Guess:
     columns: list[GuessedColumn] = field(default_factory=list)
     time: list[dict[str, Any]] = field(default_factory=list)
     stamps: dict[str, str] = field(default_factory=dict)
+    duplicates: str | None = None
     is_late: bool = False
     runs: list[GuessedRun] = field(default_factory=list)
     split: tuple[Column, ...] = ()

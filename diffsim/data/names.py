@@ -53,7 +53,7 @@ COMMAND = re.compile(
     rf"(^|_)({_DESIRED}|input|pwm|duty|"
     r"throttle|esc|signal|demand|actions?|control|controller|drive|pump|valve|contraction|"
     r"consigne|voltage)(_|\d|$)"
-    r"|^u\d*$|^(m|mot|motor|rotor|rpm|servo|rc|out)_?\d+$",
+    r"|^u\d*$|^((motor|actuator|servo)s?_)?(m|mot|motor|rotor|rpm|servo|rc|out)_?\d+$",
     re.I,
 )
 VOLTAGE = re.compile(r"^u\d*$|(^|_)voltage(_|\d|$)", re.I)  # commanded, or what a current leaves

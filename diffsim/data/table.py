@@ -43,7 +43,7 @@ def delimiter_of(header: str, sample: str = "") -> str:
     blank where the first sample is several numbers with nothing but blanks between them."""
     found = next((mark for mark in (";", "\t") if mark in header), ",")
     cells = sample.split()
-    is_blank = found == "," and len(cells) > 1 and all(map(_is_number, cells))
+    is_blank = found == "," and len(cells) > 1 and all(map(is_number, cells))
     return " " if is_blank else found
 
 
@@ -187,8 +187,15 @@ def _rows(path: Path, rows: Iterator[list[str]], before: int) -> Iterator[list[s
 
 
 def _number_rows(
-    path: Path, header: list[str], rows: Iterator[list[str]], before: int, comma_is_point: bool
+    path: Path,
+    header: list[str],
+    rows: Iterator[list[str]],
+    before: int,
+    comma_is_point: bool,
+    passed: list[str] | None = None,
 ) -> Iterator[tuple[int, list[str]]]:
+    """Rows with their lines; a logger's words between rows of numbers are left out, and added to
+    ``passed``."""
     held: list[tuple[int, list[str]]] = []  # until a first cell says what this column holds
     are_numbers: bool | None = None
     for row in _rows(path, rows, before):
@@ -201,11 +208,15 @@ def _number_rows(
         is_remark = first.startswith("#") and first.lower() not in MISSING  # of the logger
         if is_remark and (are_numbers or len(row) != len(header)):
             continue
+        if passed is not None and are_numbers and _are_words(row, header):
+            passed.append(f"row {line}, {' '.join(row).strip()[:40]!r}")
+            continue
         if len(row) != len(header):
+            last = "" if next(rows, None) else "; it is the last one: was the file cut off?"
             raise ValueError(
                 f"{path}, row {line}: {len(row)} cells, but the header has {len(header)} "
                 "columns; a cell without a value must still have its comma, a line of text begin "
-                "with #"
+                f"with #{last}"
             )
         if comma_is_point:
             row = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row]
@@ -218,6 +229,11 @@ def _number_rows(
         yield line, row
     if are_numbers is None:
         yield from held  # every cell of it begins like that: "#12" may be a name
+
+
+def _are_words(row: Sequence[str], header: Sequence[str]) -> bool:
+    """Whether a line has fewer cells than a row, and no number: OK, or ERR: timeout."""
+    return len(row) < len(header) and not any(is_number(cell.strip()) for cell in row)
 
 
 def time_column(path: Path, header: list[str]) -> int:
@@ -248,7 +264,10 @@ def parse_number(
             f"leave the cell empty where {missing}"
         ) from None
     if not math.isfinite(value):
-        raise ValueError(f"{path}, row {line}, column {column}: {text!r} is not a finite number")
+        raise ValueError(
+            f"{path}, row {line}, column {column}: {text!r} is not a finite number; leave the cell "
+            f"empty where {missing}"
+        )
     return value
 
 
@@ -316,7 +335,11 @@ class Table:
             self._read, self._numbers, self.lines = read, dict(read.columns), read.lines
             self.header = list(self._numbers)
         else:
-            self.lines, self._cells = _all_cells_of(*self._form)
+            passed: list[str] = []
+            self.lines, self._cells = _all_cells_of(*self._form, passed)
+            if passed:
+                more = f", and {len(passed) - 1} more" if passed[1:] else ""
+                self.left_out = [f"{path.name}: lines that are no rows: {passed[0]}{more}"]
             self.header = list(self._cells)
 
     @cached_property
@@ -325,7 +348,7 @@ class Table:
         if self._arrays:
             arrays = self._arrays.items()
             return {name: [str(cell).strip() for cell in a.tolist()] for name, a in arrays}
-        return _all_cells_of(*self._form)[1]
+        return _all_cells_of(*self._form, [])[1]
 
     def twin(self) -> Table:
         """The same table; what is asked of it does not count as used."""
@@ -525,12 +548,17 @@ def _all_numbers_of(
 
 
 def _all_cells_of(
-    path: Path, what: str, header_line: int, first_line: int | None, columns: Sequence[str]
+    path: Path,
+    what: str,
+    header_line: int,
+    first_line: int | None,
+    columns: Sequence[str],
+    passed: list[str],
 ) -> tuple[list[int], dict[str, list[str]]]:
     """Line of each row of a file, and the cells by column, lists spread out."""
     with _open_lines(path, what, header_line, first_line, columns) as (header, mark, before, lines):
         rows = csv.reader(lines, delimiter=mark, skipinitialspace=mark == " ")
-        numbered = list(_number_rows(path, header, rows, before, mark != ","))
+        numbered = list(_number_rows(path, header, rows, before, mark != ",", passed))
     if not numbered:
         raise ValueError(f"{path}: no rows below the header; was the export cut short?")
     places = [line for line, _ in numbered]
@@ -541,7 +569,7 @@ def _all_cells_of(
 
 def is_list(cell: str) -> bool:
     """Whether a cell holds a list of numbers, such as "[0.1, 0.2]" or "(1 2)"."""
-    return cell[:1] in ("[", "(") and all(map(_is_number, _entries(cell)))
+    return cell[:1] in ("[", "(") and all(map(is_number, _entries(cell)))
 
 
 def names_of(name: str, cell: str) -> list[str]:
@@ -588,7 +616,8 @@ def _spread_arrays(path: Path, columns: Columns) -> Columns:
     return out
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a cell is a number, NaN and infinite ones too."""
     try:
         float("" if "_" in text else text)
     except ValueError:

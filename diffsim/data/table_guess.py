@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections import Counter
 from dataclasses import dataclass
 from itertools import islice
@@ -24,6 +25,7 @@ FEWEST_ROWS = 5  # of numbers, that a file without a header must have
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".asc")
 _PLACE = "column_{}"  # name of a column without any
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
+_DATE = re.compile(r"\s*\d{4}-?\d\d-?\d\d[T_ ]\d\d.*")  # a clock, as numbers are
 _ENTRY = re.compile(r"^(.*[^\]])((?:\[\d+\])+)$")
 _BRACKETS = re.compile(r"^(.*?)\s*[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]\s*$")
 _AFTER = re.compile(r"^(.*\S)\s+(?:/|in)\s+(\S+)$")
@@ -44,6 +46,8 @@ _ENDINGS = {
     "mV_V": "mV/V", "km_h": "km/h", "uL_min": "uL/min", "mL_min": "mL/min", "L_min": "L/min",
 }  # fmt: skip
 _LISTED = sorted(_ENDINGS, key=len, reverse=True)
+_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER ([A-Z ]+)")
+_DOTS = {"\N{COMBINING DOT ABOVE}": "dot ", "\N{COMBINING DIAERESIS}": "ddot "}
 _WORDS = ("min", "s", "m")  # beside a unit: least, a letter
 _ENDINGS_AFTER = {
     "A": ("A", r"cur|amp|(^|_)i_?\d*$"),
@@ -121,6 +125,15 @@ def layout_of(path: Path) -> TableLayout | None:
         for name in names_of(header, cell)
     )
     return TableLayout(above[0] + 1, first + 1, tuple(columns))
+
+
+def last_line(path: Path) -> str:
+    """The last of a file's first lines that has a digit, at most 60 letters of it."""
+    if not path.is_file():
+        return ""
+    with open_text(path) as file:
+        lines = [line.strip() for line in islice(file, FIRST_LINES)]
+    return next((line[:60] for line in reversed(lines) if re.search(r"\d", line)), "")
 
 
 def _lines_above(rows: list[list[str]], first: int, are_remarks: list[bool]) -> list[int]:
@@ -254,7 +267,7 @@ def _is_like(row: list[str], sample: list[str]) -> bool:
 
 
 def _holds_numbers(cell: str) -> bool:
-    return bool(_NUMBER.fullmatch(cell)) or is_list(cell)
+    return bool(_NUMBER.fullmatch(cell) or _DATE.fullmatch(cell)) or is_list(cell)
 
 
 def _is_unit(text: str) -> bool:
@@ -266,6 +279,19 @@ def _is_unit(text: str) -> bool:
 
 
 def _word(text: str) -> str:
-    """A name that formulas can use."""
-    word = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "column"
-    return f"c_{word}" if word[0].isdigit() else word
+    """A name that formulas can use; letters of any script are kept, Greek ones are spelled out."""
+    plain = unicodedata.normalize("NFKC", "".join(map(_spell, unicodedata.normalize("NFC", text))))
+    word = re.sub(r"\W+_*", "_", plain).strip("_") or "column"
+    return word if word.isidentifier() else f"c_{word}"
+
+
+def _spell(letter: str) -> str:
+    """A Greek letter by its name, such as theta; a dot above is a derivative, any other itself."""
+    if letter in _DOTS:
+        return _DOTS[letter]
+    name = unicodedata.name(letter, "")
+    found = _GREEK.fullmatch(name)
+    if found is None or "WITH" in name:
+        return letter
+    spelled = found[2].lower().replace("lamda", "lambda").removeprefix("final ")
+    return f"{spelled if found[1] == 'SMALL' else spelled.capitalize()} "

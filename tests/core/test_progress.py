@@ -47,12 +47,12 @@ def lines(capsys):
 def test_a_log_of_a_diagnosis_has_a_line_for_each_stage(capsys):
     with diagnosis_bar("diagnose") as show:
         for stage, share in (("plain", 0.0), ("plain", 0.1), ("search", 0.2), ("plain", 0.3)):
-            show(stage, share, f"a_step {share}")  # a cause by its name
+            show(stage, share, f"step_1.csv {share}")  # a file keeps its name
     told = [re.sub(r", \d+ s", "", line) for line in lines(capsys)]
     assert [line for line in told if "step" in line] == [
-        "diagnose: 0 %, plain a step 0.0",
-        "diagnose: 14 %, search a step 0.2",
-        "diagnose: 100 %, plain a step 0.3",
+        "diagnose: 0 %, plain step_1.csv 0.0",
+        "diagnose: 14 %, search step_1.csv 0.2",
+        "diagnose: 100 %, plain step_1.csv 0.3",
     ]
 
 

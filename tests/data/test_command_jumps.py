@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from diffsim.data.command_jumps import jumps_of
+from diffsim.data.record.shapes import find_jumps
+from diffsim.data.record.signals import Record
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_check import check_study
 
@@ -77,6 +79,28 @@ def test_check_says_which_command_of_which_run_jumps_by_how_much():
     assert "mm, first at 0.6 s" in said[0].message
     still = replace(study, runs=(replace(run, command={"support": SWAY + NOISE}),))
     assert not [p for p in check_study(still) if "jumps" in p.message]
+
+
+def test_what_jumps_in_many_runs_is_one_sentence():
+    """A log of a copter had 21 lines, one for each run, motor and kind of jump."""
+    rng, runs = np.random.default_rng(6), []
+    at = np.arange(len(TIME))
+    for k, name in enumerate(("first", "second", "third")):
+        course = {f"u{i}": SWAY + 1e-4 * rng.normal(size=len(TIME)) for i in range(3)}
+        course["u1"] += np.where(at == 60 + k, 0.05, 0.0)
+        course["u2"] += np.where(at > 90 + k, 0.08, 0.0)
+        tip = SWAY + 1e-4 * rng.normal(size=len(TIME))
+        runs.append(Run(name, TIME, tip[:, None], course, name, k, "fit"))
+    commands = tuple(Command(f"u{i}", "-", is_measured=True) for i in range(3))
+    channel = Channel("tip", "m", "position", sd=1e-4)
+    study = Study("copter", "soft_body", (channel,), tuple(runs), commands=commands)
+    (found,) = find_jumps(Record.of(study))
+    assert (found.where, found.stops) == ("study", False)
+    assert found.says.startswith(
+        "commands u1, u2 jump off and back at 3 samples and jump and stay at 3 samples of 3 runs, "
+        "by up to 0.08"
+    )
+    assert found.says.endswith("first at 0.6 s of run first")
 
 
 def test_check_tells_samples_that_a_sensor_misread():

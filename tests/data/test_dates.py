@@ -27,6 +27,11 @@ DAY = 86400.0
         (("2026-10-24 09:12:04+02", "2026-10-24 09:12:04+00"), 7200.0),
         (("5/6/2026 10:00:00", "5/6/2026 10:00:01"), 1.0),  # whichever it is, it is one day
         (("9:05:00", "9:05:00.250"), 0.25),
+        (("20240501T123005", "20240501T123006"), 1.0),
+        (("20240501T123005Z", "20240501T143005.250+0200"), 0.25),
+        (("20240430_235959,5", "20240501_000000"), 0.5),
+        (("2024-05-01_12-30-05", "2024-05-01_12-31-05.125"), 60.125),
+        (("20240501 1230", "20240501 1231"), 60.0),
     ],
 )
 def test_the_ways_people_write_dates(cells: tuple[str, str], apart: float) -> None:
@@ -41,7 +46,19 @@ def test_day_or_month_first_is_not_guessed(mark: str) -> None:
         seconds_of_stamps(cells)
 
 
-@pytest.mark.parametrize("cell", ["", "31.02.2026 10:00:00", "25:00:00", "13:00 PM", "1.2.3", "on"])
+@pytest.mark.parametrize(
+    "cell",
+    [
+        "",
+        "31.02.2026 10:00:00",
+        "25:00:00",
+        "13:00 PM",
+        "1.2.3",
+        "on",
+        "20241301T000000",
+        "20240501T250000",
+    ],
+)
 def test_what_is_no_time_is_refused(cell: str) -> None:
     with pytest.raises(ValueError, match="is no time; expected") as error:
         seconds_of_stamps(["10:00:00", cell] if ":" in cell else ["24.10.2026 09:12", cell])

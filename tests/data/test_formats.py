@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+import scipy.io
 
 from diffsim.cli import main
 from diffsim.data.formats import left_out_of, parts_of, read_columns, write_columns
@@ -596,3 +597,30 @@ def test_messages_in_blocks_are_the_columns_of_all(monkeypatch):
     for name, values in whole.items():
         np.testing.assert_array_equal(parts[name], values)
         assert parts[name].dtype.kind == values.dtype.kind
+
+
+def test_a_row_of_units_below_the_names_of_a_sheet(tmp_path):
+    """Names were [s], [bar]; two columns of one unit were refused as having one name."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["Zeit", "Druck", "Gegendruck"], ["[s]", "(bar)", "(bar)"], [], [0, 1.5, 1.0]):
+        book.active.append(row)
+    book.active.append([0.1, 1.6, 1.0])
+    book.create_sheet("Info").append(["Masse [kg]", 180])
+    book.save(tmp_path / "run.xlsx")
+    found = read_columns(tmp_path / "run.xlsx")
+    assert list(found) == ["Zeit [s]", "Druck [bar]", "Gegendruck [bar]"]
+    assert left_out_of(tmp_path / "run.xlsx") == ["run.xlsx: sheet Info: no table"]
+
+
+def test_a_struct_with_time_of_simulink_has_a_column_for_each_signal(tmp_path):
+    """Its signals were left out as no table."""
+    kinds = [(name, object) for name in ("values", "dimensions", "label", "blockName")]
+    signals = np.empty((1, 3), dtype=kinds)
+    for k, (label, block) in enumerate((("theta", "m/a"), ("", "m/current"), ("theta", "m/b"))):
+        signals[0, k] = (np.arange(4.0)[:, None] * k, 1.0, label, block)
+    scope = {"time": 0.1 * np.arange(4.0)[:, None], "signals": signals, "blockName": "m/Scope"}
+    scipy.io.savemat(tmp_path / "run.mat", {"Scope": scope})
+    found = read_columns(tmp_path / "run.mat#Scope")
+    assert list(found) == ["time", "theta", "current", "theta_3"]
+    assert found["current"].tolist() == [0.0, 1.0, 2.0, 3.0]

@@ -10,7 +10,7 @@ import yaml
 
 from diffsim.cli.main import main
 from diffsim.data.codes import unfolded
-from diffsim.data.record.columns import find_unit_changes, find_units
+from diffsim.data.record.columns import find_copies, find_unit_changes, find_units
 from diffsim.data.record.encodings import find_codes, find_folded, find_signs, find_wraps
 from diffsim.data.record.shapes import _flat_at, find_far, find_flat, find_frozen, find_lasting
 from diffsim.data.record.signals import Record, Samples, Signal
@@ -459,3 +459,17 @@ def test_a_peak_reaches_far_through_what_lies_between(is_peak):
         values[k : k + 3] = (0.8 * top, top, 0.7 * top) if is_peak else 3.0 * top
     seen = Signal("rate", "channel", "rate", "rad/s", runs_of(values))
     assert bool(list(find_far(Record(Study("rig", "ode", (), ()), (seen,), ())))) is not is_peak
+
+
+def test_a_copy_is_told_once_and_with_the_constant_that_it_adds():
+    """Four motors that a log derives of one were six sentences, which called them equal."""
+    index, course = np.arange(300), 36000.0 + 3000.0 * np.sin(0.05 * np.arange(300.0))
+    signals = [
+        Signal(f"m{k}", "channel", f"m{k}", "-", (Samples("a", index, 0.1 * index, course + add),))
+        for k, add in enumerate((0.0, 50.0, -30.0, 0.0))
+    ]
+    record = Record(Study("rig", "ode", (), ()), tuple(signals), ())
+    said = [found.says for found in find_copies(record)]
+    assert len(said) == 3
+    assert ["but for a constant" in one for one in said] == [True, True, False]
+    assert "m3 is equal to column m0 of channel m0 in all rows: nothing" in said[2]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from diffsim.core.inertia import entries_of_matrix
 from diffsim.core.schema import FinitePart
 from diffsim.core.schema_numbers import (
     Kilograms,
@@ -94,7 +95,8 @@ class VehicleFile(FinitePart):
     mass: Kilograms | None = Field(None, gt=0, description="Mass with the battery [kg]")
     inertia: tuple[float, ...] | None = Field(
         None,
-        description="[xx, yy, zz] or [xx, yy, zz, xy, xz, yz] about the center of mass [kg m^2]",
+        description="[xx, yy, zz], [xx, yy, zz, xy, xz, yz] or three rows of three, about the "
+        "center of mass [kg m^2]",
     )
     center_of_mass: Point | None = Field(
         None, description="In the frame that rotors are placed in; default: its origin [m]"
@@ -108,6 +110,11 @@ class VehicleFile(FinitePart):
     battery: BatteryFacts | None = Field(
         None, description="Default: three cells of 2200 mA h (for a flight in closed loop only)"
     )
+
+    @field_validator("inertia", mode="before")
+    @classmethod
+    def _read_matrix(cls, given: Any) -> Any:
+        return entries_of_matrix(given)
 
     @field_validator("inertia")
     @classmethod

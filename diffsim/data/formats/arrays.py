@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.optional import optional
+from diffsim.core.units import to_si
 from diffsim.data.formats.columns import Columns, arrays_of_a_table, flat, require_room, text_of
 
 _MOST_ROWS = 1_048_576  # of a sheet, by Excel
@@ -85,6 +86,15 @@ def xlsx_parts(path: Path) -> list[str]:
         book.close()
 
 
+def xlsx_left_out(path: Path, part: str) -> list[str]:
+    """Sheets without a table."""
+    tables, book = xlsx_parts(path), _open(path)
+    try:
+        return [f"sheet {name}: no table" for name in book.sheetnames if name not in tables]
+    finally:
+        book.close()
+
+
 def read_xlsx(path: Path, part: str) -> Columns:
     """Columns of a sheet; empty cells are NaN, dates are seconds since 1970."""
     book = _open(path)
@@ -103,17 +113,39 @@ def read_xlsx(path: Path, part: str) -> Columns:
 
 
 def _header(sheet: Any) -> tuple[int, dict[int, str]] | None:
-    """Line of the names, from 1, and the names by place: texts right above the first numbers."""
+    """Line above the numbers, from 1, and the names by place: texts right above the first numbers,
+    with the units that a row between them states."""
+    above: dict[int, str] = {}
     names: dict[int, str] = {}
     for line, row in enumerate(sheet.iter_rows(max_row=_HEADER_ROWS, values_only=True), start=1):
         numbers = [k for k, cell in enumerate(row) if _is_number(cell)]
-        if len(numbers) >= 2 and set(numbers) <= set(names):
-            return line - 1, names
         texts = {k: cell.strip() for k, cell in enumerate(row) if isinstance(cell, str)}
-        names = {k: text for k, text in texts.items() if text}
-        if len(set(names.values())) < len(names):
-            raise ValueError(f"sheet {sheet.title!r}, row {line}: two columns have the same name")
+        if len(numbers) >= 2:
+            if set(numbers) <= set(above) and all(map(_is_bare_unit, names.values())):
+                names = {k: f"{name} {_in_brackets(names.get(k, ''))}" for k, name in above.items()}
+                names = {k: name.strip() for k, name in names.items()}
+            if set(numbers) <= set(names):
+                if len(set(names.values())) < len(names):
+                    raise ValueError(
+                        f"sheet {sheet.title!r}, row {line - 1}: two columns have the same name"
+                    )
+                return line - 1, names
+        if any(texts.values()) or numbers:
+            above, names = names, {k: text for k, text in texts.items() if text}
     return None
+
+
+def _is_bare_unit(text: str) -> bool:
+    try:
+        to_si(text.strip("()[]{}<> "))
+    except ValueError:
+        return False
+    return True
+
+
+def _in_brackets(unit: str) -> str:
+    bare = unit.strip("()[]{}<> ")
+    return f"[{bare}]" if bare else ""
 
 
 def _is_number(cell: Any) -> bool:

@@ -286,6 +286,11 @@ def _rosbag(path: Path) -> Any:
     store = optional("rosbags.typesys", purpose="a rosbag")
     # a ROS 2 bag is a folder: the file lies in it, beside metadata.yaml
     where = path.parent if path.suffix == ".db3" else path
+    if path.suffix == ".db3" and not (path.parent / "metadata.yaml").is_file():
+        raise ValueError(
+            "metadata.yaml of its bag is not beside it; `ros2 bag reindex FOLDER -s sqlite3` "
+            "writes it, a folder for each bag"
+        )
     types = store.get_typestore(store.Stores.ROS2_HUMBLE)
     return highlevel.AnyReader([where], default_typestore=types)
 

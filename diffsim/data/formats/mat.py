@@ -73,11 +73,25 @@ def _tables(path: Path) -> dict[str, dict[str, Any]]:
         content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
     variables = {k: v for k, v in content.items() if not k.startswith("__")}
     structs = {
-        name: {field: getattr(value, field) for field in value._fieldnames}
+        name: _with_signals({field: getattr(value, field) for field in value._fieldnames})
         for name, value in variables.items()
         if hasattr(value, "_fieldnames")
     }
     return {"": {k: v for k, v in variables.items() if k not in structs}, **structs}
+
+
+def _with_signals(members: dict[str, Any]) -> dict[str, Any]:
+    """A struct with time of Simulink, each of its signals by its label, else by its block."""
+    signals = np.atleast_1d(members.get("signals", np.empty(0, dtype=object)))
+    if "time" not in members or not all(hasattr(one, "values") for one in signals):
+        return members
+    out = {name: value for name, value in members.items() if name not in ("signals", "blockName")}
+    for k, one in enumerate(signals, 1):
+        texts = (getattr(one, field, "") for field in ("label", "blockName"))
+        label, block = (t.strip() if isinstance(t, str) else "" for t in texts)  # empty: an array
+        name = label or block.rpartition("/")[2] or f"signal_{k}"
+        out[f"{name}_{k}" if name in out else name] = one.values
+    return out
 
 
 def _columns(members: Mapping[str, Any]) -> Columns:

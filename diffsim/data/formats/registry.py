@@ -41,6 +41,7 @@ _LEFT_OUT: dict[str, LeftOut] = {
     ".hdf5": hdf5.left_out,
     ".mat": mat.left_out,
     ".npz": arrays.npz_left_out,
+    ".xlsx": arrays.xlsx_left_out,
     ".json": json_records.left_out,
     ".jsonl": json_records.left_out,
     ".ulg": logs.ulog_lost,

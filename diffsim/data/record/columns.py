@@ -33,26 +33,31 @@ BIG = 20.0  # factor between units of a channel and its command: less may be a g
 
 
 def find_copies(record: Record) -> Iterator[Finding]:
-    """Channels that are a copy of another column, scaled or late."""
+    """Channels that are a copy of another column, scaled or late; each is said once."""
+    told: set[str] = set()
     for first, second in combinations(tuple(record.signals), 2):
         channel, other = (second, first) if second.role == "channel" else (first, second)
+        if channel.where in told:
+            continue
         shifts = SHIFTS if other.role == "command" and channel.role == "channel" else (0,)
         for rows in shifts:
-            times = _proportion(channel, other, rows)
-            if times is not None:
-                if (found := _copy(record, channel, other, rows, times)) is not None:
+            made = _proportion(channel, other, rows)
+            if made is not None:
+                if (found := _copy(channel, other, rows, *made)) is not None:
+                    told.add(channel.where)
                     yield found
                 break
 
 
 def _copy(
-    record: Record, channel: Signal, other: Signal, rows: int, times: float
+    channel: Signal, other: Signal, rows: int, times: float, is_moved: bool
 ) -> Finding | None:
     is_stated = None not in (channel.unit, other.unit)
     if channel.role == "command" and (not is_stated or channel.unit == other.unit):
         return None  # two drives may be given one course
     what = "equal to" if times == 1.0 else f"{times:.6g} times"
     late = f", {counted(rows, 'row')} late" if rows else ""
+    late += ", but for a constant" if is_moved else ""
     return Finding(
         channel.where,
         f"its column {channel.column} is {what} column {other.column} of {other.where} in all "
@@ -63,9 +68,11 @@ def _copy(
     )
 
 
-def _proportion(a: Signal, b: Signal, rows: int) -> float | None:
-    """How many times ``b``, and a number, makes ``a`` in all rows; None: none does."""
+def _proportion(a: Signal, b: Signal, rows: int) -> tuple[float, bool] | None:
+    """How many times ``b`` makes ``a`` in all rows, and whether a constant is added; None: none
+    does."""
     times: float | None = None
+    is_moved = False
     shown = 0
     for x in a.runs:
         y = b.of_run(x.run)
@@ -90,8 +97,9 @@ def _proportion(a: Signal, b: Signal, rows: int) -> float | None:
         if np.abs(p - slope * q - level).max() > limit:
             return None
         times = slope
+        is_moved |= abs(level) > limit
         shown = max(shown, len(np.unique(p[:4096])))
-    return times if times is not None and shown >= DISTINCT else None
+    return (times, is_moved) if times is not None and shown >= DISTINCT else None
 
 
 def find_laws(record: Record) -> Iterator[Finding]:

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from diffsim.core.arrays import Array, IntArray
-from diffsim.core.figures import counted
+from diffsim.core.figures import counted, list_first
 from diffsim.core.numbers import SD_OVER_MAD
-from diffsim.core.units import factor
+from diffsim.core.units import after_number, factor
 from diffsim.data.command_jumps import Jumps, jumps_of
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
@@ -135,8 +135,10 @@ def find_misread(record: Record) -> Iterator[Finding]:
 
 
 def find_jumps(record: Record) -> Iterator[Finding]:
-    """Jumps of commands that nothing commanded: a model takes them for motion."""
+    """Jumps of commands that nothing commanded: a model takes them for motion. What happens to
+    several commands or runs is said once."""
     known = {c.name: c for c in record.study.commands}
+    alike: dict[tuple[str, str], list[tuple[Samples, str, Jumps]]] = {}
     for run in record.study.runs:
         for signal in record.commands:
             if (samples := signal.of_run(run.name)) is None:
@@ -146,21 +148,44 @@ def find_jumps(record: Record) -> Iterator[Finding]:
             scale = factor(command.unit or unit, unit) if unit else 1.0
             values = run.command[signal.name][samples.at]
             jumps = _jumps_of(signal, samples, values)
-            by = f"by up to {scale * jumps.size:.3g}{'' if unit in (None, '-') else f' {unit}'}"
-            does = _MENDED if signal.is_measured else _TAKEN
-            for rows, how in ((jumps.back, "jumps off and back"), (jumps.lasting, _STAYS)):
-                if rows:
-                    yield Finding(
-                        f"run {samples.run}",
-                        f"command {signal.name} {how} at "
-                        f"{counted(len(rows), 'sample')}, {by}, first at "
-                        f"{samples.times[rows[0]]:g} s",
-                        does,
-                        False,
-                    )
+            if jumps.back or jumps.lasting:
+                does = _MENDED if signal.is_measured else _TAKEN
+                jumps = jumps._replace(size=scale * jumps.size)
+                key = after_number(unit or "-"), does
+                alike.setdefault(key, []).append((samples, signal.name, jumps))
+    for (unit, does), places in alike.items():
+        yield _jumping(places, unit, does)
 
 
-_STAYS = "jumps and stays"
+def _jumping(places: Sequence[tuple[Samples, str, Jumps]], unit: str, does: str) -> Finding:
+    """One sentence on commands that jump in the same unit."""
+    names = list(dict.fromkeys(name for _, name, _ in places))
+    runs = list(dict.fromkeys(samples.run for samples, _, _ in places))
+    back = sum(len(jumps.back) for _, _, jumps in places)
+    lasting = sum(len(jumps.lasting) for _, _, jumps in places)
+    one = len(names) == 1
+    ways = (
+        (back, "jumps off and back", "jump off and back"),
+        (lasting, "jumps and stays", "jump and stay"),
+    )
+    how = " and ".join(
+        f"{single if one else several} at {counted(n, 'sample')}"
+        for n, single, several in ways
+        if n
+    )
+    samples, _, jumps = places[0]
+    size = max(jumps.size for _, _, jumps in places)
+    first = float(samples.times[min([*jumps.back, *jumps.lasting])])
+    of_runs = f" of {len(runs)} runs" if len(runs) > 1 else ""
+    return Finding(
+        "study" if len(runs) > 1 else f"run {runs[0]}",
+        f"{'command' if one else 'commands'} {list_first(names, 4)} {how}{of_runs}, by up to "
+        f"{size:.3g}{unit}, first at {first:g} s{f' of run {runs[0]}' if of_runs else ''}",
+        does,
+        False,
+    )
+
+
 _MENDED = "the diagnosis takes this for a misreading where the model is no worse without it"
 _TAKEN = "the model takes this for what acted; mend the file, or say is_measured: true"
 

@@ -398,12 +398,13 @@ def plain_words(effect: Effect) -> str:
     """
     if effect.words is None:
         return words_of(effect.name)
-    said, other = (
-        effect.words(times * effect.typical).replace(" %", "%").split(" ") for times in (1.0, 2.0)
+    said, other = (  # "16 %" is one word here
+        effect.words(times * effect.typical).replace(" %", "\0%").split(" ") for times in (1.0, 2.0)
     )
     if len(said) != len(other):
         return words_of(effect.name)
-    return " ".join(a if a == b else "some" for a, b in zip(said, other, strict=True))
+    words = (a if a == b else "some" for a, b in zip(said, other, strict=True))
+    return " ".join(words).replace("\0", " ")
 
 
 def least_visible(smallest: Mapping[str, float]) -> list[tuple[str, float]]:

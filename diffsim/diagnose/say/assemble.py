@@ -161,7 +161,7 @@ def report_of(
         if row.status in (CERTAIN, LIKELY) or (row.probability is not None and row.rivals)
     ]
     beside = None if decision.beside is None else decision.beside.unknown
-    case.progress("judged", 1.0, verdict)
+    case.progress("judged", 1.0, verdict.replace("_", " "))
     return Report(
         verdict=verdict,
         decision=decision,

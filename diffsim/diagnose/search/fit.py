@@ -361,7 +361,8 @@ def check_numerics(null: Null) -> RefinedNull | None:
     once = null.fit.problem.cost()
     paid = 1.0
     for _ in range(MAX_RENEWALS):
-        null.case.progress("null fit", 0.1, f"refining {', '.join(names_of_failed(gates))}")
+        refined = ", ".join(names_of_failed(gates)).replace("_", " ")
+        null.case.progress("null fit", 0.1, f"refining {refined}")
         numerics, finer, found, ratio = refine_within(
             null.fit, settings.refine_budget, changes, gates, once
         )

@@ -80,7 +80,7 @@ def begin_from(search: Search, members: Members, x: Array) -> Search:
         x: Its end there, standardized coordinates of its own problem, (n,).
     """
     made, names = search.simulations, (search.wide.effects[i].name for i in sorted(members))
-    search.null.case.progress("search", 0.3, " + ".join(names) or "no effect")
+    search.null.case.progress("search", 0.3, " + ".join(names).replace("_", " ") or "no effect")
     try:
         if members not in made.fitted:
             made = made.kept(members, linearization_at(made.narrow(members), x))
@@ -209,7 +209,7 @@ def refit(
     names = " + ".join(search.wide.effects[i].name for i in sorted(members))
     # how many refits it will take is not known before: each takes a tenth of what is left
     share = 0.85 - 0.6 * 0.9 ** len(search.posteriors)
-    search.null.case.progress("search", share, names or "no effect")
+    search.null.case.progress("search", share, names.replace("_", " ") or "no effect")
     near = near or search.plain
     posterior = near.weigh(members)
     promised = 0.5 * (posterior.chi2 + float(posterior.x @ posterior.x))

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from diffsim.causes.channel_groups import CLOCKS
-from diffsim.core.inertia import inertia_mistake
+from diffsim.core.inertia import entries_of_matrix, inertia_mistake
 from diffsim.core.schema import KindWords, Part
 from diffsim.core.schema_numbers import (
     Hertz,
@@ -67,7 +67,7 @@ class InertiaKeys(Part):
     @model_validator(mode="before")
     @classmethod
     def _read_list(cls, given: Any) -> Any:
-        return _map_by_name("inertia", given, _INERTIA, (3, 6))
+        return _map_by_name("inertia", entries_of_matrix(given), _INERTIA, (3, 6))
 
     @model_validator(mode="after")
     def _check_possible(self) -> InertiaKeys:

@@ -121,3 +121,24 @@ runs: [{name: a, file: a.csv}]
     )
     with pytest.raises(ValueError, match=r"inertia\[2\] must be at most"):
         setup_of(load_study(tmp_path / "study.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("[[2.24, 0.1, 0], [0.1, -2240, 0], [0, 0, 1.9]]", r"inertia\[1\] \(iyy\) must be above 0"),
+        ("[[0.02, 0.001, 0], [0.002, 0.02, 0], [0, 0, 0.03]]", "row 1, column 2 must equal row 2"),
+        ("[[0.02, 0], [0, 0.02], 0.03]", r"inertia\[0\]: must be a number, got a list of 2"),
+    ],
+)
+def test_a_matrix_of_a_vehicle_file_is_read_and_held_to_the_same(tmp_path, rows, said):
+    """Each of its rows was said to be no number."""
+    path = tmp_path / "q.yaml"
+    path.write_text(VEHICLE.format(body=f"mass: 1.2\ninertia: {rows}"))
+    with pytest.raises(ValueError, match=said):
+        load_vehicle(str(path))
+    good = "[[0.011, 0.001, 0], [0.001, 0.012, 0], [0, 0, 0.02]]"
+    path.write_text(VEHICLE.format(body=f"mass: 1.2\ninertia: {good}"))
+    inertia = load_vehicle(str(path)).vehicle.inertia
+    sizes = sorted(abs(float(v)) for v in inertia.flatten())
+    assert sizes == [0, 0, 0, 0, 0.001, 0.001, 0.011, 0.012, 0.02]

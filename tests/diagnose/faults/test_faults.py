@@ -123,6 +123,7 @@ def test_no_code_name_is_said_where_there_are_words(judged):
     for said, plain in (
         (lambda size: f"{size:.0%} more at rotor 1", "some more at rotor 1"),
         (lambda size: f"{100.0 * size:.0f} % more at rotor 1", "some more at rotor 1"),
+        (lambda size: f"{size:.2g} N beyond 16 % duty", "some N beyond 16 % duty"),
         (None, "weight at 1 2"),
         (lambda size: "more " * round(100 * size), "weight at 1 2"),
     ):

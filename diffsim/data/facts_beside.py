@@ -1,0 +1,127 @@
+"""Files beside recordings that hold no samples: what they state, and what is passed by."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from diffsim.core.figures import list_first
+from diffsim.core.units import in_si
+from diffsim.core.yaml_text import load_yaml
+from diffsim.data.folder_tables import BAG, files_below
+from diffsim.data.guess import Guess, GuessedRun, listed
+from diffsim.data.table_guess import column_of
+
+SHEETS = (".json", ".yaml", ".yml")
+MAX_SHEET_BYTES = 100_000  # of a file of facts
+MOST_LETTERS = 60  # of a fact; longer ones are remarks
+MOST_SHOWN = 12  # facts of a file that a sentence states
+_META = "meta"  # folder of a LeRobot dataset, whose sheets describe its tables
+_OF_STUDY = ("channels", "runs", "like")  # keys of a study, which is no file of facts
+#: Recordings of formats that only their own programs read.
+_UNREAD = (".c3d", ".xls", ".tdms", ".mf4", ".mdf", ".blf", ".slx", ".fig")
+_NO_DATA = (".md", ".rst", ".py", ".m", ".ipynb", ".pdf", ".png", ".jpg", ".svg", ".html")
+
+
+def facts_beside(guess: Guess) -> Iterable[str]:
+    """Sheets of numbers and words: those of one run are its facts, others may be the model's."""
+    taken = {guess.folder / file.partition("#")[0] for run in guess.runs for file in run.files}
+    left = [path for path in sorted(files_below(guess.folder)) if path not in taken]
+    tables = {one.path for one in guess.found}
+    sheets = {path: facts for path in left if path not in tables and (facts := facts_of(path))}
+    of_runs: set[Path] = set()
+    for path, facts in sheets.items():
+        if (run := _run_of(path, guess)) is not None:
+            of_runs.add(path)
+            run.setup |= {name: fact for name, fact in map(_as_fact, facts, facts.values()) if name}
+    names = [path.relative_to(guess.folder).as_posix() for path in of_runs]
+    yield from listed("facts of single runs, taken from", sorted(names))
+    for path, facts in sheets.items():
+        if path not in of_runs:
+            said = list_first([f"{name} {value}" for name, value in facts.items()], MOST_SHOWN)
+            guess.todo.append(
+                f"numbers of the model: {path.relative_to(guess.folder).as_posix()} states {said}"
+            )
+            yield f"facts, not yet used: {path.relative_to(guess.folder).as_posix()} ({said})"
+    yield from _passed_by(guess, (path for path in left if path not in sheets))
+
+
+def _passed_by(guess: Guess, paths: Iterable[Path]) -> Iterator[str]:
+    """Files that no other sentence names."""
+    known = {one.path for one in guess.found}
+    said = " ".join(guess.said)
+    rest = {
+        path.relative_to(guess.folder).as_posix(): path.suffix.lower()
+        for path in paths
+        if path not in known and path.name[0] not in "._"
+    }
+    rest = {name: ending for name, ending in rest.items() if name not in said}
+    unread = [name for name, ending in rest.items() if ending in _UNREAD]
+    for sentence in listed("recordings in formats that are not read", unread, 3):
+        yield f"{sentence}; export them as CSV"
+    others = [name for name, end in rest.items() if end not in (*_UNREAD, *_NO_DATA)]
+    yield from listed("other files, not used", others, 6)
+
+
+def facts_of(path: Path) -> dict[str, Any]:
+    """Numbers and words of a sheet by name, with those of blocks in it; empty where it is none.
+
+    Args:
+        path: Any file.
+    """
+    is_known = path.name == BAG or path.parent.name == _META or path.suffix.lower() not in SHEETS
+    if is_known or path.stat().st_size > MAX_SHEET_BYTES:
+        return {}
+    try:
+        text = path.read_text("utf-8-sig")
+        content = json.loads(text) if path.suffix.lower() == ".json" else load_yaml(text, path)
+    except (ValueError, RecursionError, yaml.YAMLError):
+        return {}
+    if not isinstance(content, Mapping) or any(key in content for key in _OF_STUDY):
+        return {}
+    return dict(_flat("", content, 3))
+
+
+def _flat(start: str, content: Mapping[Any, Any], depth: int) -> Iterator[tuple[str, Any]]:
+    for key, value in content.items():
+        name = f"{start}{key}"
+        if isinstance(value, Mapping) and depth:
+            yield from _flat(f"{name}.", value, depth - 1)
+        elif isinstance(value, str | int | float) and 0 < len(str(value).strip()) <= MOST_LETTERS:
+            yield name, value if not isinstance(value, bool) else str(value).lower()
+
+
+def _run_of(path: Path, guess: Guess) -> GuessedRun | None:
+    """The run that a sheet belongs to: the one of its name, or the only one of its folder."""
+    if guess.split:
+        return None
+    own = [
+        run
+        for run in guess.runs
+        if any((guess.folder / file.partition("#")[0]).with_suffix("") == path.with_suffix("")
+               for file in run.files)
+    ]  # fmt: skip
+    if own:
+        return own[0]
+    if path.parent == guess.folder:
+        return None
+    beside = [run for run in guess.runs if (guess.folder / run.files[0]).parent == path.parent]
+    return beside[0] if len(beside) == 1 < len(guess.runs) else None
+
+
+def _as_fact(name: str, value: Any) -> tuple[str, Any]:
+    """Name and value as ``setup`` of a run has them; an empty name where nothing is said."""
+    column = column_of(name)
+    if isinstance(value, str):
+        number, _, unit = value.strip().partition(" ")
+        try:
+            in_si(value)
+        except ValueError:
+            return column.base, value
+        return column.base, {"value": float(number), "unit": unit} if unit else float(number)
+    stated = {"value": value, "unit": column.unit} if column.unit else value
+    return column.base, stated

@@ -1,0 +1,159 @@
+"""``diffsim diagnose init`` on folders of strangers, each of which it read wrongly once."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from diffsim.data import load_study
+from diffsim.data.table_guess import column_of
+from tests.cli.test_diagnose_init import T, init, noisy, write
+
+
+def three(folder: Path, names=("a", "b", "c"), header="time_s,force_N,position_m") -> None:
+    for k, name in enumerate(names):
+        write(folder / f"{name}.csv", header, [T, np.sin(T + k), 0.1 * np.cos(T + k) + noisy(k)])
+
+
+def uses(folder: Path) -> dict[str, str]:
+    return {run.name: run.use for run in load_study(folder).runs if run.use != "fit"}
+
+
+@pytest.mark.parametrize("word", ["test", "holdout", "validation"])
+def test_a_recording_that_is_called_so_is_kept_back(tmp_path, capsys, word):
+    """It was fitted, and another one was kept back in its place."""
+    three(tmp_path, ("fast", "slow", word, "wide"))
+    assert init(tmp_path) == 0
+    assert uses(tmp_path) == {word: "test"}
+    assert f"uses, by words of names: {word} is test" in capsys.readouterr().out
+
+
+def test_where_all_are_called_tests_none_is_told_by_it(tmp_path):
+    three(tmp_path, ("test_1", "test_2", "test_3"))
+    assert init(tmp_path) == 0
+    assert list(uses(tmp_path).values()) == ["test"]
+
+
+def test_facts_beside_recordings_are_said_and_those_of_a_run_are_its_own(tmp_path, capsys):
+    three(tmp_path)
+    sheet = {"rig": {"mass_kg": 1.2, "spring_N_per_m": 40.0}, "operator": "AB", "wet": False}
+    (tmp_path / "meta.json").write_text(json.dumps(sheet))
+    (tmp_path / "params.yaml").write_text("damping: 0.9 N s/m\n")
+    (tmp_path / "b.yaml").write_text("load_g: 250\nspecimen: B7\ntravel: 30 mm\n")
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "meta.json (rig.mass_kg 1.2, rig.spring_N_per_m 40.0, operator AB, wet false)" in said
+    assert "params.yaml (damping 0.9 N s/m)" in said and "not read" not in said
+    stated = yaml.safe_load((tmp_path / "study.yaml").read_text())
+    assert sum("numbers of the model: " in todo for todo in stated["todo"]) == 2
+    own = {run.name: run.setup for run in load_study(tmp_path).runs}
+    assert own["b"] == {"load": 0.25, "specimen": "B7", "travel": pytest.approx(0.03)}
+    assert not own["a"] and not own["c"]
+
+
+def test_files_that_no_rule_reads_are_named(tmp_path, capsys):
+    three(tmp_path)
+    (tmp_path / "hop1.c3d").write_bytes(b"\x02\x50")
+    (tmp_path / "urdf").mkdir()
+    (tmp_path / "urdf" / "arm.urdf").write_text("<robot/>")
+    (tmp_path / "README.md").write_text("# rig\n")
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "formats that are not read: hop1.c3d; export them as CSV" in said
+    assert "other files, not used: urdf/arm.urdf\n" in said
+
+
+def test_words_of_a_logger_between_rows_are_left_out_and_said(tmp_path, capsys):
+    for name in ("a", "b"):
+        rows = [f"{20 * i},{0.1 * i:.2f},{i % 7}" for i in range(60)]
+        rows[10:10], rows[30:30] = ["OK"], ["ERR 3: i2c, bus timeout"]
+        text = ["Booting v1.3 ...", "sensor OK", "", "millis,angle_deg,pwm", *rows]
+        (tmp_path / f"{name}.log").write_text("\n".join(text) + "\n")
+    assert init(tmp_path) == 0
+    assert "lines that are no rows: row 15, 'OK', and 1 more" in capsys.readouterr().out
+    assert [len(run.time_s) for run in load_study(tmp_path).runs] == [60, 60]
+    with (tmp_path / "a.log").open("a") as file:
+        file.write("1523,4")
+    init(tmp_path, "--force")
+    said = capsys.readouterr().out
+    assert "row 67: 2 cells" in said and "it is the last one: was the file cut off?" in said
+
+
+def test_what_is_no_table_is_shown_with_what_one_is(tmp_path, capsys):
+    (tmp_path / "serial.txt").write_text("OK\n" + "t:10 pos:4.5 pwm:7\n" * 30)
+    assert init(tmp_path) == 2
+    assert "lines such as 't:10 pos:4.5 pwm:7' are no rows" in capsys.readouterr().err
+
+
+def test_a_row_for_each_reading_is_no_record(tmp_path, capsys):
+    """As Grafana and InfluxDB export: it was said to have no rows of numbers."""
+    rows = [
+        f"2026-11-03T09:00:{i:02d}Z,{name},{i * k}"
+        for i in range(50)
+        for k, name in enumerate(("pump", "level"))
+    ]
+    (tmp_path / "export.csv").write_text("time,name,value\n" + "\n".join(rows) + "\n")
+    assert init(tmp_path) == 2
+    said = capsys.readouterr().err
+    assert "a column for each of pump, level" in said and "df.pivot(index='time'" in said
+
+
+def test_one_cell_that_is_no_number_is_said(tmp_path, capsys):
+    """The channel was taken for a text and left out; equal stamps ended the command."""
+    for k, name in enumerate("abc"):
+        place = [f"{v:.6g}" for v in 0.1 * np.cos(T + k) + noisy(k)]
+        stamps = [f"{t:.4f}" for t in T]
+        if name == "b":
+            place[7], stamps[20] = "inf", stamps[19]
+        write(tmp_path / f"{name}.csv", "time_s,force_N,position_m", [stamps, np.sin(T), place])
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "row 9, column position_m: 'inf' is not a finite number; leave the cell empty" in said
+    assert "rows with the stamp of another, of which the first is kept: b (1)" in said
+    runs = {run.name: run for run in load_study(tmp_path).runs}
+    assert len(runs["a"].time_s) == len(runs["b"].time_s) + 1
+
+
+def test_a_clock_that_wraps_goes_on(tmp_path, capsys):
+    for name, start in (("a", 100), ("b", 65_300)):
+        stamps = (start + 10 * np.arange(len(T))) % 65_536
+        write(tmp_path / f"{name}.csv", "timestamp,stateEstimate.z,motor.m1", [stamps, T**2, T])
+    assert init(tmp_path) == 0
+    assert "clocks that wrap at 65536 go on by the usual step: b" in capsys.readouterr().out
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["motor_m1"]
+    for run in study.runs:
+        np.testing.assert_allclose(np.diff(run.time_s), 0.01, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("header", "base", "unit"),
+    [
+        ("θ (rad)", "theta", "rad"),
+        ("τ_cmd (N·m)", "tau_cmd", "N·m"),
+        ("θ̈ (rad/s²)", "theta_ddot", "rad/s²"),
+        ("Δx [mm]", "Delta_x", "mm"),
+        ("角度[deg]", "角度", "deg"),
+        ("Größe [mm]", "Größe", "mm"),
+        ("2nd gauge", "c_2nd_gauge", None),
+    ],
+)
+def test_headers_in_any_script_keep_their_names(header, base, unit):
+    """They were column, column_1, column_2."""
+    found = column_of(header)
+    assert (found.base, found.unit) == (base, unit) and found.base.isidentifier()
+
+
+def test_columns_in_japanese_are_a_study(tmp_path):
+    rows = [
+        f"{t:.3f},{np.sin(t):.5f},{np.sin(t - 0.1) + e:.5f}"
+        for t, e in zip(T, noisy(1), strict=True)
+    ]
+    for name in ("実験1", "実験2"):
+        text = "\n".join(["時間[s],目標角度[deg],角度[deg]", *rows])
+        (tmp_path / f"{name}.csv").write_text(text + "\n", "utf-8")
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert {one.name for one in (*study.channels, *study.commands)} == {"目標角度", "角度"}
