@@ -59,8 +59,8 @@ def read_system(
     taken = {*(c.name for c in study.channels), *known}
     used = {command for each in given for command in list_commands_of(each, study)}
     # what nothing uses lies beside, whether the study states it or not
-    beside = (*study.columns, *(c for c in study.commands if c.name not in used))
-    columns = tuple(c.name for c in beside if c.name.isidentifier() and c.name not in taken)
+    beside = [c.name for c in study.columns] + [c.name for c in study.commands]
+    columns = tuple(n for n in beside if n.isidentifier() and n not in {*taken, *used})
 
     def parsed(key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: reader.parse(f"{key}.{n}", f, known) for n, f in formulas.items()}
