@@ -68,7 +68,6 @@ from diffsim.diagnose.search.search import (
     begin,
     begin_from,
     fitted_to_end,
-    has_left_prior,
     refit,
     search_sets,
     weigh_unknowns_beside,
@@ -481,7 +480,7 @@ def _answer(
     seen = first_look(screened, at.problem.effects, null.fit.chi2)
     null.case.progress(FIRST_LOOK, 0.27, seen)
     kept = 0.0
-    if asked.keeps_room and has_left_prior(null.fit):  # what is missing is large
+    if asked.keeps_room:
         case, kept = asked.with_room(null)
         null = replace(null, case=case)
     null = replace(null, case=replace(null.case, searching=model.simulations.steps))

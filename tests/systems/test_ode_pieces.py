@@ -10,6 +10,7 @@ import torch
 from diffsim.diagnose import diagnose
 from diffsim.systems.ode import pieces
 from diffsim.systems.registry import setup_of
+from tests.systems.standing_rod import GAIN, RATE, rod_study
 from tests.systems.turning_lever import TRUE, lever_study
 
 
@@ -91,3 +92,31 @@ def test_pieces_that_begin_where_the_one_before_ends_change_nothing():
     )
     cut = replace(scene, restarts=going_on)
     torch.testing.assert_close(cut.simulate(), whole.simulate(), rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("motion", ["fall**2*sin(angle)", "fall**2*angle"])
+def test_no_piece_of_an_unstable_motion_is_long(motion):
+    """At its end paths may have had no time to bend; those of a linear one never do."""
+    cuts = setup_of(rod_study(motion)).model.cuts
+    assert set(cuts) == {"a", "b", "c"}
+    for pieces_of in cuts.values():
+        times = np.array([0.0, *(time for time, _ in pieces_of), 3.0])
+        assert np.diff(times).max() * RATE < 5.0  # one of 9.3 held a fit 6,000 nats too high
+
+
+@pytest.mark.parametrize("motion", ["0", "-fall**2*angle"])
+def test_a_motion_that_drifts_or_swings_is_not_cut(motion):
+    """Starts part by drifts as well, but never faster than time goes on."""
+    assert not setup_of(rod_study(motion)).model.cuts
+
+
+def test_the_gain_of_a_rod_that_balances_is_found():
+    study = rod_study("fall**2*sin(angle)")
+    setup = setup_of(study)
+    report = diagnose(
+        study, setup.model, setup.effects, seed=0, unknowns=setup.unknowns, settings=setup.settings
+    )
+    assert report.null.ended == "converged"
+    assert report.named == ("command_gain",)
+    gain = next(c for c in report.causes if c.name == "command_gain").size["size"]
+    assert gain.low < GAIN - 1.0 < gain.high

@@ -176,8 +176,7 @@ def noise_floor(
 
 
 def _freedom(runs: Sequence[Run], series: Sequence[Array], color: Array) -> float:
-    """Independent deviations in series: k runs have k - 1, and of autoregressive noise a mean
-    square is as certain as that of one in 1 + 2 sum rho_k^2 (Bayley and Hammersley 1946)."""
+    """Independent deviations in series: k runs have k - 1 of each sample."""
     lengths: dict[str, list[int]] = defaultdict(list)
     for run in runs:
         lengths[run.group].append(len(run.time_s))
@@ -186,10 +185,8 @@ def _freedom(runs: Sequence[Run], series: Sequence[Array], color: Array) -> floa
     if not total:
         return 0.0
     share = sum((k - 1) * length for k, length in groups) / total
-    # samples over which a color is followed
-    rho = _autocorrelation(color, 1000) if len(color) else np.ones(1)
     count = sum(int(np.isfinite(x).sum()) for x in series)
-    return float(share * count / (2.0 * np.sum(rho**2) - 1.0))
+    return share * _num_squares(color, count)
 
 
 def repeat_deviations(runs: Sequence[Run], left: Mapping[str, Array]) -> list[Array]:
@@ -257,9 +254,10 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     memory of that color: what it remembers is seen too few times to be told from a drift.
 
     Both by the Bayesian information criterion: the coefficients against white noise of the same
-    sd, and an sd of its own against the stated one. The memory by the number of independent
-    samples that have as certain a mean as these (Bayley and Hammersley 1946, "The 'effective'
-    number of independent observations in an autocorrelated time series").
+    sd, and an sd of its own against the stated one. How many independent samples have as certain a
+    mean as these, for the memory, or as certain a mean square, for the sd, is told by the color
+    (Bayley and Hammersley 1946, "The 'effective' number of independent observations in an
+    autocorrelated time series").
 
     Args:
         series: What the best set leaves, by run; NaN where nothing was measured [unit of sd].
@@ -276,7 +274,7 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     log_det = float(sum(np.log(w.diagonal()).sum() for w in blocks))
     gained = 0.5 * (sum(float(x @ x) for x in parts) - chi2) + log_det
     price = 0.5 * float(np.log(num_samples))
-    has_stated_size = not _is_of_own_size(chi2 / num_samples, num_samples)
+    has_stated_size = not _is_of_own_size(chi2 / num_samples, _num_squares(a, num_samples))
     return a if gained > len(a) * price and has_stated_size else none
 
 
@@ -296,6 +294,14 @@ def _num_independent(a: Array, num_samples: int) -> float:
     at zero frequency tells."""
     innovation = 1.0 - a @ _autocorrelation(a, len(a) + 1)[1 : len(a) + 1]
     return float(num_samples * (1.0 - a.sum()) ** 2 / innovation)
+
+
+def _num_squares(a: Array, num_samples: int) -> float:
+    """Independent samples whose mean square is as certain as that of autoregressive ones: one in
+    1 + 2 sum rho_k^2."""
+    # samples over which a color is followed
+    rho = _autocorrelation(a, 1000) if len(a) else np.ones(1)
+    return float(num_samples / (2.0 * np.sum(rho**2) - 1.0))
 
 
 def without_spikes(

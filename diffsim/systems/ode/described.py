@@ -84,7 +84,7 @@ class FormulaSystem:
         assumed: Inputs that are taken to be held though some run does not show it.
         clocks: Channels that are late together, by the parameter that says how much.
         known: Names that formulas may use.
-        columns: What was recorded beside commands and channels, for formulas of own causes.
+        columns: What was recorded beside inputs and channels, for formulas of own causes and laws.
         starts: Start value of every state, a formula of numbers and inputs.
         inputs: Formula of every input, of commands, facts and parameters.
         network: Formulas of rates, readings and definitions.
@@ -219,7 +219,9 @@ def _make_scene(
         channels=tuple(c.name for c in study.channels),
         ranges=keys.ranges,
         columns={
-            n: grid.resampled(v, held=False) for n, v in run.columns.items() if n in system.columns
+            n: grid.resampled(v, held=False)
+            for n, v in {**run.command, **run.columns}.items()
+            if n in system.columns
         },
         restarts=tuple(
             (p.time, {s: values[start_name(s, p, run)] for s in p.start})

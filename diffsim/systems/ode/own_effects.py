@@ -22,6 +22,7 @@ def own_effect(
     block: OwnEffect,
     study: Study,
     known: tuple[str, ...],
+    beside: tuple[str, ...],
     states: tuple[str, ...],
     reader: Reader,
 ) -> Effect:
@@ -32,6 +33,7 @@ def own_effect(
         block: The block.
         study: Study with the recordings.
         known: Names that formulas may use.
+        beside: Those of them that were recorded and are no inputs.
         states: Those of them that are states.
         reader: Receives the mistakes.
     """
@@ -59,7 +61,9 @@ def own_effect(
         words=None if block.words is None else partial(with_size, block.words),
         components=groups.components,
         apply=by_formulas_in(
-            _make_change(where, block, study, known, states, reader), symbol(block.name), groups
+            _make_change(where, block, study, known, beside, states, reader),
+            symbol(block.name),
+            groups,
         ),
     )
 
@@ -77,6 +81,7 @@ def _make_change(
     block: OwnEffect,
     study: Study,
     known: tuple[str, ...],
+    beside: tuple[str, ...],
     states: tuple[str, ...],
     reader: Reader,
 ) -> Change:
@@ -85,8 +90,6 @@ def _make_change(
     own_states = {s: f"{s} of {block.name}" for s in block.states}
     parts = {block.size: named(symbol(block.name))} | {s: named(n) for s, n in own_states.items()}
     parts |= {s: named(shape_name(block, s)) for s in block.shapes}
-    recorded = {c.name for c in study.columns}
-
     begins = {s: named(at_start(s)) for s in states}
     used: set[str] = set()
 
@@ -137,7 +140,7 @@ def _make_change(
             own_states[s]: filled(parse_expression(b.start), begins | parts)
             for s, b in block.states.items()
         },
-        inputs=tuple(sorted(used & recorded)),
+        inputs=tuple(sorted(used.intersection(beside))),
     )
 
 

@@ -8,6 +8,10 @@ The rule asks the plain model only. From the start of a piece each state is move
 side. Where the two paths bend (their mean leaves the path between them) after they have parted by
 ``GROWTH``, the piece ends at the last time at which they had not. The next one begins with what the
 record shows: states fitted to the samples that follow, as far as these tell of them.
+
+Behind such a place, and where paths part as those of an unstable motion, pieces end wherever paths
+have parted so far, bent or not: the end of a run is as unstable as its middle, and slopes by
+constants are no better there than those by starts.
 """
 
 from __future__ import annotations
@@ -132,12 +136,13 @@ class _Cutter:
 
     def cut(self, start: Array) -> tuple[Piece, ...]:
         """Pieces after the first one, which begins with ``start``."""
-        if self._is_straight(start):
+        is_unstable = self._is_unstable(start)
+        if not is_unstable and self._is_straight(start):
             return ()
         out: list[Piece] = []
         first = 0
         while len(out) < MAX_PIECES:
-            end = self._find_first_end(start, first)
+            end = self._find_first_end(start, first, bent=not (out or is_unstable))
             if end is None or end.sample + MIN_PIECE_SAMPLES > self.last:
                 break
             if not np.isfinite(end.state).all():  # nowhere to begin the next piece
@@ -166,6 +171,13 @@ class _Cutter:
             for b in bends
         )
 
+    def _is_unstable(self, start: Array) -> bool:
+        """Whether starts part as those of an unstable motion, bent or not: in the later half of the
+        run by more than what drifts does, whose distance doubles there."""
+        apart = self._part(start, 0).apart
+        before = apart[:, : apart.shape[1] // 2].max(1)
+        return bool((apart[:, -1] > GROWTH * before).any())
+
     def _part(self, start: Array, first: int) -> _Parting:
         """Starts moved along each state, to either side, and what becomes of them."""
         n = len(start)
@@ -180,7 +192,7 @@ class _Cutter:
             np.abs(shown[1 : n + 1] - shown[n + 1 :]),
         )
 
-    def _find_first_end(self, start: Array, first: int) -> _End | None:
+    def _find_first_end(self, start: Array, first: int, *, bent: bool) -> _End | None:
         """Where the piece from ``first`` must end; None: it may go on to the end of the run.
 
         The plain model may take another way than what was recorded. So it is asked from several
@@ -194,7 +206,7 @@ class _Cutter:
             if here > first:
                 start, _ = self._fit_start(start, here)
             parted = self._part(start, here)
-            if (end := self._find_end(parted, here)) is not None:
+            if (end := self._find_end(parted, here, bent=bent)) is not None:
                 ends.append(end)
             if ends and min(e.sample for e in ends) <= following:
                 break
@@ -203,10 +215,10 @@ class _Cutter:
                 break
         return min(ends, key=lambda end: end.sample, default=None)
 
-    def _find_end(self, parted: _Parting, first: int) -> _End | None:
-        """Where a piece must end by one path; None: nowhere."""
+    def _find_end(self, parted: _Parting, first: int, *, bent: bool) -> _End | None:
+        """Where a piece must end by one path, ``bent`` or wherever it is far; None: nowhere."""
         is_far = parted.apart > GROWTH * 2.0 * START_STEP_SHARE
-        is_bent = parted.bend > BENT * parted.apart
+        is_bent = (parted.bend > BENT * parted.apart) | (not bent)
         # what a control loop answers at once, and forgets, is no parting
         seen = np.linalg.norm(parted.seen, axis=-1)
         is_seen = seen > np.maximum(

@@ -57,7 +57,10 @@ def read_system(
     between = (*keys.define, *keys.tables)
     known = (TIME, *motion.states, *held, *between, *numbers)
     taken = {*(c.name for c in study.channels), *known}
-    columns = tuple(c.name for c in study.columns if c.name.isidentifier() and c.name not in taken)
+    used = {command for each in given for command in list_commands_of(each, study)}
+    # what nothing uses lies beside, whether the study states it or not
+    beside = [c.name for c in study.columns] + [c.name for c in study.commands]
+    columns = tuple(n for n in beside if n.isidentifier() and n not in {*taken, *used})
 
     def parsed(key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: reader.parse(f"{key}.{n}", f, known) for n, f in formulas.items()}
@@ -77,9 +80,9 @@ def read_system(
 
         check_motion(motion, keys, held, known, reader)
         define = with_swings(define, motion.swings)
-    every = (*known, *columns)
+    every, states = (*known, *columns), tuple(motion.states)
     own = tuple(
-        own_effect(f"effects.own[{i}]", block, study, every, tuple(motion.states), reader)
+        own_effect(f"effects.own[{i}]", block, study, every, columns, states, reader)
         for i, block in enumerate(keys.effects.formulas)
     )
     definitions = parsed("define", define)

@@ -1,0 +1,89 @@
+"""What a study states and its model does not use explains what is left, as columns beside do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diffsim.data.study import Channel, Command, Run, Study
+from diffsim.diagnose import diagnose
+from diffsim.systems.registry import setup_of
+
+SPEED = 0.35  # by which a degree speeds up the answer, 1/s
+
+
+def _study(effects):
+    """Three runs of a lag whose rate grows with a temperature that stands among the commands.
+
+    Args:
+        effects: Choice of causes.
+    """
+    rng, time = np.random.default_rng(2), np.arange(0.0, 6.0, 0.05)
+    runs = []
+    for k, use in enumerate(("fit", "fit", "test")):
+        goal = np.sign(np.sin((2.0 + 0.4 * k) * time))
+        warm = np.linspace(0.0, 3.0 - k, len(time)) + 0.5 * np.sin(0.9 * time + k)
+        path, x = [], 0.0
+        for i in range(len(time)):
+            path.append(x)
+            for _ in range(50):
+                x += 0.001 * (2.0 + SPEED * warm[i]) * (goal[i] - x)
+        measured = np.array(path)[:, None] + rng.normal(0.0, 0.005, (len(time), 1))
+        command = {"goal": goal, "warm": warm}
+        runs.append(Run("abcd"[k], time, measured, command, "abcd"[k], k, use))
+    description = {
+        "system": "ode",
+        "states": {"x": "0"},
+        "inputs": [{"name": "goal", "held": True}],
+        "parameters": {"speed": {"value": 2.0, "percent": 20, "unit": "1/s"}},
+        "rates": {"x": "speed*(goal - x)"},
+        "readings": {"place": "x"},
+        "effects": effects,
+    }
+    channels = (Channel("place", "m", "place", 0.005),)
+    commands = (Command("goal", unit="-"), Command("warm", unit="K"))
+    return Study("lag", "ode", channels, tuple(runs), commands=commands, model=description)
+
+
+def test_a_command_that_the_model_does_not_use_is_a_variable_of_laws():
+    study = _study({"only": ["command_gain", "sensor_scale"]})
+    setup = setup_of(study)
+    assert "warm" in {v.name for v in setup.laws.variables()}
+    report = diagnose(
+        study,
+        setup.model,
+        setup.effects,
+        unknowns=setup.unknowns,
+        settings=setup.settings,
+        laws=setup.laws,
+        seed=0,
+    )
+    assert "speed" in report.headline and "warm" in report.headline
+
+
+def test_a_command_that_is_an_input_is_one_variable():
+    names = [
+        v.name
+        for v in setup_of(_study({"only": ["command_gain", "sensor_scale"]})).laws.variables()
+    ]
+    assert names.count("goal") == 1
+
+
+@pytest.mark.cpu(20)
+def test_causes_of_the_library_leave_room_for_laws():
+    """Half of the budget is kept though the plain fit stays at its data sheet: none of 20 causes
+    explains anything, and sets of them had spent all of it."""
+    study = _study({})
+    setup = setup_of(study)
+    search = replace(setup.settings.search, refit_steps=2e6, scan_steps=2e6, law_steps=None)
+    report = diagnose(
+        study,
+        setup.model,
+        setup.effects,
+        unknowns=setup.unknowns,
+        settings=replace(setup.settings, search=search),
+        laws=setup.laws,
+        seed=0,
+    )
+    assert not any(gate.name == "law_budget" for gate in report.gates)
+    assert "warm" in report.headline
