@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ MOST_LETTERS = 60  # of a fact; longer ones are remarks
 MOST_SHOWN = 12  # facts of a file that a sentence states
 _META = "meta"  # folder of a LeRobot dataset, whose sheets describe its tables
 _OF_STUDY = ("channels", "runs", "like")  # keys of a study, which is no file of facts
+_NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")  # that a quantity begins with
 #: Recordings of formats that only their own programs read.
 _UNREAD = (".c3d", ".xls", ".tdms", ".mf4", ".mdf", ".blf", ".slx", ".fig")
 _NO_DATA = (".md", ".rst", ".py", ".m", ".ipynb", ".pdf", ".png", ".jpg", ".svg", ".html")
@@ -35,7 +38,7 @@ def facts_beside(guess: Guess) -> Iterable[str]:
     sheets = {path: facts for path in left if path not in tables and (facts := facts_of(path))}
     of_runs: set[Path] = set()
     for path, facts in sheets.items():
-        if (run := _run_of(path, guess)) is not None:
+        for run in _runs_of(path, guess):
             of_runs.add(path)
             run.setup |= {name: fact for name, fact in map(_as_fact, facts, facts.values()) if name}
     names = [path.relative_to(guess.folder).as_posix() for path in of_runs]
@@ -53,18 +56,23 @@ def facts_beside(guess: Guess) -> Iterable[str]:
 def _passed_by(guess: Guess, paths: Iterable[Path]) -> Iterator[str]:
     """Files that no other sentence names."""
     known = {one.path for one in guess.found}
-    said = " ".join(guess.said)
+    said = " ".join(guess.said).replace(f"{guess.folder}/", "")
     rest = {
         path.relative_to(guess.folder).as_posix(): path.suffix.lower()
         for path in paths
-        if path not in known and path.name[0] not in "._"
+        if path not in known and path.name[0] not in "._" and not _is_study(_content_of(path))
     }
-    rest = {name: ending for name, ending in rest.items() if name not in said}
+    rest = {name: ending for name, ending in rest.items() if not _is_named(name, said)}
     unread = [name for name, ending in rest.items() if ending in _UNREAD]
     for sentence in listed("recordings in formats that are not read", unread, 3):
         yield f"{sentence}; export them as CSV"
     others = [name for name, end in rest.items() if end not in (*_UNREAD, *_NO_DATA)]
     yield from listed("other files, not used", others, 6)
+
+
+def _is_named(name: str, said: str) -> bool:
+    """Whether sentences name a file, rather than one whose name ends or begins like its own."""
+    return re.search(rf"(?<![\w./-]){re.escape(name)}(?![\w-]|\.\w)", said) is not None
 
 
 def facts_of(path: Path) -> dict[str, Any]:
@@ -73,17 +81,25 @@ def facts_of(path: Path) -> dict[str, Any]:
     Args:
         path: Any file.
     """
-    is_known = path.name == BAG or path.parent.name == _META or path.suffix.lower() not in SHEETS
-    if is_known or path.stat().st_size > MAX_SHEET_BYTES:
+    is_known = path.name == BAG or path.parent.name == _META
+    content = {} if is_known else _content_of(path)
+    return {} if _is_study(content) else dict(_flat("", content, 3))
+
+
+def _content_of(path: Path) -> Mapping[Any, Any]:
+    """What a sheet states; empty where it is none."""
+    if path.suffix.lower() not in SHEETS or path.stat().st_size > MAX_SHEET_BYTES:
         return {}
     try:
         text = path.read_text("utf-8-sig")
         content = json.loads(text) if path.suffix.lower() == ".json" else load_yaml(text, path)
     except (ValueError, RecursionError, yaml.YAMLError):
         return {}
-    if not isinstance(content, Mapping) or any(key in content for key in _OF_STUDY):
-        return {}
-    return dict(_flat("", content, 3))
+    return content if isinstance(content, Mapping) else {}
+
+
+def _is_study(content: Mapping[Any, Any]) -> bool:
+    return any(key in content for key in _OF_STUDY)
 
 
 def _flat(start: str, content: Mapping[Any, Any], depth: int) -> Iterator[tuple[str, Any]]:
@@ -91,37 +107,48 @@ def _flat(start: str, content: Mapping[Any, Any], depth: int) -> Iterator[tuple[
         name = f"{start}{key}"
         if isinstance(value, Mapping) and depth:
             yield from _flat(f"{name}.", value, depth - 1)
-        elif isinstance(value, str | int | float) and 0 < len(str(value).strip()) <= MOST_LETTERS:
-            yield name, value if not isinstance(value, bool) else str(value).lower()
+        elif isinstance(value, str | int | float | list) and not _says_nothing(value):
+            is_label = isinstance(value, bool | list)
+            yield name, str(value).lower() if is_label else value
 
 
-def _run_of(path: Path, guess: Guess) -> GuessedRun | None:
-    """The run that a sheet belongs to: the one of its name, or the only one of its folder."""
+def _says_nothing(value: str | float | list[Any]) -> bool:
+    """Whether a number is none, or a text or list is empty or too long for a fact."""
+    if isinstance(value, float):
+        return not math.isfinite(value)
+    return (not value and isinstance(value, list)) or not 0 < len(
+        str(value).strip()
+    ) <= MOST_LETTERS
+
+
+def _runs_of(path: Path, guess: Guess) -> list[GuessedRun]:
+    """The runs that a sheet belongs to: those of its name, or the only one of its folder."""
     if guess.split:
-        return None
+        return []
     own = [
         run
         for run in guess.runs
         if any((guess.folder / file.partition("#")[0]).with_suffix("") == path.with_suffix("")
                for file in run.files)
     ]  # fmt: skip
-    if own:
-        return own[0]
-    if path.parent == guess.folder:
-        return None
+    if own or path.parent == guess.folder:
+        return own
     beside = [run for run in guess.runs if (guess.folder / run.files[0]).parent == path.parent]
-    return beside[0] if len(beside) == 1 < len(guess.runs) else None
+    return beside if len(beside) == 1 < len(guess.runs) else []
 
 
 def _as_fact(name: str, value: Any) -> tuple[str, Any]:
     """Name and value as ``setup`` of a run has them; an empty name where nothing is said."""
     column = column_of(name)
     if isinstance(value, str):
-        number, _, unit = value.strip().partition(" ")
+        number = _NUMBER.match(value.strip())
         try:
             in_si(value)
         except ValueError:
+            number = None
+        if number is None:
             return column.base, value
-        return column.base, {"value": float(number), "unit": unit} if unit else float(number)
+        unit = value.strip()[number.end() :].strip()
+        return column.base, {"value": float(number[0]), "unit": unit} if unit else float(number[0])
     stated = {"value": value, "unit": column.unit} if column.unit else value
     return column.base, stated

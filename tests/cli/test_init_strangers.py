@@ -41,7 +41,8 @@ def test_facts_beside_recordings_are_said_and_those_of_a_run_are_its_own(tmp_pat
     sheet = {"rig": {"mass_kg": 1.2, "spring_N_per_m": 40.0}, "operator": "AB", "wet": False}
     (tmp_path / "meta.json").write_text(json.dumps(sheet))
     (tmp_path / "params.yaml").write_text("damping: 0.9 N s/m\n")
-    (tmp_path / "b.yaml").write_text("load_g: 250\nspecimen: B7\ntravel: 30 mm\n")
+    of_b = "load_g: 250\nspecimen: B7\ntravel: 30 mm\nstroke: 5mm\naxes: [1, 0.5]\ntilt: .nan\n"
+    (tmp_path / "b.yaml").write_text(of_b)
     assert init(tmp_path) == 0
     said = capsys.readouterr().out
     assert "meta.json (rig.mass_kg 1.2, rig.spring_N_per_m 40.0, operator AB, wet false)" in said
@@ -49,7 +50,8 @@ def test_facts_beside_recordings_are_said_and_those_of_a_run_are_its_own(tmp_pat
     stated = yaml.safe_load((tmp_path / "study.yaml").read_text())
     assert sum("numbers of the model: " in todo for todo in stated["todo"]) == 2
     own = {run.name: run.setup for run in load_study(tmp_path).runs}
-    assert own["b"] == {"load": 0.25, "specimen": "B7", "travel": pytest.approx(0.03)}
+    lengths = {"travel": pytest.approx(0.03), "stroke": pytest.approx(0.005)}
+    assert own["b"] == {"load": 0.25, "specimen": "B7", "axes": "[1, 0.5]", **lengths}
     assert not own["a"] and not own["c"]
 
 
@@ -63,6 +65,13 @@ def test_files_that_no_rule_reads_are_named(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "formats that are not read: hop1.c3d; export them as CSV" in said
     assert "other files, not used: urdf/arm.urdf\n" in said
+    (tmp_path / "1.c3d").write_bytes(b"\x02\x50")  # ends a name that is said
+    (tmp_path / "hop1.c3d").unlink()
+    (tmp_path / "hop1.c3d.zip").write_bytes(b"PK")
+    assert init(tmp_path, "--force") == 0
+    said = capsys.readouterr().out
+    assert "formats that are not read: 1.c3d; export them as CSV" in said
+    assert "other files, not used: urdf/arm.urdf\n" in said  # and not the study of before
 
 
 def test_words_of_a_logger_between_rows_are_left_out_and_said(tmp_path, capsys):
