@@ -29,6 +29,9 @@ WINDOW = 20  # samples whose scatter is compared
 FOLLOWS = 0.85  # share of the squares that a command explains of what follows it
 LAGS = (2.0, 5.0, 12.0, 30.0, 80.0)  # rows by which a channel may follow
 DIFFERS = 0.7  # of the logarithm of a factor, two: by more, others move by another one
+# Of the logarithm of the factor itself: others change less by another pace of the motion, or as
+# noise does. In flights that were called a unit, one of them is 0.4 of it away or more.
+SHARES = 1.0 / 3.0
 BIG = 20.0  # factor between units of a channel and its command: less may be a gain
 
 
@@ -208,20 +211,27 @@ def _beside(record: Record, channel: Signal) -> list[Signal]:
 
 
 def _off_usual(record: Record, channel: Signal, run: str) -> float:
-    """Logarithm of how much more a channel moves in a run than it usually does."""
+    """Logarithm of how much more a channel moves in a run than it usually does; 0 where others are
+    not alike."""
     gains = {s.run: _gain(record, s) for s in _moving_runs(channel)}
     rest = [gain for name, gain in gains.items() if name != run]
-    return gains[run] - float(np.median(rest)) if run in gains and rest else 0.0
+    if run not in gains or not rest:
+        return 0.0
+    usual = float(np.median(rest))
+    spread = float(np.median(np.abs(np.array(rest) - usual)))
+    return gains[run] - usual if spread <= MOST_SPREAD else 0.0
 
 
 def _others_differ(off: float, others: Sequence[float]) -> bool:
-    """Whether what changes is the motion: other channels change as well, by another factor.
+    """Whether what changes is the motion: another channel changes as well, by another factor that
+    is about as large.
 
     Args:
         off: Logarithm of the factor by which a channel changes.
         others: The same of the channels beside it.
     """
-    return any(min(abs(other), abs(other - off)) > DIFFERS for other in others)
+    least = max(DIFFERS, SHARES * abs(off))
+    return any(min(abs(other), abs(other - off)) > least for other in others)
 
 
 def _sensor_step(samples: Samples) -> float | None:

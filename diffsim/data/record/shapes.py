@@ -54,12 +54,13 @@ def find_far(record: Record) -> Iterator[Finding]:
             continue
         low, high = float(inside.min()), float(inside.max())
         least = OUTSIDE * (high - low)
-        beyond = np.maximum(low - values, values - high)
-        if np.sum((beyond > 0.0) & (beyond < least)) >= np.sum(beyond >= least):
-            continue  # a peak reaches there through all that lies between
+        both = ((-1.0, -low), (1.0, high))
+        sides = [(s, end) for s, end in both if not _is_reached(s * values - end, least)]
+        if not sides:
+            continue
         times, count, worst, share, longest = [], 0, 0.0, 0.0, 0
         for samples in signal.runs:
-            off = np.maximum(low - samples.values, samples.values - high)
+            off = np.max([s * samples.values - end for s, end in sides], axis=0)
             far = _leaping(record, signal, samples, off, least)
             if len(far):
                 count += len(far)
@@ -80,6 +81,11 @@ def find_far(record: Record) -> Iterator[Finding]:
             "leaves them out",
             (share > FEW_MISREAD or longest > MOST_TOGETHER) and signal.unit not in SPIKY,
         )
+
+
+def _is_reached(beyond: Array, least: float) -> bool:
+    """Whether peaks reach what is far on one side through all that lies between, or nothing is."""
+    return bool(np.sum((beyond > 0.0) & (beyond < least)) >= np.sum(beyond >= least))
 
 
 def _leaping(
