@@ -59,8 +59,9 @@ def read_system(
     taken = {*(c.name for c in study.channels), *known}
     used = {command for each in given for command in list_commands_of(each, study)}
     # what nothing uses lies beside, whether the study states it or not
-    beside = [c.name for c in study.columns] + [c.name for c in study.commands]
-    columns = tuple(n for n in beside if n.isidentifier() and n not in {*taken, *used})
+    unused = [c.name for c in study.commands if c.name not in used and _is_whole(c.name, study)]
+    beside = [c.name for c in study.columns] + unused
+    columns = tuple(n for n in beside if n.isidentifier() and n not in taken)
 
     def parsed(key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: reader.parse(f"{key}.{n}", f, known) for n, f in formulas.items()}
@@ -120,6 +121,11 @@ def read_system(
     from diffsim.systems.ode.mends import mended
 
     return mended(system, reader)
+
+
+def _is_whole(command: str, study: Study) -> bool:
+    """Whether each run shows a command at all samples: of one that nothing uses nobody asks it."""
+    return all(np.isfinite(run.command.get(command, np.nan)).all() for run in study.runs)
 
 
 def list_commands_of(given: Input, study: Study) -> list[str]:

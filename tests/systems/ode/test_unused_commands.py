@@ -69,6 +69,18 @@ def test_a_command_that_is_an_input_is_one_variable():
     assert names.count("goal") == 1
 
 
+@pytest.mark.parametrize("shown", [None, np.nan])
+def test_a_command_that_some_run_does_not_show_is_no_variable(shown):
+    """Nothing uses it, so that nothing asks for it: `KeyError: 'warm'` in the search for laws."""
+    study = _study({"only": ["command_gain"]})
+    first, second, *others = study.runs
+    command = {**second.command, "warm": second.command["warm"] * (shown or 1.0)}
+    if shown is None:
+        del command["warm"]
+    study = replace(study, runs=(first, replace(second, command=command), *others))
+    assert "warm" not in {v.name for v in setup_of(study).laws.variables()}
+
+
 @pytest.mark.cpu(20)
 def test_causes_of_the_library_leave_room_for_laws():
     """Half of the budget is kept though the plain fit stays at its data sheet: none of 20 causes
