@@ -27,7 +27,7 @@ from diffsim.data.formats import SUFFIXES
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
 from diffsim.data.joined_files import Kind, join_files
 from diffsim.data.names import BESIDE, DRIVES, STATE, is_asked, log_column, px4_topic
-from diffsim.data.stamps import stamp_fault
+from diffsim.data.stamps import JUMP, stamp_fault
 from diffsim.data.table import MAKER, Table
 from diffsim.data.table_guess import TABLES, last_line
 
@@ -326,7 +326,8 @@ def order(guess: Guess) -> Iterable[str]:
 
 
 def _wraps(guess: Guess) -> tuple[int, list[str]] | None:
-    """The count at which the clock of some runs begins anew, and these runs; None: it does not."""
+    """The count at which the clock of some runs begins anew, and these runs; None: it does not, or
+    `jumps: close` would leave it so, or close a gap as well."""
     clock = guess.those("clock")[0]
     for most in (2**16, 2**32):
         found = []
@@ -336,7 +337,8 @@ def _wraps(guess: Guess) -> tuple[int, list[str]] | None:
             steps = np.diff(run.numbers(clock))
             back = steps[steps < 0.0]
             usual = float(np.median(steps)) if len(steps) else 0.0
-            if len(back) and not (np.abs(back + most - usual) <= usual).all():
+            is_closed = most > JUMP * usual and (steps <= JUMP * usual).all()
+            if len(back) and not (is_closed and (np.abs(back + most - usual) <= usual).all()):
                 break
             found += [run.name] if len(back) else []
         else:

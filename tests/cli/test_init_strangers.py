@@ -137,6 +137,15 @@ def test_a_clock_that_wraps_goes_on(tmp_path, capsys):
         np.testing.assert_allclose(np.diff(run.time_s), 0.01, atol=1e-9)
 
 
+@pytest.mark.parametrize(("step", "lost"), [(1000, 0), (10, 500)])
+def test_a_clock_that_wraps_is_not_said_to_go_on_where_it_would_not(tmp_path, capsys, step, lost):
+    """A jump of few steps stays, and one of many rows that were lost would be closed as well."""
+    stamps = 64_000 + step * (np.arange(400) + lost * (np.arange(400) > 300))
+    write(tmp_path / "a.csv", "timestamp,z_m,motor.m1", [stamps % 65_536, *np.ones((2, 400))])
+    init(tmp_path)
+    assert "clocks that wrap" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("header", "base", "unit"),
     [
