@@ -613,6 +613,19 @@ def test_a_row_of_units_below_the_names_of_a_sheet(tmp_path):
     assert left_out_of(tmp_path / "run.xlsx") == ["run.xlsx: sheet Info: no table"]
 
 
+@pytest.mark.parametrize("units", [[], [["s", "bar"]]])
+def test_a_first_row_of_a_sheet_with_one_number_is_a_row(tmp_path, units):
+    """It was left out without a word, and units were taken for the names."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["Zeit", "Druck"], *units, [0, None], [0.1, 1.6], [0.2, 1.7]):
+        book.active.append(row)
+    book.save(tmp_path / "run.xlsx")
+    found = read_columns(tmp_path / "run.xlsx")
+    assert list(found) == (["Zeit [s]", "Druck [bar]"] if units else ["Zeit", "Druck"])
+    np.testing.assert_array_equal([*found.values()], [[0.0, 0.1, 0.2], [np.nan, 1.6, 1.7]])
+
+
 def test_a_struct_with_time_of_simulink_has_a_column_for_each_signal(tmp_path):
     """Its signals were left out as no table."""
     kinds = [(name, object) for name in ("values", "dimensions", "label", "blockName")]

@@ -117,9 +117,11 @@ def _header(sheet: Any) -> tuple[int, dict[int, str]] | None:
     with the units that a row between them states."""
     above: dict[int, str] = {}
     names: dict[int, str] = {}
+    first = 0  # line of numbers below the names: one of a single cell may come before
     for line, row in enumerate(sheet.iter_rows(max_row=_HEADER_ROWS, values_only=True), start=1):
         numbers = [k for k, cell in enumerate(row) if _is_number(cell)]
         texts = {k: cell.strip() for k, cell in enumerate(row) if isinstance(cell, str)}
+        first = first or line * bool(numbers)
         if len(numbers) >= 2:
             if set(numbers) <= set(above) and all(map(_is_bare_unit, names.values())):
                 names = {k: f"{name} {_in_brackets(names.get(k, ''))}" for k, name in above.items()}
@@ -127,11 +129,11 @@ def _header(sheet: Any) -> tuple[int, dict[int, str]] | None:
             if set(numbers) <= set(names):
                 if len(set(names.values())) < len(names):
                     raise ValueError(
-                        f"sheet {sheet.title!r}, row {line - 1}: two columns have the same name"
+                        f"sheet {sheet.title!r}, row {first - 1}: two columns have the same name"
                     )
-                return line - 1, names
-        if any(texts.values()) or numbers:
-            above, names = names, {k: text for k, text in texts.items() if text}
+                return first - 1, names
+        if any(texts.values()) or len(numbers) >= 2:
+            above, names, first = names, {k: text for k, text in texts.items() if text}, 0
     return None
 
 
