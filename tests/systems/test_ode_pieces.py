@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.systems.ode import pieces
 from diffsim.systems.registry import setup_of
@@ -108,6 +109,27 @@ def test_no_piece_of_an_unstable_motion_is_long(motion):
 def test_a_motion_that_drifts_or_swings_is_not_cut(motion):
     """Starts part by drifts as well, but never faster than time goes on."""
     assert not setup_of(rod_study(motion)).model.cuts
+
+
+def test_warmth_that_comes_through_a_wall_is_not_cut():
+    """It grows at the far side by any factor, from nothing: this was taken for unstable."""
+    n, time = 7, 0.05 * np.arange(400.0)
+    beside = {i: f"x{max(i - 1, 0)} - 2*x{i} + x{min(i + 1, n - 1)}" for i in range(n)}
+    description = {
+        "system": "ode",
+        "states": {f"x{i}": "0" for i in range(n)},
+        "inputs": [{"name": "heat", "held": True}],
+        "parameters": {"rate": {"value": 0.02, "percent": 10, "unit": "1/s"}},
+        "rates": {f"x{i}": f"rate*({beside[i]})" + " + heat" * (i == 0) for i in range(n)},
+        "readings": {"far": f"x{n - 1}"},
+        "effects": {"only": ["command_gain"]},
+    }
+    measured = 1e-5 * (time / 20.0)[:, None] ** 7
+    runs = [
+        Run("ab"[k], time, measured, {"heat": np.ones(400)}, "ab"[k], k, "fit") for k in range(2)
+    ]
+    channels = (Channel("far", "K", "temperature", 1e-8),)
+    assert not setup_of(Study("wall", "ode", channels, tuple(runs), model=description)).model.cuts
 
 
 def test_the_gain_of_a_rod_that_balances_is_found():

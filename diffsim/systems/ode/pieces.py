@@ -36,6 +36,7 @@ BENT = 0.2  # of half the distance: how far the mean of two paths may leave the 
 STRAIGHT = 1e-3  # of the distance of two starts, likewise: a linear system
 MIN_PIECE_SAMPLES = 8  # samples of a piece
 SEEN = 32  # samples that tell the start of a piece
+MANY = 8  # states: of more, no path is asked for each
 PLACES = 8  # of a piece from which the model is asked
 MAX_PIECES = 64  # pieces of a run
 AWAY_SPANS = 3.0  # spans of a channel's record from its middle, beyond which a model runs away
@@ -158,7 +159,7 @@ class _Cutter:
 
         Of many states all are moved at once, twice: a path for each takes more than the answer.
         """
-        if len(start) <= 8:
+        if len(start) <= MANY:
             return bool((self._part(start, 0).bend <= STRAIGHT * 2.0 * START_STEP_SHARE).all())
         signs = np.where(np.arange(len(start)) % 2 == 0, 1.0, -1.0)
         ways = START_STEP_SHARE * self.usual.states * np.stack([np.ones(len(start)), signs])
@@ -173,10 +174,22 @@ class _Cutter:
 
     def _is_unstable(self, start: Array) -> bool:
         """Whether starts part as those of an unstable motion, bent or not: in the later half of the
-        run by more than what drifts does, whose distance doubles there."""
-        apart = self._part(start, 0).apart
-        before = apart[:, : apart.shape[1] // 2].max(1)
-        return bool((apart[:, -1] > GROWTH * before).any())
+        run by more than what drifts does, whose distance doubles there, and along a way of their
+        own. Warmth that comes through a wall has none, though its far side grows by any factor.
+
+        Of many states nobody asks, as a path for each takes more than the answer.
+        """
+        n = len(start)
+        if n > MANY:
+            return False
+        points = _on_both_sides(start, self.usual.states)
+        states = _simulate(self.scene, points, 0, self.last)[1] / self.usual.states
+        change = (states[1 : n + 1] - states[n + 1 :]) / (2.0 * START_STEP_SHARE)
+        apart = np.linalg.norm(change, axis=-1)
+        if not (apart[:, -1] > GROWTH * apart[:, : apart.shape[1] // 2].max(1)).any():
+            return False
+        last = change[:, -1]  # (n, n): of the state by the start
+        return not np.isfinite(last).all() or bool(np.abs(np.linalg.eigvals(last)).max() > GROWTH)
 
     def _part(self, start: Array, first: int) -> _Parting:
         """Starts moved along each state, to either side, and what becomes of them."""
