@@ -427,6 +427,21 @@ def test_a_vehicle_that_takes_off_was_not_stuck_on_the_ground():
     assert [f.where for f in find_frozen(of_flights(stuck, *flights[1:]))] == ["run 0"]
 
 
+def test_a_short_stop_beside_a_command_that_always_moves_is_told():
+    """In 8 rows it hardly moves before the last five of them: 11 of 20 were not told."""
+    found, t = 0, 0.02 * np.arange(600.0)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        rate = 2.0 + 2.0 * rng.uniform()
+        values = np.sin(rate * t - 0.3) + 2e-3 * rng.normal(size=600)
+        first = int(rng.integers(100, 500))
+        values[first : first + 8] = values[first]
+        seen = Signal("x", "channel", "x", "m", runs_of(values))
+        asked = Signal("u", "command", "u", "V", runs_of(np.sin(rate * t)))
+        found += len(list(find_frozen(Record(Study("rig", "ode", (), ()), (seen,), (asked,)))))
+    assert found >= 9
+
+
 @pytest.mark.parametrize("is_unit", [False, True])
 def test_a_flight_along_the_other_axis_is_in_no_other_unit(is_unit):
     """Another unit changes one column; another course changes what is beside it as well."""

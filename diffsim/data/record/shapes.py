@@ -373,9 +373,8 @@ def find_frozen(record: Record) -> Iterator[Finding]:
             if _is_flat_top(signal, samples, first):
                 continue
             start, end = float(samples.times[first]), float(samples.times[last])
-            # what moves with the last of them ends a rest
             ends = float(samples.times[max(last - REACTION, first)])
-            moving = record.moving(samples.run, start, ends, signal)
+            moving = record.moving(samples.run, start, end, signal, ends)
             is_free = _comes_free(record, signal, samples) is not None
             if _rests(record.command_of(signal), samples, first, last) and not is_free:
                 continue

@@ -205,8 +205,9 @@ class Record:
         best, place = max(found, default=(0.0, 0))
         return self.commands[place] if best > FOLLOWS else None
 
-    def moving(self, run: str, start: float, end: float, but: Signal) -> Signal | None:
-        """A signal that moves from one time of a run to another, by a tenth of its range or more.
+    def moving(self, run: str, start: float, end: float, but: Signal, last: float) -> Signal | None:
+        """A signal that moves from one time of a run to another, by a tenth of its range or more,
+        and does a tenth of that before a last time: what moves only then ends a rest.
 
         Commands go first.
         """
@@ -214,8 +215,10 @@ class Record:
             samples = signal.of_run(run)
             if signal is but or samples is None or not signal.range > 0.0:
                 continue
-            part = samples.values[(samples.times >= start) & (samples.times <= end)]
-            if len(part) and np.ptp(part) > 0.1 * signal.range:
+            there = (samples.times >= start) & (samples.times <= end)
+            part, before = samples.values[there], samples.values[there & (samples.times <= last)]
+            moves = np.ptp(part) if len(before) else 0.0
+            if moves > 0.1 * signal.range and np.ptp(before) > 0.1 * moves:
                 return signal
         return None
 
