@@ -20,7 +20,7 @@ from diffsim.data.record.clocks import TIMELESS
 from diffsim.data.run_files import BLOCK_OF
 from diffsim.data.shown import resolution_words, shown, shown_change, shown_step
 from diffsim.data.study import Channel, Command, Run, Study
-from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study
+from diffsim.data.study_check import NO_FIT_RUN, TODO, Problem, check_study, merge_alike
 from diffsim.data.study_file import read_whole
 from diffsim.data.study_schema import StudyFile
 from diffsim.diagnose.checks.gates import alike_channels, cut_in_two, require_separate
@@ -108,7 +108,7 @@ def require_ready(
 
 def _tell(problems: Sequence[Problem], given: str) -> None:
     ordered = sorted(problems, key=lambda p: p.severity != "error")
-    for line in _merge_alike_problems(ordered):
+    for line in merge_alike(ordered):
         print(line)
     errors = [problem for problem in ordered if is_error(problem)]
     if errors:
@@ -117,20 +117,6 @@ def _tell(problems: Sequence[Problem], given: str) -> None:
         raise StudyError(
             f"{len(errors)} of {len(ordered)} problems keep {given} from a diagnosis{goes_on}"
         )
-
-
-def _merge_alike_problems(problems: Sequence[Problem]) -> Iterator[str]:
-    """A line for each problem; one for all runs that have the same, but for its numbers."""
-    alike: dict[tuple[str, ...], list[Problem]] = {}
-    for problem in problems:
-        is_run = problem.where.startswith("run ")
-        where = "run" if is_run else problem.where
-        message = re.sub(r"[-+]?\d[\d.e+-]*", "#", problem.message) if is_run else problem.message
-        alike.setdefault((problem.severity, where, message), []).append(problem)
-    for first, *others in alike.values():
-        names = list(dict.fromkeys(p.where for p in others if p.where != first.where))
-        names = [name.removeprefix("run ") for name in names]
-        yield f"{first}" + (f" (likewise {list_first(names)})" if names else "")
 
 
 def problems_of(study: Study) -> list[Problem]:

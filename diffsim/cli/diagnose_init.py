@@ -20,8 +20,7 @@ from diffsim.core.schema_keys import Key, keys_of
 from diffsim.data.folder_rules import guess_study
 from diffsim.data.guess import PIECES, Guess, GuessedColumn, GuessedRun
 from diffsim.data.joined_files import Kind
-from diffsim.data.record import record_findings
-from diffsim.data.study_check import TODO
+from diffsim.data.study_check import TODO, merge_alike, record_problems
 from diffsim.data.study_file import load_study
 from diffsim.systems.registry import description_class, known_systems
 
@@ -92,8 +91,8 @@ def init(
     print(
         f"wrote {out}: {counted(len(study.runs), 'run')}, {counted(len(study.channels), 'channel')}"
     )
-    for found in record_findings(study):
-        print(f"record: {found.where}: {found}")
+    for line in merge_alike([*record_problems(study)]):
+        print(f"record: {line}")
     is_missing = "the model, and " if model is None else ""
     print(f"still to be stated: {is_missing}{len(guess.todo)} more; see {TODO} in the file, or")
     print(f"    diffsim diagnose check {out}")

@@ -43,10 +43,9 @@ from diffsim.diagnose.checks.whole_record import model_problems
 from diffsim.diagnose.diagnosis import diagnosed
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.apart import apart_words
-from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.described import require_same_kind
 from diffsim.diagnose.judge.frozen import judge_saved
-from diffsim.diagnose.judge.own_values import OwnRow, own_words
+from diffsim.diagnose.judge.own_values import OwnRow, own_words, words_of
 from diffsim.diagnose.judge.records import OutsideRow, band_words, no_skill_words
 from diffsim.diagnose.judge.rivals import cause_words
 from diffsim.diagnose.refit import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from diffsim.core.check import LARGEST
 from diffsim.core.checked import checked
+from diffsim.core.figures import list_first
 from diffsim.core.units import factor, to_si
 from diffsim.data.record import record_findings
 from diffsim.data.shared_rows import SHARED_BITS, bits_of, shared_stretches
@@ -70,15 +71,31 @@ def check_study(study: Study) -> list[Problem]:
         problems += _check_run(run, study)
     problems += [*_check_groups(study), *_copies(study)]
     if not any(p.severity == "error" and p.where.startswith("run ") for p in problems):
-        problems += _of_record(study)
+        problems += record_problems(study)
     return sorted(problems, key=lambda p: p.severity != "error")
 
 
-def _of_record(study: Study) -> Iterator[Problem]:
+def record_problems(study: Study) -> Iterator[Problem]:
     """What rules of the record have found: errors are those that stop."""
     for found in record_findings(study):
         severity = "error" if found.stops else "warning" if found.remedy else "note"
         yield Problem(severity, found.where, str(found), found.rule)
+
+
+def merge_alike(problems: Sequence[Problem]) -> Iterator[str]:
+    """A line for each problem; one for all runs, or channels, that have the same, but for its
+    numbers and their names."""
+    alike: dict[tuple[str, ...], list[Problem]] = {}
+    for problem in problems:
+        kind, _, name = problem.where.partition(" ")
+        key = problem.severity, problem.where, problem.message
+        if kind in ("run", "channel"):
+            named = re.sub(rf"{re.escape(name)}\b|\w+\[\d+\]", "#", problem.message)
+            key = problem.severity, kind, re.sub(r"[-+]?\d[\d.e+-]*( samples?)?", "#", named)
+        alike.setdefault(key, []).append(problem)
+    for first, *others in alike.values():
+        names = dict.fromkeys(p.where.partition(" ")[2] for p in others if p.where != first.where)
+        yield f"{first}" + (f" (likewise {list_first([*names])})" if names else "")
 
 
 def _check_plan(study: Study) -> Iterator[Problem]:

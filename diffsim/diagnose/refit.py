@@ -21,10 +21,10 @@ from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.band import Band, band_of
-from diffsim.diagnose.judge.data_sheet import ranges_of_fit, words_of
+from diffsim.diagnose.judge.data_sheet import ranges_of_fit
 from diffsim.diagnose.judge.frozen import content_of, noise_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.own_values import unmet_by
+from diffsim.diagnose.judge.own_values import unmet_by, words_of
 from diffsim.diagnose.judge.records import CERTAIN, EFFECT, UNJUDGED
 from diffsim.diagnose.judge.unseen import Unseen, on_unseen, spans_of
 from diffsim.diagnose.say.law_records import DESCRIBED

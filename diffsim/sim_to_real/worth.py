@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 import torch
 
 from diffsim.core.checked import checked
-from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.sim_to_real.tracking import EVALUATIONS, TrackingTask, best_command
 from diffsim.systems.twin import Twin
 

@@ -9,9 +9,8 @@ from dataclasses import replace
 from diffsim.core.figures import figure, percent, signed, unit_of, with_interval, with_sd
 from diffsim.core.units import small_scale
 from diffsim.diagnose.judge.apart import ApartRow
-from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.own_values import FAR_OFF, OwnRow
+from diffsim.diagnose.judge.own_values import FAR_OFF, OwnRow, words_of
 from diffsim.diagnose.judge.records import (
     HIDDEN,
     REFUTED,

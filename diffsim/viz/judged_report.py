@@ -7,9 +7,8 @@ from pathlib import Path
 
 from diffsim.core.figures import figure, unit_of, with_sd
 from diffsim.data.study import Channel, Study
-from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.own_values import own_words
+from diffsim.diagnose.judge.own_values import own_words, words_of
 from diffsim.diagnose.judge.records import no_skill_words
 from diffsim.diagnose.judge.rivals import cause_words
 from diffsim.diagnose.judge.unseen import Unseen

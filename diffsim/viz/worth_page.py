@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.figures import figure
-from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.sim_to_real.worth import ALL, MISS, Worth
 from diffsim.viz import charts
 from diffsim.viz import report as page

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diffsim.data import Channel, Command, Study, check_study
+from diffsim.data.study_check import Problem, merge_alike
 from tests.data.test_study_file import make_study
 
 
@@ -214,3 +215,18 @@ def test_equal_stamps_are_of_no_study():
     run = replace(make_study().runs[1], time_s=np.maximum(TIMES, 0.1))
     with pytest.raises(ValueError, match=r"time_s of run 'b' must increase, got 0\.1 twice"):
         replace(make_study(), runs=(run,))
+
+
+def test_what_runs_or_channels_share_is_one_line():
+    said = [
+        Problem("error", "channel load_0", "column load[0] touches 0 18 times"),
+        Problem("error", "channel load_1", "column load[1] touches 0 4 times"),
+        Problem("note", "run a", "channel x is misread at 1 sample, at 2.5 s"),
+        Problem("note", "run b", "channel x is misread at 3 samples, at 0.5 s"),
+        Problem("note", "run b", "channel y is misread at 3 samples, at 0.5 s"),
+    ]
+    assert list(merge_alike(said)) == [
+        "error: channel load_0: column load[0] touches 0 18 times (likewise load_1)",
+        "note: run a: channel x is misread at 1 sample, at 2.5 s (likewise b)",
+        "note: run b: channel y is misread at 3 samples, at 0.5 s",
+    ]

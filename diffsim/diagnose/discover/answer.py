@@ -14,7 +14,7 @@ from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
-from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import UNCONTRADICTED
 from diffsim.diagnose.judge.records import CERTAIN, DATA_SHEET, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
 from diffsim.diagnose.say.law_records import (

@@ -21,7 +21,7 @@ from diffsim.core.units import after_number
 from diffsim.diagnose.faults.candidates import Candidate
 from diffsim.diagnose.faults.evidence import Evidence
 from diffsim.diagnose.faults.groups import Group
-from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, Interval
 from diffsim.diagnose.say.causes import PROBABLE
 from diffsim.diagnose.search.evidence import ALONE_NATS

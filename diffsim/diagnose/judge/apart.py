@@ -19,7 +19,7 @@ from torch import Tensor
 
 from diffsim.core.figures import figure, limits
 from diffsim.core.units import after_number, small_scale
-from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import HALF_LEVEL, SURE, Interval
 from diffsim.identify import Fit
 from diffsim.identify.effect import effect_coordinates

@@ -14,6 +14,7 @@ from diffsim.core.check import LARGEST
 from diffsim.data.study import Run
 from diffsim.diagnose.judge.averaging import MODEL_FORM, Widening, widening
 from diffsim.diagnose.judge.gain import MIN_BLOCKS
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import EFFECT, HALF_LEVEL, SURE, BaseRow, CauseRow, Interval
 from diffsim.diagnose.search.search import LEFT_SHEET_SD
 from diffsim.identify import Fit
@@ -35,16 +36,6 @@ def pull_limit(parameters: Sequence[Parameter]) -> float:
     """
     num = len({p.name.partition("@")[0] for p in parameters})
     return -float(ndtri((1.0 - SURE) / (2.0 * max(1, num))))
-
-
-def words_of(name: str) -> str:
-    """A code name in plain words: "drag[frame=A]" is "drag (frame A)"."""
-    stem, _, run = name.partition("@")
-    stem, _, fact = stem.partition("[")
-    words = stem.replace("_", " ").replace(".", " ")
-    if fact:
-        words += f" ({fact.rstrip(']').replace('=', ' ')})"
-    return f"{words} of {run}" if run else words
 
 
 def far_off(rows: Sequence[BaseRow], *, unknown_acts: bool) -> dict[str, float]:

@@ -22,6 +22,20 @@ UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
 FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no usual one
 
 
+def words_of(name: str) -> str:
+    """A code name in plain words: "drag[frame=A]" is "drag (frame A)", "joint.J2.damping" of an
+    MJCF is "damping of J2", the part as its file names it."""
+    stem, _, run = name.partition("@")
+    stem, _, fact = stem.partition("[")
+    part, _, quantity = stem.partition(".")[2].rpartition(".")
+    words = (quantity if part else stem).replace("_", " ").replace(".", " ")
+    if part:
+        words += f" of {part}"
+    if fact:
+        words += f" ({fact.rstrip(']').replace('=', ' ')})"
+    return f"{words} {'in' if part else 'of'} {run}" if run else words
+
+
 @dataclass(frozen=True)
 class OwnRow:
     """A value that was fitted to one run that nothing else was fitted to.
@@ -51,7 +65,7 @@ class OwnRow:
     @property
     def plain_name(self) -> str:
         """Its name without the run."""
-        return self.name.partition("@")[0].rstrip(".").replace("_", " ")
+        return words_of(self.name.partition("@")[0].rstrip("."))
 
     @property
     def farthest(self) -> tuple[float, str]:

@@ -24,10 +24,10 @@ from diffsim.core.figures import figure, percent
 from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
-from diffsim.diagnose.judge.data_sheet import far_off, words_of
+from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import NAMES, Judgment
-from diffsim.diagnose.judge.own_values import FAR_OFF
+from diffsim.diagnose.judge.own_values import FAR_OFF, words_of
 from diffsim.diagnose.judge.records import SURE, BaseRow, ErrorRow
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,

@@ -30,8 +30,9 @@ from diffsim.diagnose.checks.numerics import (
     moved_by,
     others_of,
 )
-from diffsim.diagnose.judge.data_sheet import WRONG_SHEET_SD, pull_limit, words_of
+from diffsim.diagnose.judge.data_sheet import WRONG_SHEET_SD, pull_limit
 from diffsim.diagnose.judge.judge import NAMES, Decision
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import WRONG_DATA_SHEET
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,

@@ -9,8 +9,9 @@ import numpy as np
 
 from diffsim.core.figures import figure
 from diffsim.diagnose.judge.averaging import ModelAverage
-from diffsim.diagnose.judge.data_sheet import pull_of, words_of
+from diffsim.diagnose.judge.data_sheet import pull_of
 from diffsim.diagnose.judge.judge import Decision, Judgment
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import UNCONTRADICTED
 from diffsim.diagnose.judge.records import (
     CERTAIN,

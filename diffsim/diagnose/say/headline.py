@@ -13,8 +13,8 @@ import numpy as np
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.checks.gates import CONTRADICTED, LAWS
-from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, MAY_BE_ANOTHER, why_unconfirmed
 from diffsim.diagnose.judge.records import (
     CERTAIN,

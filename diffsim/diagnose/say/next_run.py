@@ -15,7 +15,7 @@ from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.figures import figure
 from diffsim.data.study import Run
-from diffsim.diagnose.judge.data_sheet import words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.say.wording import MOST_LISTED
 from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify import Fit

@@ -12,9 +12,9 @@ from diffsim.core.checked import checked
 from diffsim.core.figures import figure, percent
 from diffsim.diagnose.checks.numerics import numerical_shift
 from diffsim.diagnose.judge.averaging import MODEL_FORM
-from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.search.evidence import TIE_DIGITS, VISIBLE, Hypothesis, Screen, SetPosterior
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit

@@ -27,9 +27,9 @@ from diffsim.diagnose.checks.gates import (
 from diffsim.diagnose.checks.noise import NoiseFloor
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.apart import ALL
-from diffsim.diagnose.judge.data_sheet import words_of
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import EXPLAINED, Decision
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER as ONLY_FIRST
 from diffsim.diagnose.judge.preconditions import said_gradient
 from diffsim.diagnose.judge.records import (

@@ -11,10 +11,11 @@ import torch
 from diffsim.data.study import Study
 from diffsim.diagnose import Report, diagnose
 from diffsim.diagnose.judge.averaging import Widening, _interval, widening
-from diffsim.diagnose.judge.data_sheet import _pulled_together, base_rows, pull_limit, words_of
+from diffsim.diagnose.judge.data_sheet import _pulled_together, base_rows, pull_limit
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.judge.left_out import folds_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import singled_out
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
@@ -353,6 +354,8 @@ def test_code_names_become_words():
     assert words_of("sliding_friction") == "sliding friction"
     assert words_of("thrust_exponent[propeller=A]") == "thrust exponent (propeller A)"
     assert words_of("offset@run_3") == "offset of run_3"
+    assert words_of("joint.FR_calf_joint.damping") == "damping of FR_calf_joint"
+    assert words_of("joint.root.start[2]@run_3") == "start of root (2) in run_3"
 
 
 def test_what_stands_in_for_a_withdrawn_cause_is_not_certain():
