@@ -202,6 +202,7 @@ def test_drawn_errors_fit_the_tree(monkeypatch):
             compile(text, error.file, "exec")
 
 
+@pytest.mark.cpu(9)  # the package and all tests are parsed
 def test_the_nearest_tests_say_what_uses_a_line():
     """A private class, by the name of a table's entry; the kernel of a binding, by its op."""
     drag = "diffsim/systems/soft_body/forces.py"
