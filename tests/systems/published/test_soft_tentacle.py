@@ -82,12 +82,13 @@ def test_poses_left_out_are_within_the_goal_and_causes_bring_them_nearer(study):
 
 
 @pytest.mark.slow
-def test_the_loss_of_the_drives_and_the_moved_marker_are_named(study):
+def test_the_loss_of_the_drives_is_named(study):
     report = answer(study)
     status = {c.name: c.status for c in report.causes}
     assert report.verdict == "named"
     # likely only: ten poses, and none that is left out confirms the gain by one cause alone
-    for name in ("drive_loss", "moved_m4", "tendon_distance"):
+    # a marker that moved was, before sets with stiffening in compression were tried
+    for name in ("drive_loss", "tendon_distance"):
         assert status[name] in ("certain", "likely"), name
     assert {status[n] for n in ("tendon_friction", "pretension")} == {"refuted"}
     assert status["tendon_end"] != "certain"  # its gradient check fails: nothing is refuted by it
