@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import did_you_mean
+from diffsim.core.figures import counted
 
 Values = Mapping[str, Tensor]
 
@@ -331,7 +332,7 @@ class _Parser:
             raise self.error(node, f"calls no known function{did_you_mean(name, FUNCTIONS)}")
         count = FUNCTIONS[name]
         if node.keywords or len(node.args) != count:
-            raise self.error(node, f"must have {count} argument{'s' if count > 1 else ''}")
+            raise self.error(node, f"must have {counted(count, 'argument')}")
         parts = tuple(self.node(argument, depth) for argument in node.args)
         if name == "clip":
             return Apply("min", (Apply("max", parts[:2]), parts[2]))

@@ -17,6 +17,7 @@ import torch
 from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean
 from diffsim.core.expression import parse_expression
+from diffsim.core.figures import counted
 from diffsim.data.codes import unwrapped
 
 CLOCK = "t"
@@ -130,7 +131,7 @@ def _without_calls(plain: str) -> tuple[str, list[tuple[str, str, list[str]]]]:
         name = call.func.id
         if len(call.args) != OF_RECORDS[name] or call.keywords:
             count = OF_RECORDS[name]
-            raise ValueError(f"{name}() must have {count} argument{'s' if count > 1 else ''}")
+            raise ValueError(f"{name}() must have {counted(count, 'argument')}")
         whole = ast.get_source_segment(plain, call)
         given = [ast.get_source_segment(plain, argument) for argument in call.args]
         assert whole is not None

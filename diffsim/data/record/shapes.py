@@ -43,10 +43,10 @@ def find_far(record: Record) -> Iterator[Finding]:
     """Values far outside of all others, at any share of the rows."""
     for signal in record.channels:
         values = signal.all_values
-        # a rest counts once: what moves a tenth of the time is far from no usual value
-        kept = [x.values[np.concatenate([[True], x.changes != 0.0])] for x in signal.runs if len(x)]
         if len(values) < FEW:
             continue
+        # a rest counts once: what moves a tenth of the time is far from no usual value
+        kept = [x.values[np.concatenate([[True], x.changes != 0.0])] for x in signal.runs if len(x)]
         low, high = np.quantile(np.concatenate(kept), [0.1, 0.9])
         reach = USUAL_SPREADS * float(high - low)
         inside = values[(values >= low - reach) & (values <= high + reach)]

@@ -102,12 +102,14 @@ class _Parting(NamedTuple):
 
     Attributes:
         states: Of the path between, (samples, n) [unit of the state].
-        apart: Distance of two starts moved along each state, in states, (n, samples).
+        change: From one of two starts moved along each state to the other, (n, samples, n).
+        apart: Its length, (n, samples).
         bend: Distance of their sum from twice the path between, likewise.
         seen: Distance in each channel, (n, samples, num_channels).
     """
 
     states: Array
+    change: Array
     apart: Array
     bend: Array
     seen: Array
@@ -119,6 +121,17 @@ class _End(NamedTuple):
     sample: int
     state: Array
     parting: str
+
+
+def _is_unstable(whole: _Parting) -> bool:
+    """Whether starts part as those of an unstable motion, bent or not: in the later half of the run
+    by more than what drifts does, whose distance doubles there, and along a way of their own.
+    Warmth that comes through a wall has none, though its far side grows by any factor."""
+    apart = whole.apart
+    if not (apart[:, -1] > GROWTH * apart[:, : apart.shape[1] // 2].max(1)).any():
+        return False
+    last = whole.change[:, -1] / (2.0 * START_STEP_SHARE)  # (n, n): of the state by the start
+    return not np.isfinite(last).all() or bool(np.abs(np.linalg.eigvals(last)).max() > GROWTH)
 
 
 @dataclass(frozen=True)
@@ -137,8 +150,10 @@ class _Cutter:
 
     def cut(self, start: Array) -> tuple[Piece, ...]:
         """Pieces after the first one, which begins with ``start``."""
-        is_unstable = self._is_unstable(start)
-        if not is_unstable and self._is_straight(start):
+        # of many states a path for each takes more than the answer
+        whole = self._part(start, 0) if len(start) <= MANY else None
+        is_unstable = whole is not None and _is_unstable(whole)
+        if not is_unstable and self._is_straight(start, whole):
             return ()
         out: list[Piece] = []
         first = 0
@@ -154,13 +169,11 @@ class _Cutter:
             out.append(Piece(float(self.run.time_s[first]), begun, wide, end.parting))
         return tuple(out)
 
-    def _is_straight(self, start: Array) -> bool:
-        """Whether the run is a straight image of its start, as those of linear systems are.
-
-        Of many states all are moved at once, twice: a path for each takes more than the answer.
-        """
-        if len(start) <= MANY:
-            return bool((self._part(start, 0).bend <= STRAIGHT * 2.0 * START_STEP_SHARE).all())
+    def _is_straight(self, start: Array, whole: _Parting | None) -> bool:
+        """Whether the run is a straight image of its start, as those of linear systems are; without
+        a path for each state all are moved at once, twice."""
+        if whole is not None:
+            return bool((whole.bend <= STRAIGHT * 2.0 * START_STEP_SHARE).all())
         signs = np.where(np.arange(len(start)) % 2 == 0, 1.0, -1.0)
         ways = START_STEP_SHARE * self.usual.states * np.stack([np.ones(len(start)), signs])
         points = np.concatenate([start[None], start + ways, start - ways])
@@ -172,25 +185,6 @@ class _Cutter:
             for b in bends
         )
 
-    def _is_unstable(self, start: Array) -> bool:
-        """Whether starts part as those of an unstable motion, bent or not: in the later half of the
-        run by more than what drifts does, whose distance doubles there, and along a way of their
-        own. Warmth that comes through a wall has none, though its far side grows by any factor.
-
-        Of many states nobody asks, as a path for each takes more than the answer.
-        """
-        n = len(start)
-        if n > MANY:
-            return False
-        points = _on_both_sides(start, self.usual.states)
-        states = _simulate(self.scene, points, 0, self.last)[1] / self.usual.states
-        change = (states[1 : n + 1] - states[n + 1 :]) / (2.0 * START_STEP_SHARE)
-        apart = np.linalg.norm(change, axis=-1)
-        if not (apart[:, -1] > GROWTH * apart[:, : apart.shape[1] // 2].max(1)).any():
-            return False
-        last = change[:, -1]  # (n, n): of the state by the start
-        return not np.isfinite(last).all() or bool(np.abs(np.linalg.eigvals(last)).max() > GROWTH)
-
     def _part(self, start: Array, first: int) -> _Parting:
         """Starts moved along each state, to either side, and what becomes of them."""
         n = len(start)
@@ -200,6 +194,7 @@ class _Cutter:
         above, below = scaled[1 : n + 1], scaled[n + 1 :]
         return _Parting(
             states[0],
+            above - below,
             np.linalg.norm(above - below, axis=-1),
             np.linalg.norm(above + below - 2.0 * scaled[0], axis=-1),
             np.abs(shown[1 : n + 1] - shown[n + 1 :]),
