@@ -16,7 +16,7 @@ import numpy as np
 
 from diffsim.cli.arguments import FULL, QUICK, study_file
 from diffsim.core.check import require_choice
-from diffsim.core.files import to_plain
+from diffsim.core.files import code_digest, to_plain
 from diffsim.core.version import __version__
 from diffsim.data.bank import generated_bank
 from diffsim.data.study import Run, Study
@@ -274,6 +274,7 @@ def _fingerprint(
         "settings": to_plain(effort),
         "seed": seed,
         "version": __version__,
+        "code": code_digest(),
     }
 
 

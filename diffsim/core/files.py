@@ -7,13 +7,16 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+CODE = (".py", ".so", ".j2", ".yaml")
+"""Endings of files that decide what the package computes and writes."""
 _MOST_TIMES = 50  # the bytes of a packed file; indices of a regular grid pack 10 to 20 times
 
 
@@ -120,6 +123,29 @@ def digest_of(value: Any) -> str:
     """SHA-256 of what ``write_json_atomic`` can write."""
     text = json.dumps(to_plain(value), sort_keys=True)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def file_digest(paths: Iterable[Path]) -> str:
+    """SHA-256 over the contents of files, in the order given."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def code_digest(*folders: Path) -> str:
+    """SHA-256 of the package as installed (sources, tables, compiled parts) and of further folders.
+
+    What is kept on disk is of the code that made it: a version says less, as a clone's code
+    changes within one.
+
+    Args:
+        folders: Code outside the package.
+    """
+    package = Path(__file__).parents[1]
+    found = (path for folder in (package, *folders) for path in folder.rglob("*"))
+    return file_digest(sorted(path for path in found if path.suffix in CODE))
 
 
 def to_plain(value: Any, *, keep_nan: bool = False) -> Any:

@@ -15,7 +15,6 @@ from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.threads import one_thread
-from diffsim.core.version import __version__
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
     CONTRADICTED,
@@ -739,4 +738,4 @@ def _key(case: Case) -> str:
     s = case.settings
     correction = None if case.correction is None else case.correction.key
     settings = (s.jacobian, case.numerics, correction)
-    return key_of(case.study, case.model, causes, generic, *settings, __version__)
+    return key_of(case.study, case.model, causes, generic, *settings)

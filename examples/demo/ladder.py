@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.core.files import write_bytes_atomic
+from diffsim.core.files import file_digest, write_bytes_atomic
 from diffsim.mesh import surface_quads
 from diffsim.viz.frames import pack
 from examples.data.beam import BeamGeometry, BeamStudy, BeamTrial
@@ -18,7 +18,6 @@ from examples.data.beam_motion import COMPARE_S
 from examples.demo.beam import Beam, Release, Setup
 from examples.demo.numerics import motion
 from examples.demo.plan import Plan
-from examples.demo.stages import file_digest
 from examples.demo.tip_window import MAX_RELEASE_SHIFT_S, rms, window
 from examples.demo.workers import Workers
 

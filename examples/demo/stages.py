@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import diffsim
 from diffsim.core.files import digest_of, read_kept, to_plain, write_json_atomic
 
 Result = dict[str, Any]
@@ -55,28 +53,3 @@ class Stages:
         result = to_plain(compute())
         write_json_atomic(path, {"key": self._key, "result": result})
         return result
-
-
-def file_digest(paths: list[Path]) -> str:
-    """SHA-256 over the contents of files, in the order given."""
-    digest = hashlib.sha256()
-    for path in paths:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def code_digest(*folders: Path) -> str:
-    """SHA-256 of the package as installed, sources and compiled parts, and of further folders.
-
-    Args:
-        folders: Code outside the package that the stages run.
-    """
-    package = Path(diffsim.__file__).parent
-    return file_digest(
-        sorted(
-            path
-            for folder in (package, *folders)
-            for path in folder.rglob("*")
-            if path.suffix in (".py", ".so", ".j2")
-        )
-    )

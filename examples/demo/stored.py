@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from diffsim.core.files import read_kept
+from diffsim.core.files import file_digest, read_kept
 from examples.data.beam import BeamStudy
 from examples.demo.plan import Plan
-from examples.demo.stages import file_digest
 
 FOLDER = Path(__file__).with_name("answers")  # a file for each set of recordings
 STAGES = ("identified", "joint", "diagnosis")

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from diffsim import __version__
-from diffsim.core.files import write_bytes_atomic, write_json_atomic
+from diffsim.core.files import code_digest, write_bytes_atomic, write_json_atomic
 from diffsim.data import find_dataset
 from examples.data import beam_motion
 from examples.data.beam import BeamStudy, load_beam_study
 from examples.demo import diagnosis, early, fitting, ladder, mesh_study, numerics, stored, verdict
 from examples.demo.plan import FULL, QUICK, Plan
-from examples.demo.stages import Stages, code_digest
+from examples.demo.stages import Stages
 from examples.demo.workers import Workers
 
 # Written by labs/virtual/clamped_beam.py, which a wheel does not have.

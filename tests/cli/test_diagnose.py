@@ -13,7 +13,7 @@ import torch
 import yaml
 
 from diffsim import cli
-from diffsim.cli import main
+from diffsim.cli import diagnose_inputs, main
 from diffsim.cli.diagnose_files import against_before
 from diffsim.cli.diagnose_inputs import changed, choose, inputs_of
 from diffsim.core.optional import advice
@@ -22,6 +22,8 @@ from diffsim.data.study_file import load_study
 from diffsim.data.study_save import save_study
 from diffsim.diagnose import NextRun, diagnose
 from diffsim.diagnose.refit import NullFit, fit_null, refit, rival_sets
+from diffsim.diagnose.search import store
+from diffsim.diagnose.search.store import key_of
 from diffsim.identify import SimModel, extended_model, fit, save_extended
 from diffsim.identify.model_file import read_extended
 from diffsim.identify.setup import DiagnosisSetup
@@ -273,6 +275,18 @@ def test_an_interruption_while_files_are_written_goes_on(
         "drag",
         "bias",
     }
+
+
+def test_an_answer_of_other_code_is_made_again(monkeypatch):
+    study, setup = toy.generate(2, {"drag": 0.2}), Path(SETUP)
+    one = inputs_of(study, seed=0, setup_file=setup)
+    kept = key_of(one.study, one.setup.model)
+    for module in (diagnose_inputs, store):
+        monkeypatch.setattr(module, "code_digest", lambda: "of a later commit of this version")
+    now = inputs_of(study, seed=0, setup_file=setup)
+    assert changed(one.fingerprint, now.fingerprint) == ["code"]
+    assert now.key != one.key  # where an interrupted one goes on
+    assert key_of(now.study, now.setup.model) != kept
 
 
 def test_changed_inputs_are_named():

@@ -10,6 +10,7 @@ import pytest
 
 from diffsim.core.files import (
     append_atomic,
+    code_digest,
     replacing,
     to_plain,
     write_bytes_atomic,
@@ -111,3 +112,18 @@ def test_a_disk_that_takes_a_part_keeps_what_was_there(tmp_path, monkeypatch):
         with pytest.raises(OSError, match=r"No space left on device: '.*log.jsonl'"):
             append_atomic(path, b"third\n")
     assert path.read_text() == "first\nsecond\n"
+
+
+def test_digest_of_code_sees_every_byte_of_what_computes(tmp_path):
+    path = tmp_path / "x.yaml"
+    path.write_bytes(b"1")
+    before = [code_digest(), code_digest(tmp_path)]
+    assert before[0] != before[1]
+    path.write_bytes(b"2")
+    code_digest.cache_clear()
+    assert code_digest() == before[0]
+    assert code_digest(tmp_path) != before[1]
+    (tmp_path / "notes.txt").write_bytes(b"nothing is computed from it")
+    two = code_digest(tmp_path)
+    code_digest.cache_clear()
+    assert code_digest(tmp_path) == two

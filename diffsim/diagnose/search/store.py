@@ -12,7 +12,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.core.files import write_bytes_atomic
+from diffsim.core.files import code_digest, write_bytes_atomic
 from diffsim.core.record import Ended
 from diffsim.data.study import Study
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -46,10 +46,10 @@ def unpacked(kept: Arrays) -> Linearization:
 class Store:
     """Files of one study, model and set of candidates in a folder.
 
-    The name of the model stands for its code: empty the folder after changing that.
+    Of a model made in Python, its name stands for its code: empty the folder after changing that.
 
     Args:
-        folder: SharedStretch by any number of studies.
+        folder: Shared by any number of studies.
         key: Identifier of study, model and candidates, as ``key_of`` makes it.
         tally: Counts what is simulated, and what earlier processes have simulated for what is read
             back: budgets end at the same place.
@@ -97,8 +97,9 @@ class Store:
 
 
 def key_of(study: Study, model: SimModel, *settings: object) -> str:
-    """Hash of recordings, model name, its parameters, and whatever else changes a simulation."""
-    digest = hashlib.sha256()
+    """Hash of recordings, model name, its parameters, this package's code, and whatever else
+    changes a simulation."""
+    digest = hashlib.sha256(code_digest().encode())
     for part in _parts(study, model, settings):
         digest.update(part if isinstance(part, bytes) else repr(part).encode())
     return digest.hexdigest()[:24]

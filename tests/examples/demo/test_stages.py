@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from examples.demo.stages import Stages, file_digest
+from examples.demo.stages import Stages
 
 
 def run(folder, settings, *, resume, calls, first=1):
@@ -32,11 +32,3 @@ def test_a_broken_stage_file_is_computed_again(tmp_path):
     calls: list[str] = []
     assert run(tmp_path, {}, resume=True, calls=calls) == (2.0, ["a"])
     assert calls == ["b"]
-
-
-def test_digest_sees_every_byte(tmp_path):
-    path = tmp_path / "x"
-    path.write_bytes(b"1")
-    one = file_digest([path])
-    path.write_bytes(b"2")
-    assert file_digest([path]) != one
