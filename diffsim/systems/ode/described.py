@@ -84,7 +84,8 @@ class FormulaSystem:
         assumed: Inputs that are taken to be held though some run does not show it.
         clocks: Channels that are late together, by the parameter that says how much.
         known: Names that formulas may use.
-        columns: What was recorded beside inputs and channels, for formulas of own causes and laws.
+        columns: What was recorded beside inputs and channels, for formulas of own causes and laws:
+            its name, and whether it is a command that is held between samples.
         starts: Start value of every state, a formula of numbers and inputs.
         inputs: Formula of every input, of commands, facts and parameters.
         network: Formulas of rates, readings and definitions.
@@ -104,7 +105,7 @@ class FormulaSystem:
     assumed: frozenset[str]
     clocks: Mapping[str, tuple[str, ...]]
     known: tuple[str, ...]
-    columns: tuple[str, ...]
+    columns: Mapping[str, bool]
     starts: Mapping[str, Expression]
     inputs: Mapping[str, Expression]
     network: Network
@@ -219,7 +220,7 @@ def _make_scene(
         channels=tuple(c.name for c in study.channels),
         ranges=keys.ranges,
         columns={
-            n: grid.resampled(v, held=False)
+            n: grid.resampled(v, held=system.columns[n])
             for n, v in {**run.command, **run.columns}.items()
             if n in system.columns
         },

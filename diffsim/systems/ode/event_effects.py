@@ -173,7 +173,7 @@ def _find_way(library: Library, events: Events, name: str) -> _Way:
 
 def _enter(library: Library, kind: str, target: str, own: str) -> Entry:
     # each cause has an input of its own: of one name, the last would stand for all
-    change = replace(entering(library.system, kind, target, named(own)), inputs=(own,))
+    change = replace(entering(library.system, kind, target, named(own)), inputs={own: False})
     return lambda scene, values: scene.with_further_inputs({own: values}, change)
 
 

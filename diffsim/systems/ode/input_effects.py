@@ -65,11 +65,7 @@ def between_samples(name: str, own: str, *, held: bool) -> Apply:
     other = f"{name} {'held' if held else 'straight'}"
     parts = {"u": named(name), "other": named(other), "size": named(symbol(own))}
     total = filled(parse_expression("u + size*(other - u)"), parts)
-    change = Change(
-        names={name: total},
-        inputs=() if held else (other,),
-        held_inputs=(other,) if held else (),
-    )
+    change = Change(names={name: total}, inputs={other: held})
     between = _hold_input if held else _join_samples
     return with_inputs(change, symbol(own), partial(_between_samples, name, other, between))
 
@@ -129,7 +125,8 @@ def follow_profile(name: str, own: str, *, held: Mapping[str, bool]) -> Apply:
     other = f"{name} for {own}"
     parts = {"u": named(name), "other": named(other), "size": named(symbol(own))}
     change = Change(
-        names={name: filled(parse_expression("where(size, other, u)"), parts)}, inputs=(other,)
+        names={name: filled(parse_expression("where(size, other, u)"), parts)},
+        inputs={other: False},
     )
     return with_inputs(change, symbol(own), partial(_accelerate_input, name, other, held[name]))
 

@@ -157,8 +157,7 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
         names={definition: filled(parse_expression("now + where(size, late - plain, 0)"), known)},
         states=states,
         starts=starts,
-        inputs=tuple(f"{n} for {name}" for n in inputs if not network.inputs[n]),
-        held_inputs=tuple(f"{n} for {name}" for n in inputs if network.inputs[n]),
+        inputs={f"{n} for {name}": network.inputs[n] for n in inputs},
     )
     late_names = {n: f"{n} for {name}" for n in inputs}
     return with_inputs(change, symbol(name), partial(_come_late, late_names, network.inputs))

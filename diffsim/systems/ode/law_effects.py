@@ -96,8 +96,8 @@ def _bend(library: Library, law: Law, row: Row, other: Law | None = None) -> Eff
         unit = f"{law.unit}/{other.unit}" if law.unit != other.unit else "-"
     parts = _list_letters(library, law, name, other)
     formula = parse_expression(row.said("law"), (*parts, *system.known))
-    further = [parts[k].text for k in ("way", "loop", "share") if k in formula.names]
-    change = Change(names={law.name: filled(formula, parts)}, inputs=tuple(further))
+    further = {parts[k].text: False for k in ("way", "loop", "share") if k in formula.names}
+    change = Change(names={law.name: filled(formula, parts)}, inputs=further)
     groups = RunGroups.of(law.per, library.study)
     swept = system.network.with_readings({"x": parts["x"]})
     apply = _BentLaw(by_formulas_in(change, symbol(name), groups), tuple(further), swept)

@@ -224,7 +224,7 @@ class OdeLaws(LawPort):
         out = []
         for state in driven:
             name = f"course of {state}"
-            change = Change(rates={state: named(name)}, inputs=(name,))
+            change = Change(rates={state: named(name)}, inputs={name: False})
             out.append(
                 Effect(
                     name=name,
@@ -337,7 +337,8 @@ class OdeLaws(LawPort):
             states[s]: self._start(parse_expression(h.start, known), parts)
             for s, h in variable.states.items()
         }
-        change = Change(states=rates, starts=starts, inputs=variable.columns)
+        columns = {n: self.system.columns[n] for n in variable.columns}
+        change = Change(states=rates, starts=starts, inputs=columns)
         return change, filled(parse_expression(variable.formula, known), parts)
 
     def _names_for(self, variable: Variable) -> tuple[str, ...]:

@@ -30,8 +30,7 @@ class Change:
         readings: New formulas of channels, made of ``reading``, the old one.
         states: Rates of further states, by name.
         starts: Start values of those, by name; 0 if absent.
-        inputs: Names of further inputs.
-        held_inputs: Names of further inputs that keep their value until the next time.
+        inputs: Names of further inputs, and whether they keep their value until the next time.
     """
 
     rates: Mapping[str, Expression] = field(default_factory=dict)
@@ -41,8 +40,7 @@ class Change:
     readings: Mapping[str, Expression] = field(default_factory=dict)
     states: Mapping[str, Expression] = field(default_factory=dict)
     starts: Mapping[str, Expression] = field(default_factory=dict)
-    inputs: tuple[str, ...] = ()
-    held_inputs: tuple[str, ...] = ()
+    inputs: Mapping[str, bool] = field(default_factory=dict)
 
 
 READING, RATE = "reading", "rate"
@@ -118,7 +116,7 @@ class Network:
         for change in changes:
             rates |= {s: e.root for s, e in change.states.items()}
             starts |= change.starts
-            inputs |= dict.fromkeys(change.inputs, False) | dict.fromkeys(change.held_inputs, True)
+            inputs |= change.inputs
             for state, term in change.rates.items():
                 rates[state] = Apply("add", (rates[state], term.root))
             for state, factor in change.factors.items():

@@ -22,7 +22,7 @@ def own_effect(
     block: OwnEffect,
     study: Study,
     known: tuple[str, ...],
-    beside: tuple[str, ...],
+    beside: Mapping[str, bool],
     states: tuple[str, ...],
     reader: Reader,
 ) -> Effect:
@@ -33,7 +33,7 @@ def own_effect(
         block: The block.
         study: Study with the recordings.
         known: Names that formulas may use.
-        beside: Those of them that were recorded and are no inputs.
+        beside: Those of them that were recorded and are no inputs; whether they are held.
         states: Those of them that are states.
         reader: Receives the mistakes.
     """
@@ -81,7 +81,7 @@ def _make_change(
     block: OwnEffect,
     study: Study,
     known: tuple[str, ...],
-    beside: tuple[str, ...],
+    beside: Mapping[str, bool],
     states: tuple[str, ...],
     reader: Reader,
 ) -> Change:
@@ -140,7 +140,7 @@ def _make_change(
             own_states[s]: filled(parse_expression(b.start), begins | parts)
             for s, b in block.states.items()
         },
-        inputs=tuple(sorted(used.intersection(beside))),
+        inputs={n: beside[n] for n in sorted(used.intersection(beside))},
     )
 
 

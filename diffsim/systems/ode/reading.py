@@ -61,7 +61,11 @@ def read_system(
     # what nothing uses lies beside, whether the study states it or not
     unused = [c.name for c in study.commands if c.name not in used and _is_whole(c.name, study)]
     beside = [c.name for c in study.columns] + unused
-    columns = tuple(n for n in beside if n.isidentifier() and n not in taken)
+    columns = {
+        n: looks_held(study.runs, [n] if n in unused else ())
+        for n in beside
+        if n.isidentifier() and n not in taken
+    }
 
     def parsed(key: str, formulas: Mapping[str, str]) -> dict[str, Expression]:
         return {n: reader.parse(f"{key}.{n}", f, known) for n, f in formulas.items()}

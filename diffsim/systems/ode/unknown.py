@@ -50,7 +50,7 @@ def unknown_forces(library: Library) -> tuple[Unknown, ...]:
 
 def _change(library: Library, name: str, kind: str, target: str) -> Change:
     """What a further input of a name does where it enters."""
-    return replace(entering(library.system, kind, target, named(name)), inputs=(name,))
+    return replace(entering(library.system, kind, target, named(name)), inputs={name: False})
 
 
 def _make_smooth(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.diagnose import diagnose
@@ -99,3 +100,35 @@ def test_causes_of_the_library_leave_room_for_laws():
     )
     assert not any(gate.name == "law_budget" for gate in report.gates)
     assert "warm" in report.headline
+
+
+def test_an_unused_command_is_held_as_one_that_is_used_is():
+    """A cause of the user's own is driven by a valve that rests and jumps: straight lines between
+    its samples would open it half a sample early."""
+    time = np.arange(0.0, 20.0, 0.1)
+    valve = np.where(np.arange(200) // 25 % 2, 1.0, 0.0)
+    level = 0.1 * (np.cumsum(valve) - valve)  # each sample's value until the next one
+    own = {"name": "leak", "adds_to": "x", "term": "size*valve", "unit": "1/s", "typical": 1.0}
+    study = Study(
+        "vessel",
+        "ode",
+        (Channel("level", "m", "level", 0.01),),
+        tuple(
+            Run(name, time, level[:, None], {"valve": valve}, name, k, "fit")
+            for k, name in enumerate("ab")
+        ),
+        commands=(Command("valve", unit="-"),),
+        model={
+            "system": "ode",
+            "states": {"x": "0"},
+            "rates": {"x": "0*x"},
+            "readings": {"level": "x"},
+            "effects": {"only": ["leak"], "own": [own]},
+        },
+    )
+    setup = setup_of(study)
+    (leak,) = setup.effects
+    told = setup.model.predict(
+        study.runs[0], setup.model.at_prior(), {leak: torch.ones(1, dtype=torch.float64)}
+    )
+    np.testing.assert_allclose(told[:, 0].numpy(), level, atol=1e-9)
