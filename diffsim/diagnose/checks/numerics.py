@@ -23,9 +23,9 @@ from diffsim.diagnose.checks.gates import GateResult
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.gaussian import taken_up
 from diffsim.identify.linearization import ROUNDING, Linearization
 from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
-from diffsim.identify.whitening import gram_of
 
 NUMERICS_LAMBDA = 2.0
 # Of what a cause does, from which refining a setting once could be the cause: all further
@@ -131,8 +131,7 @@ def others_of(fit: Fit, i: int) -> list[int]:
 def left_over(change: Array, slopes: Array) -> Array:
     """A change of the record after a refit of coordinates with these slopes and unit priors, with
     the pull on these below it."""
-    gram = gram_of(slopes) + np.eye(slopes.shape[1])
-    taken = np.linalg.solve(gram, slopes.T @ change)
+    taken = taken_up(slopes, change)
     return np.concatenate([change - slopes @ taken, taken])
 
 

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
@@ -18,6 +17,7 @@ from diffsim.diagnose.discover.follow import FollowedRecord
 from diffsim.diagnose.discover.screen import Candidate, Screen
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
+from diffsim.identify.gaussian import Gaussian
 
 MOST_PAIRED = 40  # laws of a screen, the best first, that are weighed beside every cause
 #: causes beside the best law, and beside the next, that are fitted in the simulator: a lag and a
@@ -95,27 +95,24 @@ def best_pairs(screen: Screen, causes: Sequence[CauseAlong]) -> tuple[list[Pair]
         return [], 0
     weigher = screen.weigher
     beside = [weigher.reduced(cause.columns) for cause in causes]
-    alone = [_nats(*of) for of in beside]
+    alone = [Gaussian.by_gram(*of).nats for of in beside]
     every = np.hstack([cause.columns for cause in causes])
     # without what the model's numbers would follow
-    seen = every - weigher.jacobian @ linalg.cho_solve(weigher.factor, weigher.jacobian.T @ every)
+    seen = every - weigher.jacobian @ weigher.known.solve(weigher.jacobian.T @ every)
     ends = np.cumsum([cause.columns.shape[1] for cause in causes])[:-1]
     best, pairs = max(alone, default=0.0), []
     for law in laws:
         columns = screen.columns_of(law, law.basis.values) * law.typical
         own, right = weigher.reduced(columns)
-        best = max(best, _nats(own, right))
+        best = max(best, Gaussian.by_gram(own, right).nats)
         mixed = np.split(columns.T @ seen, ends, axis=1)
         for cause, (gram, asked), cross, nats in zip(causes, beside, mixed, alone, strict=True):
             # block elimination of the cause's sizes
-            solved = linalg.solve(
-                gram + np.eye(len(asked)), np.column_stack([cross.T, asked]), assume_a="pos"
-            )
-            left = own - cross @ solved[:, :-1], right - cross @ solved[:, -1]
-            factors = linalg.solve(left[0] + np.eye(len(right)), left[1], assume_a="pos")
-            sizes = solved[:, -1] - solved[:, :-1] @ factors
-            if cause.effect.signed or (sizes > 0.0).all():
-                pairs.append(Pair(law, cause, nats + _nats(*left)))
+            sizes = Gaussian.by_gram(gram, asked)
+            left = Gaussian.by_gram(*sizes.left_to(cross.T, own, right))
+            there = sizes.mean - sizes.solve(cross.T @ left.mean)
+            if cause.effect.signed or (there > 0.0).all():
+                pairs.append(Pair(law, cause, nats + left.nats))
     least = best + KEEP_NATS + float(np.log(count))
     better = sorted((p for p in pairs if p.nats > least), key=lambda p: -p.nats)
     best_laws = dict.fromkeys(p.law for p in better)
@@ -124,10 +121,3 @@ def best_pairs(screen: Screen, causes: Sequence[CauseAlong]) -> tuple[list[Pair]
         for law, most in zip(best_laws, NUM_CAUSES, strict=False)
     ]
     return [pair for of_law in chosen for pair in of_law], count
-
-
-def _nats(gram: Array, right: Array) -> float:
-    """Evidence of factors that are N(0, 1)."""
-    inner = gram + np.eye(len(right))
-    solved = linalg.solve(inner, right, assume_a="pos")
-    return 0.5 * float(right @ solved) - 0.5 * float(np.linalg.slogdet(inner)[1])

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
@@ -25,6 +25,7 @@ from diffsim.core.memo import Aside
 from diffsim.data.study import Run
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.law import Entry, Gains, Variable
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.setup import LawPort
@@ -266,9 +267,7 @@ def _drive(fit: Fit, run: Run, port: LawPort, max_steps: int) -> tuple[Problem, 
         at = linearization_at(problem, x, own)
         slopes = problem.whiten_all(at.columns)
         r = problem.residual_of(at.record)
-        u = problem.scaled(x)
-        gram = slopes.T @ slopes + np.eye(len(own))
-        step = linalg.solve(gram, slopes.T @ r - u[own], assume_a="pos")
+        step = Gaussian.of(slopes, r, problem.scaled(x)[own]).mean
         x, now = _shorten(problem, x, own, step, cost)
         if cost - now < LAST_STEP_SHARE * now:
             break

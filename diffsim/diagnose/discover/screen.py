@@ -23,6 +23,7 @@ from diffsim.diagnose.discover.forms import Curve, LawMisfit
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Fit, Problem
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.law import VALUE, Entry, Variable
 from diffsim.identify.setup import LawPort
 
@@ -511,13 +512,13 @@ class Weigher:
     Attributes:
         missing: Whitened record less the simulation at the prior's center, by the slopes, (N,).
         jacobian: Slopes by coordinates that are N(0, 1), (N, n).
-        factor: Cholesky factor of J'J + 1.
+        known: What the recordings tell of these coordinates.
         folds: Part that each sample belongs to, (N,).
     """
 
     missing: Array
     jacobian: Array
-    factor: tuple[Array, bool]
+    known: Gaussian
     folds: Array
 
     @classmethod
@@ -529,7 +530,7 @@ class Weigher:
     @classmethod
     def of_slopes(cls, missing: Array, j: Array, folds: Array) -> Weigher:
         """Of slopes anywhere; arguments as of the attributes."""
-        return cls(missing, j, linalg.cho_factor(j.T @ j + np.eye(j.shape[1]), lower=True), folds)
+        return cls(missing, j, Gaussian.of(j, missing), folds)
 
     def gain(self, columns: Array) -> tuple[float, float]:
         """Nats by which a law is better than none, averaged over its amplitude; the best one.
@@ -551,8 +552,8 @@ class Weigher:
             Nats, and the most probable amplitude; None of a law that does nothing.
         """
         mixed = self.jacobian.T @ columns
-        solved = linalg.cho_solve(self.factor, mixed)
-        right = columns.T @ self.missing - solved.T @ (self.jacobian.T @ self.missing)
+        solved = self.known.solve(mixed)
+        right = columns.T @ self.missing - solved.T @ self.known.slope
         for first, end in pairwise(np.cumsum([0, *counts]).tolist()):
             own = columns[:, first:end]
             gram = own.T @ own
@@ -581,11 +582,8 @@ class Weigher:
 
     def reduced(self, columns: Array) -> tuple[Array, Array]:
         """Parabola of the misfit over factors of columns, whatever the model's numbers are."""
-        j = self.jacobian
-        mixed = j.T @ columns
-        solved = linalg.cho_solve(self.factor, mixed)
-        gram = columns.T @ columns - mixed.T @ solved
-        return gram, columns.T @ self.missing - solved.T @ (j.T @ self.missing)
+        cross = self.jacobian.T @ columns
+        return self.known.left_to(cross, columns.T @ columns, columns.T @ self.missing)
 
     def misfit_of(self, columns: Array) -> tuple[Array, Array]:
         """Root and target of what the record tells of factors: |target - root f|^2.
@@ -609,10 +607,9 @@ class Weigher:
 
     def seen_by(self, entry: Reach) -> SeenThere:
         """What matters of it to terms at an entry."""
-        j = self.jacobian
-        root = linalg.solve_triangular(self.factor[0], entry.seen(j).T, lower=True)
-        known = linalg.solve_triangular(self.factor[0], j.T @ self.missing, lower=True)
-        return SeenThere(root, entry.seen(self.missing) - root.T @ known)
+        root = self.known.whitened(entry.seen(self.jacobian).T)
+        told = self.known.whitened(self.known.slope)
+        return SeenThere(root, entry.seen(self.missing) - root.T @ told)
 
     def left_out(self, columns: Array) -> tuple[float, float]:
         """Nats that a law gains on parts of the record it was not fitted to; the share of their
@@ -674,8 +671,7 @@ class _Parts:
             others = np.concatenate([jacobian[:low], jacobian[high:]])
             own = ~(others != 0.0).any(0) & (j != 0.0).any(0)
             left = np.column_stack([np.where(own, 0.0, j), missing[low:high]])
-            root = linalg.cholesky(j[:, own].T @ j[:, own] + np.eye(int(own.sum())), lower=True)
-            out = linalg.solve_triangular(root, j[:, own].T, lower=True)
+            out = Gaussian.of(j[:, own], missing[low:high]).whitened(j[:, own].T)
             taken = out @ left
             grams.append(left.T @ left - taken.T @ taken)
             known.append(np.vstack([left.T - taken.T @ out, out]))

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
@@ -33,6 +32,7 @@ from diffsim.diagnose.search.search import has_left_prior
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
 from diffsim.identify.fitting import summary
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.law import Entry, Law, Shape
 from diffsim.identify.linearization import linearization_at, records_at
 from diffsim.identify.setup import LawPort
@@ -485,8 +485,7 @@ def _fit_law(
         others += [] if cause is None else [cause.columns]
         every = np.hstack([followed.jacobian, *others, own])
         right = followed.missing + followed.jacobian @ followed.fit.x
-        gram = every.T @ every + np.eye(every.shape[1])
-        asked = np.asarray(linalg.solve(gram, every.T @ right, assume_a="pos"))
+        asked = Gaussian.of(every, right).mean
         start = linearization_at(problem, _begin(problem, before, asked))
         most = max(LAW_RECORDS * problem.cost(), most_steps)
         until = problem.model.simulations.steps + most
@@ -533,16 +532,15 @@ def _by_run(
     begins = 0
     for run, u in zip(screen.followed.fit.problem.runs, screen.values(law), strict=True):
         rows = slice(begins, begins := begins + int(np.isfinite(run.measured).sum()))
-        own = every[rows, -count:]
-        factors = linalg.solve(own.T @ own + np.eye(count), own.T @ left[rows], assume_a="pos")
+        factors = Gaussian.of(every[rows, -count:], left[rows]).mean
         points = np.linspace(float(np.nanmin(u)), float(np.nanmax(u)), NUM_POINTS)
         yield run.name, points, law.basis.values(points) @ factors * law.typical
 
 
 def _nats(fit: Fit) -> float:
     """Laplace evidence of a fit."""
-    gram = fit.jacobian.T @ fit.jacobian + np.eye(fit.jacobian.shape[1])
-    return -0.5 * (fit.chi2 + fit.prior) - 0.5 * float(np.linalg.slogdet(gram)[1])
+    at = Gaussian.of(fit.jacobian, fit.residual, fit.x)
+    return at.level - at.half_log_det  # the fit is where it is largest
 
 
 def _curve(fit: Fit, candidate: Candidate, u: Array, count: int) -> Curve:

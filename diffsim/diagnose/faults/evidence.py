@@ -14,8 +14,9 @@ from scipy.special import log_ndtr, logsumexp, ndtr, owens_t
 
 from diffsim.core.arrays import Array, Mask
 from diffsim.diagnose.faults.local import Local
-from diffsim.diagnose.faults.marginal import Information, Priors, without
+from diffsim.diagnose.faults.marginal import Priors, without
 from diffsim.identify.effect import TAIL, Effect, coordinate_of, precision_at
+from diffsim.identify.gaussian import Gaussian
 
 NUM_SAMPLES = 40  # of the sizes, for each draw of the scatter
 TINY = 1e-12  # share of a normal distribution that is computed, and mean that one is divided by
@@ -40,7 +41,7 @@ class Evidence:
     weights: Array
 
 
-def informations(local: Local, priors: Priors) -> list[Information]:
+def informations(local: Local, priors: Priors) -> list[Gaussian]:
     """What a group says of the sizes of its causes, for each draw of the scatter.
 
     Args:
@@ -53,7 +54,7 @@ def informations(local: Local, priors: Priors) -> list[Information]:
 
 
 def evidence(
-    found: Sequence[Information],
+    found: Sequence[Gaussian],
     effects: Sequence[Effect],
     rng: np.random.Generator,
     known: Mapping[str, float],
@@ -79,7 +80,7 @@ def evidence(
 
 
 def _evidence(
-    found: Sequence[Information], effects: Sequence[Effect], rng: np.random.Generator
+    found: Sequence[Gaussian], effects: Sequence[Effect], rng: np.random.Generator
 ) -> Evidence:
     """Evidence of causes whose size is not known."""
     if not effects:
@@ -102,7 +103,7 @@ def _evidence(
     return Evidence(level, mode, _strength(found, mode), samples, weights)
 
 
-def _strength(found: Sequence[Information], scaled: Array) -> float:
+def _strength(found: Sequence[Gaussian], scaled: Array) -> float:
     """Length of the misfit of sizes, in sd of noise and scatter."""
     curvature = np.mean([f.curvature for f in found], axis=0)
     return float(np.sqrt(max(scaled @ curvature @ scaled, 0.0)))
@@ -126,7 +127,7 @@ def mixed(parts: Sequence[Evidence], log_weights: Sequence[float]) -> Evidence:
     )
 
 
-def _mode(found: Sequence[Information], signed: Mask) -> tuple[Array, Array]:
+def _mode(found: Sequence[Gaussian], signed: Mask) -> tuple[Array, Array]:
     """Most probable scaled sizes, and the precision of the normal prior that stands there."""
     curvature = np.mean([f.curvature for f in found], axis=0)
     slope = np.mean([f.slope for f in found], axis=0)

@@ -24,7 +24,7 @@ from diffsim.diagnose.faults.goals import Fit, Rows, rows_at
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.learn import KNOWN_PRECISION, GroupPosterior, learn
 from diffsim.diagnose.faults.local import problem_of
-from diffsim.diagnose.faults.marginal import Information, Priors
+from diffsim.diagnose.faults.marginal import Priors
 from diffsim.diagnose.faults.states import State, possible_states
 from diffsim.diagnose.faults.verdict import (
     ENDS,
@@ -37,6 +37,7 @@ from diffsim.diagnose.faults.verdict import (
 from diffsim.diagnose.judge.records import Interval
 from diffsim.diagnose.search.evidence import VISIBLE
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.identify.whitening import WhiteNoise
@@ -193,7 +194,7 @@ class _View:
             found = self._evidence(self._rows_near(at, columns, step, own), own, rng)
         return found
 
-    def all_sizes(self) -> list[Information]:
+    def all_sizes(self) -> list[Gaussian]:
         """What a sound group says of the sizes of all causes."""
         local = self._fit(self.rows, self.problem.effects, 1.0).local
         return informations(local, self.priors[1.0])
@@ -250,7 +251,7 @@ class _View:
         return rows_at(self.problem, layout, at, own)
 
 
-def _smallest_visible(found: Sequence[Information], effects: Sequence[Effect]) -> dict[str, float]:
+def _smallest_visible(found: Sequence[Gaussian], effects: Sequence[Effect]) -> dict[str, float]:
     """Size of each cause alone whose misfit would be ``VISIBLE`` sd of noise and scatter."""
     curvature = np.mean([f.curvature for f in found], axis=0)
     sd = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))

@@ -22,9 +22,10 @@ from diffsim.diagnose.faults.goals import Fit, Rows, Tails, learned_tails, rows_
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.layout import Layout
 from diffsim.diagnose.faults.local import Local, problem_of
-from diffsim.diagnose.faults.marginal import Information, Priors, without
+from diffsim.diagnose.faults.marginal import Priors, without
 from diffsim.diagnose.faults.one_sided import Terms
 from diffsim.identify.effect import PRIOR_WIDTH
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.problem import Problem
 
 FACTOR_SD = 1.0  # sd of the logarithm of a spread about the stated one: a factor of e
@@ -298,7 +299,7 @@ def _common_above_zero(
     log_spread: Array,
     terms: Mapping[str, Terms],
     one: Collection[str],
-) -> Information:
+) -> Gaussian:
     """What groups say together of the shared parameters, known sizes with their sign."""
     own = _terms(layout, locals_, log_spread, terms, one, NUM_SWEEPS_OF_DRAW)
     return common_information(layout, _with_terms(locals_, own), log_spread)
@@ -357,12 +358,10 @@ def log_posterior(
 
 def _log_density(
     layout: Layout, locals_: Mapping[str, Local], log_spread: Array
-) -> tuple[float, Information]:
+) -> tuple[float, Gaussian]:
     """Logarithm of the posterior of spreads, up to a constant, and the shared parameters there."""
     found = common_information(layout, locals_, log_spread)
-    determinant = np.linalg.slogdet(found.curvature)[1]
-    fit = found.level + 0.5 * found.slope @ found.mean - 0.5 * determinant
-    return float(fit - 0.5 * np.sum((log_spread / FACTOR_SD) ** 2)), found
+    return found.nats - 0.5 * float(np.sum((log_spread / FACTOR_SD) ** 2)), found
 
 
 class _Squares(NamedTuple):
@@ -373,7 +372,7 @@ class _Squares(NamedTuple):
 
 
 def _mean_squares(
-    layout: Layout, locals_: Mapping[str, Local], log_spread: Array, of_common: Information
+    layout: Layout, locals_: Mapping[str, Local], log_spread: Array, of_common: Gaussian
 ) -> _Squares:
     common, mean, covariance = layout.shared, of_common.mean, of_common.covariance
     place = {i: k for k, i in enumerate(common)}
@@ -410,9 +409,7 @@ def _own_moments(
     return _Moments(np.asarray(own), np.asarray(spread))
 
 
-def common_information(
-    layout: Layout, locals_: Mapping[str, Local], log_spread: Array
-) -> Information:
+def common_information(layout: Layout, locals_: Mapping[str, Local], log_spread: Array) -> Gaussian:
     """What groups say together of the shared parameters, their priors included."""
     common = layout.shared
     place = {i: k for k, i in enumerate(common)}
@@ -425,10 +422,10 @@ def common_information(
         curvature[np.ix_(at, at)] += found.curvature
         slope[at] += found.slope
         level += found.level
-    return Information(curvature, slope, level)
+    return Gaussian(curvature, slope, level)
 
 
-def _of_common(layout: Layout, local: Local, log_spread: Array) -> Information:
+def _of_common(layout: Layout, local: Local, log_spread: Array) -> Gaussian:
     prior = _scatter_prior(layout, local, log_spread)
     gone = slice(len(local.common), len(local.slope))
     level = local.level - 0.5 * local.square

@@ -7,46 +7,12 @@ Bishop, Pattern Recognition and Machine Learning (2006), 2.3.1 and 3.5.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from diffsim.core.arrays import Array
-
-
-@dataclass(frozen=True, eq=False)
-class Information:
-    """log p = level + slope x - x curvature x / 2 of some coordinates x.
-
-    Attributes:
-        curvature: (n, n) precision.
-        slope: (n,).
-        level: Logarithm of the density of the samples at x = 0, up to a constant of the samples.
-    """
-
-    curvature: Array
-    slope: Array
-    level: float
-
-    def given(self, known: Sequence[int], values: Array) -> Information:
-        """Information on the other coordinates where some are known."""
-        at = list(known)
-        rest = [k for k in range(len(self.slope)) if k not in at]
-        pull = self.curvature[np.ix_(rest, at)] @ values
-        inner = self.curvature[np.ix_(at, at)] @ values
-        level = self.level + float(values @ (self.slope[at] - 0.5 * inner))
-        return Information(self.curvature[np.ix_(rest, rest)], self.slope[rest] - pull, level)
-
-    @property
-    def mean(self) -> Array:
-        """Where the density is largest, (n,)."""
-        return np.asarray(np.linalg.solve(self.curvature, self.slope))
-
-    @property
-    def covariance(self) -> Array:
-        """Inverse of the precision, (n, n)."""
-        return np.asarray(np.linalg.inv(self.curvature))
+from diffsim.identify.gaussian import Gaussian
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +39,7 @@ class Priors:
 
 def without(
     curvature: Array, slope: Array, level: float, gone: slice, priors: Priors
-) -> list[Information]:
+) -> list[Gaussian]:
     """Integrate coordinates out that have a Gaussian prior, for each draw of it.
 
     Args:
@@ -101,4 +67,4 @@ def without(
     levels = level + priors.level + 0.5 * np.sum(pull * shared[..., -1], axis=-1) - half_log_det
     curvatures = curvature[stay, stay] - cross.T @ shared[..., :-1]
     slopes = slope[stay] - shared[..., -1] @ cross
-    return [Information(c, s, float(x)) for c, s, x in zip(curvatures, slopes, levels, strict=True)]
+    return [Gaussian(c, s, float(x)) for c, s, x in zip(curvatures, slopes, levels, strict=True)]

@@ -20,6 +20,7 @@ from diffsim.diagnose.say.wording import MOST_LISTED
 from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify import Fit
 from diffsim.identify.fitting import posterior_covariance
+from diffsim.identify.gaussian import taken_up
 from diffsim.identify.problem import PredictionError
 
 TELLING = 2.0 * ALONE_NATS  # squared noise sd from which on a set would be named alone
@@ -169,7 +170,5 @@ def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
         for b in range(a + 1, len(linear)):
             apart = linear[a][0] - linear[b][0]
             blur = np.hstack([linear[a][1], linear[b][1]])
-            inner = np.eye(blur.shape[1]) + blur.T @ blur
-            seen = blur.T @ apart
-            distances.append(float(apart @ apart - seen @ np.linalg.solve(inner, seen)))
+            distances.append(float(apart @ (apart - blur @ taken_up(blur, apart))))
     return min(distances)

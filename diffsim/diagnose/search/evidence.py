@@ -41,6 +41,7 @@ from diffsim.core.memo import Aside, SpilledArray
 from diffsim.diagnose.search.optimum import kept_definite, log_tilt, optimum, quadratic_optimum
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect, precision_at
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.linearization import ROUNDING
 from diffsim.identify.problem import PredictionError, Problem
 from diffsim.identify.unknown import Unknown
@@ -136,17 +137,17 @@ class Local:
     def of(all_of: LaplaceEvidence, own: Sequence[int]) -> Local:
         """Of the coordinates ``own``, in the evidence of all."""
         cross, b = all_of.gram[own], all_of.projection[own]
-        factor = linalg.cho_factor(cross[:, own] + np.eye(len(own)), lower=True)
-        follow, best = linalg.cho_solve(factor, cross), linalg.cho_solve(factor, b)
+        at = Gaussian.by_gram(cross[:, own], b)
+        follow = at.solve(cross)
         return Local(
             np.array(own),
-            best,
+            at.mean,
             follow,
-            np.diag(linalg.cho_solve(factor, np.eye(len(own)))),
+            np.diag(at.covariance),
             kept_definite(all_of.gram - cross.T @ follow),
-            all_of.projection - cross.T @ best,
-            all_of.power - float(b @ best),
-            2.0 * float(np.log(np.diag(factor[0])).sum()),
+            all_of.projection - cross.T @ at.mean,
+            all_of.power - float(b @ at.mean),
+            2.0 * at.half_log_det,
         )
 
 
@@ -260,12 +261,8 @@ class LaplaceEvidence:
             width[j] = factor_of_sd
         b, gram = width * b, gram * np.outer(width, width)
         low, high, reach = low / width, high / width, reach / width
-        factor = linalg.cho_factor(gram + np.eye(count), lower=True)
-        mean = linalg.cho_solve(factor, b)
-        log_det += 2.0 * float(np.log(np.diag(factor[0])).sum())
-        nats = -0.5 * (power - b @ mean) - 0.5 * log_det
-        covariance = linalg.cho_solve(factor, np.eye(count))
-        sd = np.sqrt(np.diag(covariance))
+        posterior = Gaussian.by_gram(gram, b, -0.5 * (power + log_det))
+        mean, sd = posterior.mean, np.sqrt(np.diag(posterior.covariance))
         gained_by_bounds = _log_share(mean, sd, low, high)
         signed = [self.problem.effects[i].signed for i in members for _ in self.columns[i]]
         for k, is_signed in zip(np.flatnonzero(is_size), signed, strict=True):
@@ -282,10 +279,12 @@ class LaplaceEvidence:
             u[local.own] = local.best - follow @ u[free]
             chi2 -= float(u[local.own] @ u[local.own])
             along = follow * width
-            deviation[local.own] = np.sqrt(local.variance + ((along @ covariance) * along).sum(1))
+            spread = (along @ posterior.covariance) * along
+            deviation[local.own] = np.sqrt(local.variance + spread.sum(1))
         x = self.problem.standardized(u)
         deviation /= self.problem.stretch(x)
-        return float(nats + gained_by_bounds.sum() - lost), x, deviation, float(chi2)
+        nats = posterior.nats + float(gained_by_bounds.sum()) - lost
+        return nats, x, deviation, float(chi2)
 
 
 def _within(
@@ -416,18 +415,17 @@ def screen(linear: LaplaceEvidence) -> Screen:
     """Scores of all candidates from a linearization at the null fit, where sizes are zero."""
     problem, residual, n = linear.problem, linear.residual, linear.problem.num_base
     j, g = linear.jacobian[:, :n], linear.jacobian[:, n:]
-    inner = linalg.inv(j.T @ j + np.eye(n)) if n else np.zeros((0, 0))
-    absorbed = inner @ (j.T @ g)
-    information = g.T @ g - (j.T @ g).T @ absorbed
-    # the second part vanishes at the exact optimum; so written, an inexact one does no harm
-    score = g.T @ residual - absorbed.T @ (j.T @ residual - linear.x0[:n])
+    # the slope vanishes at the exact optimum; so written, an inexact one does no harm
+    at = Gaussian.of(j, residual, linear.x0[:n])
+    cross = j.T @ g
+    information, score = at.left_to(cross, g.T @ g, g.T @ residual)
     diagonal = np.clip(np.diag(information), 0.0, None)
     # a column that the base parameters absorb up to rounding, or that is rounding, tells nothing
     moved = np.sum(g**2, axis=0)
     blind = (diagonal <= 1e-12 * moved) | (moved <= ROUNDING**2)
     root = np.where(blind, np.inf, np.sqrt(diagonal))
     unit = problem.size_units  # at sizes of zero, where slopes by size and by coordinate agree
-    tilde = np.where(blind, 0.0, g - j @ absorbed)
+    tilde = np.where(blind, 0.0, g - j @ at.solve(cross))
     length = np.linalg.norm(tilde, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         cosine = np.nan_to_num((tilde.T @ tilde) / np.outer(length, length))

@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose.search.scan import BORROWED, Scan, costs_of, narrowed
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, Locator, coordinate_of
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.linearization import Linearization, linearization_at, records_at
 from diffsim.identify.locate import Course, Proposal
 
@@ -41,7 +41,7 @@ def course_at(wide: Problem, own: Sequence[int], center: Linearization, locator:
     """
     residual = wide.residual_of(center.record)
     j = wide.whiten_all(center.slopes(own)) * wide.stretch(center.x)[list(own)]
-    inner = linalg.inv(j.T @ j + np.eye(len(own)))
+    at = Gaussian.of(j, residual, center.x[list(own)])
     k = len(locator.times)
     gram, score, cross = np.zeros((k, k)), np.zeros(k), np.zeros((len(own), k))
     narrow = narrowed(wide, own)
@@ -57,12 +57,7 @@ def course_at(wide: Problem, own: Sequence[int], center: Linearization, locator:
         gram[np.ix_(knots, knots)] += g.T @ g
         score[knots] += g.T @ residual[rows]
         cross[:, knots] += j[rows].T @ g
-    absorbed = inner @ cross
-    return Course(
-        locator.times,
-        gram - cross.T @ absorbed,
-        score - absorbed.T @ (j.T @ residual - center.x[list(own)]),
-    )
+    return Course(locator.times, *at.left_to(cross, gram, score))
 
 
 def scan_located(

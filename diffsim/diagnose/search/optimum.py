@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from diffsim.identify.effect import TAIL, coordinate_of, precision_at, scaled_at
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.whitening import MIN_SPARSE
 
 Array = NDArray[np.float64]
@@ -49,10 +50,9 @@ def optimum(
     v, kept = np.zeros(len(b)), sizes
     while True:
         base = ~kept
-        inner = linalg.cho_factor(gram[np.ix_(base, base)] + np.eye(int(base.sum())))
+        at_best = Gaussian.by_gram(gram[np.ix_(base, base)], b[base])
         outer = gram[np.ix_(base, kept)]
-        solved = linalg.cho_solve(inner, np.column_stack([outer, b[base]]))
-        own = gram[np.ix_(kept, kept)] - outer.T @ solved[:, :-1], b[kept] - outer.T @ solved[:, -1]
+        own = at_best.left_to(outer, gram[np.ix_(kept, kept)], b[kept])
         near, far = low[kept], high[kept]
         if kept is sizes:
             v[kept] = _sizes_optimum(*own, near, far, start[kept])
@@ -60,7 +60,7 @@ def optimum(
             first = np.ones(int(kept.sum()))
             first[sizes[kept]] = precision_at(v[sizes])
             v[kept] = _reweight_sizes(*own, near, far, sizes[kept], first)
-        v[base] = solved[:, -1] - solved[:, :-1] @ v[kept]
+        v[base] = at_best.mean - at_best.solve(outer @ v[kept])
         beyond = base & ((v < low) | (v > high))
         if not beyond.any():
             return v

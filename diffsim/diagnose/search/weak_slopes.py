@@ -17,6 +17,7 @@ from scipy import linalg
 from diffsim.core.arrays import Array
 from diffsim.identify import Problem
 from diffsim.identify.effort import FIT_NATS
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.linearization import Linearization, linearization_at, records_at
 
 WEAK = 0.05  # of the strongest direction: below it an error of a percent or two is a good part
@@ -89,9 +90,8 @@ def _weak_step(problem: Problem, at: Linearization) -> tuple[Array, float, Array
     _, strength, axes = linalg.svd(slopes, full_matrices=False)
     weak = axes[strength < WEAK * strength.max(initial=0.0)]
     ahead = slopes @ weak.T
-    pull = ahead.T @ residual - weak @ at.x
-    step = weak.T @ linalg.solve(ahead.T @ ahead + np.eye(len(weak)), pull)
-    return step, 0.5 * float(pull @ (weak @ step)), residual
+    along = Gaussian.of(ahead, residual, weak @ at.x)
+    return weak.T @ along.mean, 0.5 * float(along.slope @ along.mean), residual
 
 
 def _lower(problem: Problem, at: Linearization) -> Array | None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import linalg, sparse, special, stats
+from scipy import sparse, special, stats
 
 from diffsim.diagnose.discover.follow import Reach, ReachInRun
 from diffsim.diagnose.discover.screen import NUM_BUMPS, Candidate, Weigher, bumps, trend
@@ -26,11 +26,6 @@ def problem():
     return missing, slopes, columns, folds
 
 
-def weigher(missing, slopes, folds):
-    factor = linalg.cho_factor(slopes.T @ slopes + np.eye(slopes.shape[1]), lower=True)
-    return Weigher(missing, slopes, factor, folds)
-
-
 @pytest.mark.reference
 def test_a_gain_is_the_ratio_of_two_normal_densities(problem):
     missing, slopes, columns, folds = problem
@@ -42,7 +37,7 @@ def test_a_gain_is_the_ratio_of_two_normal_densities(problem):
         - without
         for a in AMPLITUDES
     ]
-    nats, amplitude = weigher(missing, slopes, folds).gain(columns)
+    nats, amplitude = Weigher.of_slopes(missing, slopes, folds).gain(columns)
     assert nats == pytest.approx(special.logsumexp(each) - np.log(len(each)), abs=1e-9)
     assert amplitude == AMPLITUDES[int(np.argmax(each))]
 
@@ -67,7 +62,7 @@ def test_what_a_law_gains_is_what_refits_without_each_part_say(problem):
                 before += misfit
             else:
                 after += misfit
-    gained, share = weigher(missing, slopes, folds).left_out(columns)
+    gained, share = Weigher.of_slopes(missing, slopes, folds).left_out(columns)
     assert gained == pytest.approx(0.5 * (before - after), rel=1e-9)
     assert share == pytest.approx((before - after) / max(before - COUNT, before - after), rel=1e-9)
 
@@ -85,7 +80,7 @@ def test_of_a_force_and_a_fixed_number_that_do_the_same_the_force_comes_first():
 def test_columns_of_chance_gain_nothing_where_they_were_not_fitted(problem):
     missing, slopes, columns, folds = problem
     rng = np.random.default_rng(0)
-    asked = weigher(missing, slopes, folds)
+    asked = Weigher.of_slopes(missing, slopes, folds)
     chance = [asked.left_out(rng.normal(size=columns.shape))[0] for _ in range(200)]
     assert np.mean(chance) < 0.0 < asked.left_out(columns)[0]
 
@@ -100,7 +95,7 @@ def cost_of(problem, factors):
 @pytest.mark.reference
 def test_what_a_record_tells_is_the_misfit_of_all_factors(problem):
     missing, slopes, columns, folds = problem
-    root, target = weigher(missing, slopes, folds).misfit_of(columns)
+    root, target = Weigher.of_slopes(missing, slopes, folds).misfit_of(columns)
     tried = np.random.default_rng(1).normal(size=(5, columns.shape[1]))
     told = [np.sum((target - root @ f) ** 2) for f in tried]
     expected = [cost_of(problem, f) for f in tried]
@@ -118,7 +113,7 @@ def test_beside_a_law_evidence_is_that_of_both(problem):
         stats.multivariate_normal(zero, plain + a**2 * second @ second.T).logpdf(missing) - without
         for a in AMPLITUDES
     ]
-    nats, _ = weigher(missing, slopes, folds).with_columns(first).gain(second)
+    nats, _ = Weigher.of_slopes(missing, slopes, folds).with_columns(first).gain(second)
     assert nats == pytest.approx(special.logsumexp(each) - np.log(len(each)), abs=1e-9)
 
 
@@ -136,7 +131,7 @@ def test_a_waves_score_is_what_refits_take_away(problem):
     terms = [rng.normal(size=(20, 6)) for _ in range(2)]
     pairs = np.concatenate([course @ spread @ terms[0], at_once @ terms[1]])
     np.testing.assert_allclose(entry.columns(terms), pairs, rtol=1e-9, atol=1e-9)
-    seen = weigher(missing, slopes, folds).seen_by(entry)
+    seen = Weigher.of_slopes(missing, slopes, folds).seen_by(entry)
     found = seen.scores(entry.coordinates(terms))
     metric = np.linalg.inv(np.eye(COUNT) + slopes @ slopes.T)
     for k in range(3):
