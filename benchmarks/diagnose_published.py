@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -71,6 +71,59 @@ def library_answer(inputs: Inputs) -> Report:
     return diagnosed(replace(inputs, setup=replace(inputs.setup, laws=None, bank=())))
 
 
+@dataclass(frozen=True)
+class Asked:
+    """The answer of one data set, from its YAML alone, and what it took.
+
+    Attributes:
+        content: Of ``report.json``, or of ``faults.json``.
+        verdict: Of the answer; "faults" of one of groups.
+        said: The headline; of groups, how many faults are named and how many rightly.
+        certain: Certain causes.
+        cpu_s: CPU seconds, checks and pages' numbers included.
+        gradients: Share of gradient checks in them.
+        steps: Weighted steps that were simulated, in millions; 0 of groups, which count none.
+    """
+
+    content: Mapping[str, Any]
+    verdict: str
+    said: str
+    certain: tuple[str, ...]
+    cpu_s: float
+    gradients: float = 0.0
+    steps: float = 0.0
+
+
+def asked(name: str, *, quick: bool = False) -> Asked:
+    """The answer of a published data set, as ``diffsim diagnose explain`` gives it.
+
+    Args:
+        name: Name of the data set.
+        quick: Ask for a first answer.
+
+    Raises:
+        DiffsimError: the answer failed.
+        ValueError: the study cannot be asked.
+    """
+    clock = Clock()
+    study = read_study(name)
+    require_ready(study, name, plan=study.faults is None)
+    if study.faults is not None:
+        return _asked_of_faults(study, clock.start)
+    inputs = inputs_of(study, seed=0, budget="quick" if quick else "full")
+    report = diagnosed(inputs, progress=clock)
+    cpu_s = time.process_time() - clock.start
+    return Asked(
+        report.to_dict(),
+        report.verdict,
+        report.headline,
+        tuple(c.name for c in report.causes if c.status == "certain"),
+        cpu_s,
+        clock.gradients / cpu_s,
+        1e-6 * inputs.setup.model.simulations.work.steps,
+    )
+
+
 def row(name: str, *, quick: bool = False, kept: Path | None = None) -> str:
     """One data set, from its YAML to the first sentence of its page.
 
@@ -79,43 +132,29 @@ def row(name: str, *, quick: bool = False, kept: Path | None = None) -> str:
         quick: Ask for a first answer.
         kept: Folder that gets the answer.
     """
-    clock = Clock()
-    start = clock.start
+    start = time.process_time()
     try:
-        study = read_study(name)
-        require_ready(study, name, plan=study.faults is None)
-        if study.faults is not None:
-            return _row_of_faults(study, start, kept)
-        inputs = inputs_of(study, seed=0, budget="quick" if quick else "full")
-        report = diagnosed(inputs, progress=clock)
+        found = asked(name, quick=quick)
     except (DiffsimError, ValueError) as error:
         cpu = time.process_time() - start
         return f"| {name} | failed | {' '.join(str(error).split())} | – | {cpu:.0f} | – | – |"
-    _keep(report.to_dict(), name, kept)
-    cpu = time.process_time() - start
-    certain = ", ".join(c.name for c in report.causes if c.status == "certain") or "–"
-    said = f"| {name} | {report.verdict} | {report.headline} | {certain} "
-    steps = 1e-6 * inputs.setup.model.simulations.work.steps
-    return f"{said}| {cpu:.0f} | {clock.gradients / cpu:.1%} | {steps:.1f} |"
-
-
-def _keep(answer: Mapping[str, Any], name: str, kept: Path | None) -> None:
     if kept is not None:
-        write_json_atomic(kept / f"{name}.json", answer)
+        write_json_atomic(kept / f"{name}.json", found.content)
+    said = f"| {name} | {found.verdict} | {found.said} | {', '.join(found.certain) or '–'} "
+    return f"{said}| {found.cpu_s:.0f} | {found.gradients:.1%} | {found.steps:.1f} |"
 
 
-def _row_of_faults(study: Study, start: float, kept: Path | None) -> str:
+def _asked_of_faults(study: Study, start: float) -> Asked:
     """A data set whose groups are judged for faults, each by the others."""
     assert study.faults is not None
     labels = [g.label for g in groups_of(study, study.faults)]
     report = judge_faults(study, setup_of(study), groups=labels)
-    _keep(report.to_dict(), study.name, kept)
     named = [v for v in report.verdicts if v.causes]
     right = sum(v.is_right is not False for v in named)
     alarms = sum(v.known == () for v in named)
     said = f"{len(named)} of {len(labels)} groups have a named fault, {right} of them rightly, "
-    cpu = time.process_time() - start
-    return f"| {study.name} | faults | {said}{alarms} false alarms. | – | {cpu:.0f} | – | – |"
+    said += f"{alarms} false alarms."
+    return Asked(report.to_dict(), "faults", said, (), time.process_time() - start)
 
 
 def main() -> None:
