@@ -131,7 +131,8 @@ def fold_alike(sentences: Sequence[str]) -> list[str]:
     ]
 
 
-def list_first(names: Sequence[str], most: int = 8) -> str:
-    """The first names, and how many more there are: "a, b and 3 more"."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+def list_first(names: Sequence[str], most: int = 8, between: str = ", ") -> str:
+    """The first names, and how many more there are: "a, b and 3 more"; one more is named, too."""
+    if (more := len(names) - most) <= 1:
+        return between.join(names)
+    return f"{between.join(names[:most])} and {more} more"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.core.figures import figure, percent, probability, unit_of
+from diffsim.core.figures import figure, list_first, percent, probability, unit_of
 from diffsim.data.study import Channel
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import ljung_box
@@ -274,7 +274,7 @@ def _data_sheet(r: Report) -> page.Section:
     if names := list(dict.fromkeys(stem.replace("_", " ") for stem in stems)):
         whole = {row.name.partition("@")[0].partition("[")[0] for row in told}
         some = ["some of " * (name.replace(" ", "_") in whole) + name for name in names]
-        text.append(f"These runs say nothing of {_list_first(some, MAX_LISTED * 2)}.")
+        text.append(f"These runs say nothing of {list_first(some, MAX_LISTED * 2)}.")
     content = [tables.base(shown)] if shown else []
     return page.Section(title=title, text=text, content=content)
 
@@ -286,7 +286,7 @@ def _confounding(r: Report) -> page.Section:
     blocks = blocks_of(r.confounding)
     words = [_component_of(name) for name in r.confounding_names]
     sets = [" and ".join(words[i] for i in block) for block in blocks]
-    text = [f"These data hardly part {_list_first(sets, MAX_LISTED, '; ')}."] if blocks else []
+    text = [f"These data hardly part {list_first(sets, MAX_LISTED, '; ')}."] if blocks else []
     caption = (
         f"Boxed: sets linked by cosines beyond ±{CONFOUNDED}. Of one set only a set can be "
         "named, not a member."
@@ -300,14 +300,6 @@ def _component_of(name: str) -> str:
     effect, _, component = name.partition(".")
     words = effect.replace("_", " ")
     return f"{words} ({component_words(component)})" if component else words
-
-
-def _list_first(names: Sequence[str], most: int, between: str = ", ") -> str:
-    """The first names, and how many more there are; one more is named, too."""
-    more = len(names) - most
-    if more <= 1:
-        return between.join(names)
-    return f"{between.join(names[:most])}{between}and {more} more"
 
 
 def _blind(report: Report) -> page.Section:
