@@ -8,6 +8,7 @@ from diffsim.core.figures import (
     figure,
     fold_alike,
     limits,
+    list_first,
     percent,
     probability,
     signed,
@@ -79,3 +80,9 @@ def test_what_is_said_of_many_files_is_said_once():
 def test_a_share_has_a_space_before_its_sign_and_is_as_exact_as_it_is_small(share, text):
     """A page said 44% beside 44 %."""
     assert percent(share) == text
+
+
+def test_names_beyond_a_limit_are_counted_but_for_one():
+    assert list_first(["a", "b", "c"], 2) == "a, b, c"
+    assert list_first(["a", "b", "c", "d"], 2) == "a, b and 2 more"
+    assert list_first(["a, b", "c"], 1, "; ") == "a, b; c"

@@ -650,11 +650,6 @@ def test_a_browser_toggles_the_cause_and_zooms_a_curve(tmp_path):
         browser.picture(tmp_path / "page.png")
 
 
-def test_one_more_is_named():
-    assert dr._list_first(["a", "b", "c"], 2) == "a, b, c"
-    assert dr._list_first(["a", "b", "c", "d"], 2) == "a, b, and 2 more"
-
-
 def test_a_column_without_a_name_has_no_colon_on_a_phone(tmp_path):
     table = page.Table(columns=["what", ""], rows=[["form", "table"]])
     section = page.Section(title="Law", content=[table])
