@@ -153,8 +153,21 @@ class Source(Part):
 class BoundedSource(Source):
     """A quantity with limits."""
 
+    in_unit: ClassVar[dict[str, str]]
+    """Further keys that may have a unit of their own, and what they are of the quantity."""
+
     lower: Number | None = None
     upper: Number | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_units(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("shown_formula") is not None:
+            if given.get("shown_unit") is None:
+                raise ValueError("shown_formula needs shown_unit, the unit of what it gives")
+            parse_expression(given["shown_formula"], [str(given.get("name"))])
+        ends = {"lower": "value", "upper": "value", "offset": "difference"}
+        return in_own_unit(given, ends | cls.in_unit)
 
     @model_validator(mode="after")
     def _check_bounds(self) -> BoundedSource:
@@ -165,6 +178,8 @@ class BoundedSource(Source):
 
 class ChannelEntry(BoundedSource):
     """A measured quantity."""
+
+    in_unit: ClassVar = {"sd": "difference"}
 
     name: str = Field(description="Name that the model, reports and formulas use")
     unit: Unit = Field(description="Unit of the files, such as mm, deg, mbar, rpm; - for none")
@@ -203,19 +218,11 @@ class ChannelEntry(BoundedSource):
     )
     upper: Number | None = Field(None, description="The other end of its travel, in `unit`")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _with_units(cls, given: Any) -> Any:
-        if isinstance(given, dict) and given.get("shown_formula") is not None:
-            if given.get("shown_unit") is None:
-                raise ValueError("shown_formula needs shown_unit, the unit of what it gives")
-            parse_expression(given["shown_formula"], [str(given.get("name"))])
-        ends = {"lower": "value", "upper": "value"}
-        return in_own_unit(given, {**ends, "sd": "difference", "offset": "difference"})
-
 
 class CommandEntry(BoundedSource):
     """A commanded quantity."""
+
+    in_unit: ClassVar = {"fill": "value", "before": "value", "rate": "rate"}
 
     name: str = Field(description="Name that the model, reports and formulas use")
     unit: Unit | None = Field(
@@ -245,12 +252,6 @@ class CommandEntry(BoundedSource):
         description="Whether it was measured (the output of a controller): it then differs "
         "between repeats, and nobody can command it",
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_units(cls, given: Any) -> Any:
-        values = dict.fromkeys(("lower", "upper", "fill", "before"), "value")
-        return in_own_unit(given, {**values, "offset": "difference", "rate": "rate"})
 
 
 class Fact(Part):

@@ -43,12 +43,8 @@ class Gaussian:
         """
         at = np.zeros(jacobian.shape[1]) if x is None else x
         square = float(residual @ residual + at @ at)
-        return cls.by_gram(gram_of(jacobian), jacobian.T @ residual - at, -0.5 * square)
-
-    @classmethod
-    def by_gram(cls, gram: Array, slope: Array, level: float = 0.0) -> Gaussian:
-        """The same by what the record tells, J'J and J'r - x; ``level`` without its prior."""
-        return cls(gram + np.eye(len(slope)), slope, level)
+        curvature = gram_of(jacobian) + np.eye(len(at))
+        return cls(curvature, jacobian.T @ residual - at, -0.5 * square)
 
     def solve(self, right: Array) -> Array:
         """Columns (n, K), or one (n,), over the curvature."""
@@ -68,15 +64,11 @@ class Gaussian:
         """Inverse of the curvature, (n, n)."""
         return self.solve(np.eye(len(self.slope)))
 
-    @cached_property
-    def half_log_det(self) -> float:
-        """Half the logarithm of the curvature's determinant [nats]."""
-        return float(np.log(np.diag(self._factor[0])).sum())
-
     @property
     def nats(self) -> float:
         """Logarithm of the integral over all coordinates, their evidence [nats]."""
-        return self.level + 0.5 * float(self.slope @ self.mean) - self.half_log_det
+        half_log_det = float(np.log(np.diag(self._factor[0])).sum())
+        return self.level + 0.5 * float(self.slope @ self.mean) - half_log_det
 
     def given(self, known: Sequence[int], values: Array) -> Gaussian:
         """The other coordinates where some are known, (num_known,)."""
@@ -106,16 +98,3 @@ class Gaussian:
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
         return linalg.cho_factor(self.curvature, lower=True)
-
-
-def taken_up(slopes: Array, columns: Array) -> Array:
-    """Where coordinates N(0, 1) go to take up columns of the record, as a refit of them does.
-
-    Args:
-        slopes: Of the record by the coordinates, (N, n), whitened.
-        columns: Whitened, (N, K), or one, (N,).
-
-    Returns:
-        Coordinates, (n, K) or (n,).
-    """
-    return Gaussian.of(slopes, np.zeros(len(slopes))).solve(slopes.T @ columns)

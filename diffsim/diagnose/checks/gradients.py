@@ -96,7 +96,11 @@ def gradient_gate(
     """
     tally = problem.model.simulations
     start = tally.steps
-    parts = _split_by_run(problem, x, residual, jacobian)
+    rows = zip(problem.runs, problem.by_run(residual), problem.by_run(jacobian), strict=True)
+    parts = [
+        _Slopes(replace(problem, runs=(run,)), x, r, j, _cotangent(problem, r, j))
+        for run, r, j in rows
+    ]
     whole = _Slopes.joined(parts)
     effects = [e for e in problem.effects if e.smooth and whole.moved(e) > ROUNDING]
     if not effects:
@@ -128,15 +132,6 @@ def gradient_gate(
         note = f"of {', '.join(left_out)}: it would cost more than a tenth of the diagnosis"
         gates.append(GateResult(LEFT_OUT, False, len(left_out), 0.0, note, applies=False))
     return gates
-
-
-def _split_by_run(problem: Problem, x: Array, residual: Array, jacobian: Array) -> list[_Slopes]:
-    """Rows of each run."""
-    rows = zip(problem.runs, problem.by_run(residual), problem.by_run(jacobian), strict=True)
-    return [
-        _Slopes(replace(problem, runs=(run,)), x, r, j, _cotangent(problem, r, j))
-        for run, r, j in rows
-    ]
 
 
 def _cotangent(problem: Problem, residual: Array, jacobian: Array) -> Array:

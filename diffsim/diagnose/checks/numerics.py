@@ -23,7 +23,7 @@ from diffsim.diagnose.checks.gates import GateResult
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.gaussian import taken_up
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.linearization import ROUNDING, Linearization
 from diffsim.identify.numerics import REFINEMENTS, NumericalEffect, Numerics, coarse
 
@@ -131,7 +131,7 @@ def others_of(fit: Fit, i: int) -> list[int]:
 def left_over(change: Array, slopes: Array) -> Array:
     """A change of the record after a refit of coordinates with these slopes and unit priors, with
     the pull on these below it."""
-    taken = taken_up(slopes, change)
+    taken = Gaussian.of(slopes, change).mean
     return np.concatenate([change - slopes @ taken, taken])
 
 

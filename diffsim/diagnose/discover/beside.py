@@ -94,8 +94,11 @@ def best_pairs(screen: Screen, causes: Sequence[CauseAlong]) -> tuple[list[Pair]
     if not count:
         return [], 0
     weigher = screen.weigher
-    beside = [weigher.reduced(cause.columns) for cause in causes]
-    alone = [Gaussian.by_gram(*of).nats for of in beside]
+    beside = []
+    for cause in causes:
+        gram, asked = weigher.reduced(cause.columns)
+        beside.append(Gaussian(gram + np.eye(len(asked)), asked))
+    alone = [sizes.nats for sizes in beside]
     every = np.hstack([cause.columns for cause in causes])
     # without what the model's numbers would follow
     seen = every - weigher.jacobian @ weigher.known.solve(weigher.jacobian.T @ every)
@@ -104,12 +107,12 @@ def best_pairs(screen: Screen, causes: Sequence[CauseAlong]) -> tuple[list[Pair]
     for law in laws:
         columns = screen.columns_of(law, law.basis.values) * law.typical
         own, right = weigher.reduced(columns)
-        best = max(best, Gaussian.by_gram(own, right).nats)
+        prior = np.eye(len(right))
+        best = max(best, Gaussian(own + prior, right).nats)
         mixed = np.split(columns.T @ seen, ends, axis=1)
-        for cause, (gram, asked), cross, nats in zip(causes, beside, mixed, alone, strict=True):
+        for cause, sizes, cross, nats in zip(causes, beside, mixed, alone, strict=True):
             # block elimination of the cause's sizes
-            sizes = Gaussian.by_gram(gram, asked)
-            left = Gaussian.by_gram(*sizes.left_to(cross.T, own, right))
+            left = Gaussian(*sizes.left_to(cross.T, own + prior, right))
             there = sizes.mean - sizes.solve(cross.T @ left.mean)
             if cause.effect.signed or (there > 0.0).all():
                 pairs.append(Pair(law, cause, nats + left.nats))

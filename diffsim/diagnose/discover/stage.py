@@ -539,8 +539,7 @@ def _by_run(
 
 def _nats(fit: Fit) -> float:
     """Laplace evidence of a fit."""
-    at = Gaussian.of(fit.jacobian, fit.residual, fit.x)
-    return at.level - at.half_log_det  # the fit is where it is largest
+    return Gaussian.of(fit.jacobian, fit.residual, fit.x).nats
 
 
 def _curve(fit: Fit, candidate: Candidate, u: Array, count: int) -> Curve:

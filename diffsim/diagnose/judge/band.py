@@ -47,7 +47,7 @@ from diffsim.diagnose.judge.unseen import outside_rows, spans_of, times_outside
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import touches
 from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.gaussian import taken_up
+from diffsim.identify.gaussian import Gaussian
 
 OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated too large
 LEAST_PARTS = 2  # one does not tell how parts differ
@@ -411,7 +411,7 @@ def _linear_variance(
     alone = [i for i, n in enumerate(names) if n in own]
     shared = [i for i, n in enumerate(names) if n not in own and n not in fit.at_bound]
     moves = slopes[:, shared] @ _principal_moves(covariance[np.ix_(shared, shared)])
-    moves = moves - slopes[:, alone] @ taken_up(slopes[:, alone], moves)
+    moves = moves - _take_up(slopes[:, alone], moves)
     changed = np.nan_to_num(_unwhiten(fit.problem, run, moves))
     return np.asarray(np.sum(changed**2, axis=1).reshape(run.measured.shape))
 
@@ -473,7 +473,7 @@ def _posterior_variance(
     columns = _changes(at, x, sd * directions, run)
     if own:  # what the run's own values take up, with their prior, does not show
         slopes = replace(at.problem, runs=(run,)).linearize(x, only=own)[1]
-        taken = slopes @ taken_up(slopes, at.problem.whiten(run, columns))
+        taken = _take_up(slopes, at.problem.whiten(run, columns))
         columns = columns - np.nan_to_num(_unwhiten(at.problem, run, taken))
     return np.asarray(np.sum(columns**2, axis=1).reshape(run.measured.shape))
 
@@ -486,6 +486,12 @@ def _principal_moves(covariance: Array) -> Array:
     """
     variances, axes = np.linalg.eigh(covariance)
     return np.asarray(axes * np.sqrt(np.maximum(variances, 0.0)))
+
+
+def _take_up(slopes: Array, columns: Array) -> Array:
+    """Part of whitened columns that coordinates with these slopes take up, with their prior."""
+    own = Gaussian.of(slopes, np.zeros(len(slopes)))
+    return slopes @ own.solve(slopes.T @ columns)
 
 
 def _changes(at: Frozen, x: Array, moves: Array, run: Run) -> Array:

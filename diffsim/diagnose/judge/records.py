@@ -285,7 +285,8 @@ def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:
 
 def band_share(errors: Sequence[ErrorRow]) -> float | None:
     """Share of the readings of test runs that lie inside the band; None where there is none."""
-    rows = _with_band(errors)
+    # what chose between causes, and told the band, proves none
+    rows = [row for row in errors if row.use == "test" and row.band is not None]
     return sum(row.num_inside for row in rows) / sum(r.num_samples for r in rows) if rows else None
 
 
@@ -293,14 +294,9 @@ def band_words(errors: Sequence[ErrorRow]) -> str:
     """The same in a sentence; empty where there is none."""
     if (share := band_share(errors)) is None:
         return ""
-    count = sum(row.num_samples for row in _with_band(errors))
+    count = sum(row.num_samples for row in errors if row.use == "test" and row.band is not None)
     ends = f"{100 * share:.0f} % of {count} readings of unseen runs."
     return f"The {100 * LEVEL:.0f} % band holds {ends}"
-
-
-def _with_band(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
-    # what chose between causes, and told the band, proves none
-    return [row for row in errors if row.use == "test" and row.band is not None]
 
 
 @checked(kinds_only=True)

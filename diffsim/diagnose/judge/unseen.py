@@ -24,8 +24,7 @@ from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run
-from diffsim.diagnose.checks.misread import choose_commands
-from diffsim.diagnose.checks.noise import without_spikes
+from diffsim.diagnose.checks.noise import choose_commands, without_spikes
 from diffsim.diagnose.judge.gain import Gain, compared
 from diffsim.diagnose.judge.own_values import Frozen, OwnRow, held_out_point, own_names, own_rows
 from diffsim.diagnose.judge.records import RATIOS, ErrorRow, OutsideRow, band_words

@@ -20,7 +20,7 @@ from diffsim.diagnose.say.wording import MOST_LISTED
 from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify import Fit
 from diffsim.identify.fitting import posterior_covariance
-from diffsim.identify.gaussian import taken_up
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.problem import PredictionError
 
 TELLING = 2.0 * ALONE_NATS  # squared noise sd from which on a set would be named alone
@@ -170,5 +170,5 @@ def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
         for b in range(a + 1, len(linear)):
             apart = linear[a][0] - linear[b][0]
             blur = np.hstack([linear[a][1], linear[b][1]])
-            distances.append(float(apart @ (apart - blur @ taken_up(blur, apart))))
+            distances.append(float(apart @ (apart - blur @ Gaussian.of(blur, apart).mean)))
     return min(distances)

@@ -137,7 +137,7 @@ class Local:
     def of(all_of: LaplaceEvidence, own: Sequence[int]) -> Local:
         """Of the coordinates ``own``, in the evidence of all."""
         cross, b = all_of.gram[own], all_of.projection[own]
-        at = Gaussian.by_gram(cross[:, own], b)
+        at = Gaussian(cross[:, own] + np.eye(len(own)), b)
         follow = at.solve(cross)
         return Local(
             np.array(own),
@@ -147,7 +147,7 @@ class Local:
             kept_definite(all_of.gram - cross.T @ follow),
             all_of.projection - cross.T @ at.mean,
             all_of.power - float(b @ at.mean),
-            2.0 * at.half_log_det,
+            float(b @ at.mean) - 2.0 * at.nats,
         )
 
 
@@ -261,7 +261,7 @@ class LaplaceEvidence:
             width[j] = factor_of_sd
         b, gram = width * b, gram * np.outer(width, width)
         low, high, reach = low / width, high / width, reach / width
-        posterior = Gaussian.by_gram(gram, b, -0.5 * (power + log_det))
+        posterior = Gaussian(gram + np.eye(count), b, -0.5 * (power + log_det))
         mean, sd = posterior.mean, np.sqrt(np.diag(posterior.covariance))
         gained_by_bounds = _log_share(mean, sd, low, high)
         signed = [self.problem.effects[i].signed for i in members for _ in self.columns[i]]

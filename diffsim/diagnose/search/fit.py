@@ -21,8 +21,13 @@ from numpy.typing import NDArray
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import GateResult
-from diffsim.diagnose.checks.misread import choose_commands, without_misread
-from diffsim.diagnose.checks.noise import NoiseFloor, noise_floor, without_spikes
+from diffsim.diagnose.checks.noise import (
+    NoiseFloor,
+    choose_commands,
+    noise_floor,
+    without_misread,
+    without_spikes,
+)
 from diffsim.diagnose.checks.numerics import (
     could_be_misfit,
     names_of_failed,
@@ -172,9 +177,17 @@ class Case:
     correction: Correction | None = None
     num_tests: int = 0
 
-    def problem(self, whitener: Whitener) -> Problem:
-        """The plain model on the runs to be fitted."""
+    def problem(self, whitener: Whitener | None = None) -> Problem:
+        """The plain model on the runs to be fitted.
+
+        Args:
+            whitener: Of the noise; None: before anything is known of it, one unit where no ``sd``
+                is stated.
+        """
         s = self.settings
+        if whitener is None:
+            channels = [c if c.sd is not None else replace(c, sd=1.0) for c in self.study.channels]
+            whitener = WhiteNoise(channels)
         return Problem(
             self.model,
             self.study.fit_runs,
@@ -239,22 +252,16 @@ def coarsen_first_look(case: Case) -> tuple[Case, float]:
         The case, and the weighted steps of a simulation of all fitted runs with the cells that it
         was given; 0 where that is cheap.
     """
-    settings, once = case.settings, _make_problem(case).cost()
+    settings, once = case.settings, case.problem().cost()
     if once < settings.dear_steps or settings.accept_numerics:
         return case, 0.0
     if settings.first_mesh == 1.0:
         return case, once
     larger = (case.numerics or Numerics()).refined(Numerics(mesh=settings.first_mesh))
     coarse = replace(case, numerics=larger)
-    problem = _make_problem(coarse)
+    problem = coarse.problem()
     pays = problem.cost() < once and _can_be_simulated(problem)
     return (coarse if pays else case), once
-
-
-def _make_problem(case: Case) -> Problem:
-    """The plain model on the runs to be fitted, before anything is known of their noise."""
-    channels = [c if c.sd is not None else replace(c, sd=1.0) for c in case.study.channels]
-    return case.problem(WhiteNoise(channels))
 
 
 def _can_be_simulated(problem: Problem) -> bool:

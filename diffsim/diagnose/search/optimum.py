@@ -50,7 +50,7 @@ def optimum(
     v, kept = np.zeros(len(b)), sizes
     while True:
         base = ~kept
-        at_best = Gaussian.by_gram(gram[np.ix_(base, base)], b[base])
+        at_best = Gaussian(gram[np.ix_(base, base)] + np.eye(int(base.sum())), b[base])
         outer = gram[np.ix_(base, kept)]
         own = at_best.left_to(outer, gram[np.ix_(kept, kept)], b[kept])
         near, far = low[kept], high[kept]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise, product
+from itertools import pairwise, permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,13 +80,15 @@ def masking_pairs(effects: Sequence[Effect], members: Members, room: int) -> Ite
     """Pairs of effects outside a set that mask each other, if there is room for two."""
     if room < 2:
         return
-    pairs = [
-        (i, j)
-        for i, j in combinations(range(len(effects)), 2)
-        if not {i, j} & members and _mask(effects[i], effects[j])
-    ]
+    # one names the other, or what its name begins with before the place it acts at
+    pairs = {
+        (min(i, j), max(i, j))
+        for i, j in permutations([i for i in range(len(effects)) if i not in members], 2)
+        for masked in effects[j].masks
+        if effects[i].name == masked or effects[i].name.startswith(f"{masked}_")
+    }
     # two with kinks first: one that is smooth shows by its own slope
-    for pair in sorted(pairs, key=lambda p: sum(effects[i].smooth for i in p)):
+    for pair in sorted(pairs, key=lambda p: (sum(effects[i].smooth for i in p), p)):
         yield frozenset(pair)
 
 
@@ -224,12 +226,6 @@ def first_runs(runs: Sequence[Run]) -> list[int]:
 
 def _stand_ins(runs: Sequence[Run]) -> list[int]:
     return [next(j for j, r in enumerate(runs) if _repeats(run, r)) for run in runs]
-
-
-def _mask(a: Effect, b: Effect) -> bool:
-    """Whether one names the other, or what its name begins with before the place it acts at."""
-    named = [(b.name, m) for m in a.masks] + [(a.name, m) for m in b.masks]
-    return any(name == m or name.startswith(f"{m}_") for name, m in named)
 
 
 def _combine_tries(effects: Sequence[Effect]) -> Array:

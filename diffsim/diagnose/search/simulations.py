@@ -28,7 +28,7 @@ from diffsim.diagnose.search.weak_slopes import descended, mended, stepped
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect, Locator
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.gaussian import taken_up
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.locate import Course
 from diffsim.identify.model import slopes_are_simulated
@@ -411,9 +411,10 @@ class Simulations:
         residual = wide.residual_of(at.record)
         slopes = wide.whiten_all(at.slopes(range(len(at.x))))
         j = slopes[:, own]
-        taken = taken_up(j, np.column_stack([slopes, residual]))
-        information = np.clip(np.sum(slopes * (slopes - j @ taken[:, :-1]), axis=0), 1e-12, None)
-        z = np.abs(slopes.T @ (residual - j @ taken[:, -1]))
+        at_best = Gaussian.of(j, residual)
+        tilde = slopes - j @ at_best.solve(j.T @ slopes)
+        information = np.clip(np.sum(slopes * tilde, axis=0), 1e-12, None)
+        z = np.abs(slopes.T @ (residual - j @ at_best.mean))
         z /= np.sqrt(information)
         members = slopes[:, [i for i in own if i >= wide.num_base]]
         lengths = np.outer(linalg.norm(slopes, axis=0), linalg.norm(members, axis=0))

@@ -148,12 +148,8 @@ def _label_run(per: str, run: Run) -> str:
     return run.name if per == "run" else str(run.setup.get(per))
 
 
-def by_formulas_in(change: Change, symbol: str, groups: RunGroups) -> Apply:
-    """An effect that changes formulas, its size that of the run's group."""
-    return partial(_apply_in_run, change=change, symbol=symbol, groups=groups)
-
-
-def _apply_in_run(
+def apply_in_group(
     scene: OdeScene, size: Tensor, run: Run, *, change: Change, symbol: str, groups: RunGroups
 ) -> OdeScene:
+    """A scene in which formulas are changed, by the size of the run's group."""
     return scene.with_change(change, {symbol: groups.size_in(run, size)})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from diffsim.data.study import Run
 from diffsim.identify.effect import Apply, Effect
 from diffsim.identify.model import SimModel
 from diffsim.identify.unknown import Unknown, UnknownLaw
-from diffsim.systems.ode.applying import RunGroups, by_formulas_in, symbol
+from diffsim.systems.ode.applying import RunGroups, apply_in_group, symbol
 from diffsim.systems.ode.keys import Law
 from diffsim.systems.ode.library import Library, law_key
 from diffsim.systems.ode.network import Change, Network, filled, named
@@ -100,7 +101,8 @@ def _bend(library: Library, law: Law, row: Row, other: Law | None = None) -> Eff
     change = Change(names={law.name: filled(formula, parts)}, inputs=further)
     groups = RunGroups.of(law.per, library.study)
     swept = system.network.with_readings({"x": parts["x"]})
-    apply = _BentLaw(by_formulas_in(change, symbol(name), groups), tuple(further), swept)
+    bend = partial(apply_in_group, change=change, symbol=symbol(name), groups=groups)
+    apply = _BentLaw(bend, tuple(further), swept)
     return row.effect(
         apply,
         _list_magnitudes(library, law, other),

@@ -10,7 +10,7 @@ from diffsim.causes.row import with_size
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.effect import Effect
-from diffsim.systems.ode.applying import RunGroups, by_formulas_in, symbol
+from diffsim.systems.ode.applying import RunGroups, apply_in_group, symbol
 from diffsim.systems.ode.keys import OLD_KEYS, OwnEffect
 from diffsim.systems.ode.names import Reader
 from diffsim.systems.ode.network import READING, Change, filled, named
@@ -60,10 +60,11 @@ def own_effect(
         price=block.price,
         words=None if block.words is None else partial(with_size, block.words),
         components=groups.components,
-        apply=by_formulas_in(
-            _make_change(where, block, study, known, beside, states, reader),
-            symbol(block.name),
-            groups,
+        apply=partial(
+            apply_in_group,
+            change=_make_change(where, block, study, known, beside, states, reader),
+            symbol=symbol(block.name),
+            groups=groups,
         ),
     )
 

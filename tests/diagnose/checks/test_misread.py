@@ -8,7 +8,7 @@ import pytest
 from diffsim.data.command_jumps import jumps_of, without_jumps
 from diffsim.data.study import Command
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.checks.misread import choose_commands, without_misread
+from diffsim.diagnose.checks.noise import choose_commands, without_misread
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.identify import DiagnosisSettings, SearchSettings
 from diffsim.systems.registry import setup_of
