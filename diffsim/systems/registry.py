@@ -18,7 +18,6 @@ from diffsim.core.checked import checked
 from diffsim.core.plugins import SYSTEMS, find_plugins, load_plugin
 from diffsim.core.schema import read_part
 from diffsim.data.study import Study
-from diffsim.identify.effect import Effect
 from diffsim.identify.extended import ExtendedModel
 from diffsim.identify.law import LAWS
 from diffsim.identify.model_file import read_extended, rebuilt
@@ -120,8 +119,15 @@ def _setup_without_tests(described: Description, study: Study) -> DiagnosisSetup
     seen = _make(described, known)
     whole = _make(described, replace(study, frame={**seen.model.frame, **study.frame}))
     of_all = {effect.name: effect for effect in whole.effects}
-    effects = tuple(_with_own_components(e, of_all.get(e.name, e)) for e in seen.effects)
-    made = replace(seen, effects=effects)
+    effects = list(seen.effects)
+    for i, effect in enumerate(effects):
+        # one that differs from run to run has what is a test run's own, "@run": it is fitted to the
+        # run itself, after the answer
+        there = of_all.get(effect.name, effect)
+        more = set(there.components) - set(effect.components)
+        if more and all(name.startswith("@") for name in more):
+            effects[i] = replace(there, typical=effect.typical)
+    made = replace(seen, effects=tuple(effects))
     laws = _offer_laws(made, described, study).laws
     return replace(made, model=whole.model, laws=laws, study=whole.study)
 
@@ -161,14 +167,6 @@ def _offer_laws(made: DiagnosisSetup, described: Description, study: Study) -> D
         make=make,
     )
     return replace(made, laws=laws)
-
-
-def _with_own_components(effect: Effect, of_all: Effect) -> Effect:
-    """A cause that differs from run to run, with what is a test run's own, "@run": that is fitted
-    to the run itself, after the answer."""
-    more = set(of_all.components) - set(effect.components)
-    is_per_run = more and all(name.startswith("@") for name in more)
-    return replace(of_all, typical=effect.typical) if is_per_run else effect
 
 
 @checked

@@ -23,7 +23,7 @@ from diffsim.diagnose.judge.left_out import (
     Repeats,
     folds_of,
     left_out_residual,
-    newest_samples,
+    time_of_rows,
 )
 from diffsim.diagnose.judge.own_values import FAR_OFF, Frozen, held_out_point
 from diffsim.identify import Fit, Problem
@@ -173,7 +173,7 @@ def compared(
         after: Residuals with the effects, (num_valid,) by run.
         seed: Seed of the bootstrap.
     """
-    times = [_time_of_rows(run, null) for run in runs]
+    times = [time_of_rows(null.problem, run) for run in runs]
     squares = [(a**2, b**2) for a, b in zip(before, after, strict=True)]
     spans = [float(np.ptp(time)) for time in times]
     block_s = sum(spans) / MOST_BLOCKS
@@ -243,11 +243,6 @@ def _sure_sd(blocks: Array) -> float:
 def held_out_residual(fit: Frozen, run: Run) -> Array:
     """(num_valid,) whitened residual with the fit's parameters, nuisances of this run refitted."""
     return replace(fit.problem, runs=(run,)).residual(held_out_point(fit, run))
-
-
-def _time_of_rows(run: Run, fit: Frozen) -> Array:
-    """Time of every whitened row, (num_valid,) [s]: of the newest sample that it uses."""
-    return run.time_s[newest_samples(fit.problem, run) // run.measured.shape[1]]
 
 
 def _blocks(time: Array, block_s: float, null: Array, extended: Array) -> Array:

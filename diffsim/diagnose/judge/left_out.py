@@ -135,7 +135,8 @@ def blocks_of(problem: Problem) -> Folds | None:
     no shorter than a sample.
     Runs without time, such as points of a camera's calibration, stay.
     """
-    row_run, time = _run_of_rows(problem), _time_of_rows(problem)
+    row_run = _run_of_rows(problem)
+    time = np.concatenate([time_of_rows(problem, run) - run.time_s[0] for run in problem.runs])
     stay = [i for i, run in enumerate(problem.runs) if run.setup.get(TIMELESS)]
     is_cut = ~np.isin(row_run, stay)
     longest = float(time[is_cut].max()) if is_cut.any() else 0.0
@@ -271,10 +272,6 @@ def _run_of_rows(problem: Problem) -> IntArray:
     return np.repeat(np.arange(len(counts)), counts)
 
 
-def _time_of_rows(problem: Problem) -> Array:
-    """Time since its run began of every whitened row [s]."""
-    times = [
-        run.time_s[newest_samples(problem, run) // run.measured.shape[1]] - run.time_s[0]
-        for run in problem.runs
-    ]
-    return np.concatenate(times)
+def time_of_rows(problem: Problem, run: Run) -> Array:
+    """Time of every whitened row, (num_valid,) [s]: of the newest sample that it uses."""
+    return run.time_s[newest_samples(problem, run) // run.measured.shape[1]]
