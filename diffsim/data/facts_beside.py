@@ -37,10 +37,15 @@ def facts_beside(guess: Guess) -> Iterable[str]:
     tables = {one.path for one in guess.found}
     sheets = {path: facts for path in left if path not in tables and (facts := facts_of(path))}
     of_runs: set[Path] = set()
+    replaced = []
     for path, facts in sheets.items():
         for run in _runs_of(path, guess):
             of_runs.add(path)
-            run.setup |= {name: fact for name, fact in map(_as_fact, facts, facts.values()) if name}
+            for name, fact in map(_as_fact, facts, facts.values()):
+                if name and run.setup.get(name, fact) != fact:
+                    replaced.append(f"{name} of {run.name} by {path.name}")
+                run.setup |= {name: fact} if name else {}
+    yield from listed("facts that are stated twice and differ, the last one is taken", replaced)
     names = [path.relative_to(guess.folder).as_posix() for path in of_runs]
     yield from listed("facts of single runs, taken from", sorted(names))
     for path, facts in sheets.items():
@@ -50,6 +55,13 @@ def facts_beside(guess: Guess) -> Iterable[str]:
                 f"numbers of the model: {path.relative_to(guess.folder).as_posix()} states {said}"
             )
             yield f"facts, not yet used: {path.relative_to(guess.folder).as_posix()} ({said})"
+    remarks = [
+        f"{name} of {path.name}"
+        for path in sheets
+        for name, value in _flat("", _content_of(path), 3)
+        if isinstance(value, str) and len(value.strip()) > MOST_LETTERS
+    ]
+    yield from listed(f"texts and lists of more than {MOST_LETTERS} letters, no facts", remarks)
     yield from _passed_by(guess, (path for path in left if path not in sheets))
 
 
@@ -83,7 +95,8 @@ def facts_of(path: Path) -> dict[str, Any]:
     """
     is_known = path.name == BAG or path.parent.name == _META
     content = {} if is_known else _content_of(path)
-    return {} if _is_study(content) else dict(_flat("", content, 3))
+    leaves = () if _is_study(content) else _flat("", content, 3)
+    return {name: value for name, value in leaves if not _says_nothing(value)}
 
 
 def _content_of(path: Path) -> Mapping[Any, Any]:
@@ -107,7 +120,7 @@ def _flat(start: str, content: Mapping[Any, Any], depth: int) -> Iterator[tuple[
         name = f"{start}{key}"
         if isinstance(value, Mapping) and depth:
             yield from _flat(f"{name}.", value, depth - 1)
-        elif isinstance(value, str | int | float | list) and not _says_nothing(value):
+        elif isinstance(value, str | int | float | list):
             is_label = isinstance(value, bool | list)
             yield name, str(value).lower() if is_label else value
 
@@ -116,9 +129,7 @@ def _says_nothing(value: str | float | list[Any]) -> bool:
     """Whether a number is none, or a text or list is empty or too long for a fact."""
     if isinstance(value, float):
         return not math.isfinite(value)
-    return (not value and isinstance(value, list)) or not 0 < len(
-        str(value).strip()
-    ) <= MOST_LETTERS
+    return not 0 < len(str(value).strip("[] ")) <= MOST_LETTERS
 
 
 def _runs_of(path: Path, guess: Guess) -> list[GuessedRun]:

@@ -55,6 +55,18 @@ def test_facts_beside_recordings_are_said_and_those_of_a_run_are_its_own(tmp_pat
     assert not own["a"] and not own["c"]
 
 
+def test_what_a_sheet_states_twice_or_at_length_is_said(tmp_path, capsys):
+    three(tmp_path)
+    sheet = {"load_g": 250, "load_kg": 0.3, "notes": "warm up the motor for ten minutes " * 3}
+    (tmp_path / "b.json").write_text(json.dumps(sheet | {"checked": None, "axes": []}))
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "stated twice and differ, the last one is taken: load of b by b.json\n" in said
+    assert "texts and lists of more than 60 letters, no facts: notes of b.json\n" in said
+    own = {run.name: run.setup for run in load_study(tmp_path).runs}
+    assert own["b"] == {"load": 0.3}
+
+
 def test_files_that_no_rule_reads_are_named(tmp_path, capsys):
     three(tmp_path)
     (tmp_path / "hop1.c3d").write_bytes(b"\x02\x50")
