@@ -77,7 +77,7 @@ def rod_of(layout: RodLayout, given: Mapping[str, Tensor], command: Tensor) -> R
         place=layout.place + numbers.stacked(*(f"base_shift_{a}" for a in "xyz")),
         offset=offset,
         slope=slope,
-        share=((end[..., None] - shape.edges[:-1]) / shape.lengths).clamp(0.0, 1.0),
+        share=_clip_to_cells((end[..., None] - shape.edges[:-1]) / shape.lengths),
         pull=_compute_tension(layout, numbers, command),
         friction=numbers["tendon_friction"],
         wobble=numbers["tendon_wobble"],
@@ -128,6 +128,12 @@ def _list_masses(layout: RodLayout, numbers: Numbers) -> Tensor:
     return own + share * numbers["marker_mass"][..., None]
 
 
+def _clip_to_cells(x: Tensor) -> Tensor:
+    """Clamped to [0, 1]. At either end the slope is the mean of both sides: what ends at an edge
+    lies at the end of one cell and at the begin of the next, whose slopes add up."""
+    return 0.5 * (x.abs() - (x - 1.0).abs() + 1.0)
+
+
 def _compute_tension(layout: RodLayout, numbers: Numbers, command: Tensor) -> Tensor:
     """(K, num_samples, T) tension at the base [N]."""
     names = layout.paths.names
@@ -136,7 +142,9 @@ def _compute_tension(layout: RodLayout, numbers: Numbers, command: Tensor) -> Te
     others = wanted.sum(-1, keepdim=True) - wanted
     wanted = wanted + numbers["tendon_crosstalk"][..., None] * others
     loss = numbers.each(names, "drive_loss")
-    pulled = (wanted - loss).clamp(min=0.0) * (wanted > 0.0)  # a tendon never pushes
+    # a tendon never pushes; one at rest is pulled as soon as others share with it
+    at_rest = torch.where(loss > 0.0, 0.0, wanted.clamp(min=0.0))
+    pulled = torch.where(wanted > 0.0, (wanted - loss).clamp(min=0.0), at_rest)
     held = numbers.each(names, "pretension")
     return torch.where(held == 0.0, pulled, torch.maximum(pulled, held))
 

@@ -139,6 +139,37 @@ HIDDEN = {
 }
 
 
+@pytest.mark.grad
+@pytest.mark.parametrize("pose", [0, 5])
+def test_slopes_at_zero_are_those_of_differences(pose):
+    """With a tendon at rest, which others may pull, and tendons that end at an edge of cells: the
+    adjoint was 0 for a share of -0.03 m, and twice the slope of an end."""
+    known = plain_study()
+    setup, run = setup_of(known), known.runs[pose]
+    q, weights = setup.model.at_prior(), torch.linspace(-1.0, 1.0, run.measured.size)
+    checked = []
+
+    def shown(effect, sizes):
+        return (weights * setup.model.predict(run, q, {effect: sizes}).reshape(-1)).sum()
+
+    for effect in (e for e in setup.effects if e.smooth):
+        zero = torch.zeros(len(effect.components), dtype=torch.float64, requires_grad=True)
+        # times zero: of another session nothing of it enters
+        (slope,) = torch.autograd.grad(shown(effect, zero) + 0.0 * zero.sum(), zero)
+        step = 1e-4 * effect.typical * torch.eye(len(zero), dtype=torch.float64)
+        behind = -step if effect.signed else 0.0 * step
+        with torch.no_grad():
+            rise = [
+                float(shown(effect, a) - shown(effect, b))
+                for a, b in zip(step, behind, strict=True)
+            ]
+        width = 1e-4 * effect.typical * (2.0 if effect.signed else 1.0)
+        scale = 1e-3 * np.abs(rise).max() / width + 1e-12
+        np.testing.assert_allclose(slope.numpy(), np.array(rise) / width, rtol=2e-3, atol=scale)
+        checked.append(effect.name)
+    assert {"tendon_end", "tendon_crosstalk", "drive_loss"} <= {*checked}
+
+
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_hidden_cause_is_fitted_to_its_size(name):
     made = study(hidden=name, sizes=HIDDEN[name])
