@@ -6,7 +6,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from diffsim.systems.rigid_body.bouncing import Bounces, ThrownBall, bounced
-from diffsim.systems.rigid_body.on_ground import Ball, Laws, impact
+from diffsim.systems.rigid_body.on_ground import Ball, Laws, impact, time_of_impact
 from diffsim.systems.rigid_body.parts import Body
 from tests.helpers import numbers
 
@@ -142,3 +142,27 @@ def test_air_meets_the_mean_shadow_of_a_box():
     volume, area = Body(name="box", box=tuple({"value": x} for x in edges)).volume_and_area()
     assert volume == pytest.approx(np.prod(edges))
     assert area == pytest.approx(1.0 * shadow, rel=5e-3)
+
+
+@pytest.mark.grad
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_the_time_of_an_impact_follows_the_laws_of_motion(which):
+    """As differences say: earlier steps of the iteration left their own derivatives in the last,
+    0.42 s per unit of rolling resistance for 0.76."""
+
+    def number(*values):
+        return torch.tensor(values, dtype=torch.float64)
+
+    def time(values):
+        friction, resistance, drag = values
+        still = Ball(number(0.5, 0.02), number(0.0, 0.0), number(0.0, 0.0))
+        coming = Ball(number(0.0, 0.0), number(1.5, 0.1), number(0.3, 0.0))
+        zero = number(0.0, 0.0)
+        laws = Laws(friction, resistance, zero, drag, number(0.66)[0], number(9.81)[0])
+        return time_of_impact(still, coming, number(0.066)[0], laws)
+
+    at = number(0.25, 0.01, 0.02)
+    slope = torch.autograd.functional.jacobian(time, at)[which]
+    step = 1e-6 * torch.eye(3, dtype=torch.float64)[which]
+    rise = float(time(at + step) - time(at - step)) / 2e-6
+    assert float(slope) == pytest.approx(rise, rel=1e-6)

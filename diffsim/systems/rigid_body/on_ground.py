@@ -77,13 +77,13 @@ def time_of_impact(resting: Ball, coming: Ball, diameter: Tensor, laws: Laws) ->
     """When the centers are one diameter apart [s], by Newton's method."""
     time = torch.zeros_like(diameter)
     for _ in range(12):
+        time = time.detach()  # the last step alone carries the derivative, by a slope that is held
         a, b = moved(resting, time, laws), moved(coming, time, laws)
         apart = b.place - a.place
         distance = _compute_length(apart)
         closing = ((b.velocity - a.velocity) * apart).sum(-1) / distance
-        # the slope is held, so that the last step alone carries the right derivative
         slope = closing.detach().clamp(max=-0.05)
-        time = (time.detach() - (distance - diameter) / slope).clamp(0.0, 1.0)
+        time = (time - (distance - diameter) / slope).clamp(0.0, 1.0)
     return time
 
 
