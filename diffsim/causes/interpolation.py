@@ -41,8 +41,8 @@ def curved(values: Tensor, dt: float, times: Tensor) -> Tensor:
     inside = _cubic(values, slopes, times / dt)
     last = values.shape[0] - 1
     place = times / dt
-    before, after = place.clamp(max=0.0), (place - last).clamp(min=0.0)
-    return inside + before[:, None] * slopes[0] + after[:, None] * slopes[-1]
+    beyond = (place - place.clamp(0.0, float(last)))[:, None]  # at either end its slope is zero
+    return inside + beyond.clamp(max=0.0) * slopes[0] + beyond.clamp(min=0.0) * slopes[-1]
 
 
 def _end_slope(y: Tensor) -> Tensor:
