@@ -596,6 +596,49 @@ def slopes_are_those_of_differences(ready: Ready) -> None:
             _columns_are_slopes(ready, (cause,), cause.shapes)
 
 
+def slopes_at_zero_are_those_of_differences(ready: Ready) -> None:
+    """Of smooth causes at the plain model, where every search begins: commands rest there, ends lie
+    on edges of cells, and what is clamped is at its clamp.
+
+    The first component of each; from zero upward where a cause has one sign. Where a reading has a
+    kink, its slope lies between those of both sides. A flight's windows are not asked: they
+    start where Gauss and Newton lead, whose slopes leave out the curvature of what is left, and at
+    the plain model much is left (``test_multicopter`` has them where little is).
+    """
+    if ready.study.model["system"] == "multicopter":
+        return
+    model, run = ready.setup.model, ready.run
+    q, smooth = model.at_prior(), [e for e in ready.setup.effects if e.smooth]
+    moves = ready.study.model["system"] == "soft_body" and not ready.study.commands
+    seen = torch.from_numpy(np.isfinite(run.measured))
+    weights = torch.linspace(-1.0, 1.0, run.measured.size).reshape(run.measured.shape)[seen]
+    for effect in smooth[:: 3 if moves else 1]:
+
+        def shown(first: Tensor, effect: Effect = effect) -> Tensor:
+            others = torch.zeros(len(effect.components) - 1, dtype=torch.float64)
+            out = model.predict(run, q, {effect: torch.cat([first[None], others])})
+            return weights * out[seen]
+
+        size = torch.zeros((), dtype=torch.float64, requires_grad=True)
+        here = shown(size)
+        if not here.requires_grad:  # of another run, or a simulator without derivatives
+            continue
+        (slope,) = torch.autograd.grad(here.sum(), size)
+        sides = []
+        with torch.no_grad():
+            for share in (1e-3, -1e-3 if effect.signed else 1e-3):
+                near, far = (
+                    (shown(torch.tensor(k * share * effect.typical)) - here) / (k * share)
+                    for k in (1.0, 2.0)
+                )
+                sides.append(2.0 * near - far)  # without their curvature
+        ahead, back = sides
+        low, high = (float(f(ahead, back).sum()) for f in (torch.minimum, torch.maximum))
+        reach = 1e-3 * float(ahead.abs().sum()) + 1e-9
+        found = float(slope) * effect.typical
+        assert low - reach <= found <= high + reach, (effect.name, low, found, high)
+
+
 def _columns_are_slopes(
     ready: Ready,
     causes: Sequence[Effect],
@@ -773,6 +816,7 @@ STATEMENTS = (
     saved_means_the_same,
     rows_are_judged_or_refused,
     slopes_are_those_of_differences,
+    slopes_at_zero_are_those_of_differences,
     many_points_are_as_one_by_one,
     answers_do_not_depend_on_what_was_asked_before,
     clocks_may_begin_at_any_second,
