@@ -102,8 +102,12 @@ def _gradient_adjoint(call: Call) -> None:
     call["z"] = call["grad_gradient"]
     for k, item in _items(call, "z", "grad_x"):
         core.elastic_gradient_adjoint(**item, grads=_item(grads, k))
-    if not _is_damped(call):  # the energy's own gradient is right in the positions alone
-        call["grad_x"] += _along(call["grad_energy"], call["gradient"])
+    energies = call["grad_energy"]
+    if not _is_damped(call) and bool(energies.any()):
+        call["grad_x"] += _along(energies, call["gradient"])
+        for name, slope in _slopes(call).items():
+            if name in grads and slope.numel():
+                grads[name] += slope * energies.reshape(-1, *(1,) * (slope.ndim - 1))
     arrays.add_gradients(call)
 
 
@@ -115,14 +119,21 @@ def _gradient_tangent(call: Call) -> None:
         directions = soft_addresses(arrays.item_of(moved, k))
         at = dx[k].data_ptr() if dx.numel() else 0
         core.elastic_gradient_tangent(**item, dx=at, directions=directions)
-    call["d_energy"] = _moved_energy(call)
+    call["d_energy"] = (
+        call["x"].new_zeros(len(call["x"])) if _is_damped(call) else _moved_energy(call)
+    )
 
 
 def _moved_energy(call: Call) -> Tensor:
-    """The energy along the direction of the positions."""
-    if not call["d_x"].numel():
-        return torch.zeros_like(call["x"][:, 0, 0])
-    return (call["gradient"] * call["d_x"]).sum((-2, -1))
+    """The energy along the directions of positions and parameters, (batch,)."""
+    rate = torch.zeros_like(call["x"][:, 0, 0])
+    if call["d_x"].numel():
+        rate = (call["gradient"] * call["d_x"]).sum((-2, -1))
+    if moved := EnergyArrays.of(call).moved(call):
+        slopes = _slopes(call)
+        for name, direction in moved.items():
+            rate = rate + (slopes[name] * direction).flatten(1).sum(1)
+    return rate
 
 
 INPUTS = {"x": array(*NODAL), **EnergyArrays.specs}
@@ -167,10 +178,7 @@ def _energy_adjoint(call: Call) -> None:
 
 
 def _energy_tangent(call: Call) -> None:
-    slopes, rate = _slopes(call), _moved_energy(call)
-    for name, direction in EnergyArrays.of(call).moved(call).items():
-        rate = rate + (slopes[name] * direction).flatten(1).sum(1)
-    call["d_energy"] = rate
+    call["d_energy"] = _moved_energy(call)
 
 
 elastic_energy = Op(  # elastic and pressure energy [J], and its gradient [N]; without damping

@@ -21,7 +21,7 @@ def elastic_gradient(
 ) -> tuple[Tensor, Tensor]:
     """Gradient of the energy, with damping where a frame is given [N], and the energy [J].
 
-    The arguments are checked already; the energy's gradient is right in x alone.
+    The arguments are checked already. With damping there is no energy.
     """
     arrays, body = energy_arrays(loads, frame), loads.prepared.body
     gradient, energy = _ops_elastic.elastic_gradient(

@@ -577,17 +577,13 @@ def rows_are_judged_or_refused(ready: Ready) -> None:
 def slopes_are_those_of_differences(ready: Ready) -> None:
     """Columns of base parameters, smooth causes and shapes of causes; gradient of the misfit.
 
-    Beside others tangents of a body that moves are off by a percent, and its adjoint by seven
-    (stiffness_loss beside stiffening): there each third cause is taken alone. With all causes of a
-    rod at once a tendon that is not commanded is at the edge of slack, where its tension has a
-    kink: there each is taken alone, too.
+    With all causes of a rod at once a tendon that is not commanded is at the edge of slack, where
+    its tension has a kink: there each is taken alone.
     """
     effects = ready.setup.effects
     smooth = tuple(e for e in effects if e.smooth)
-    moves = ready.study.model["system"] == "soft_body" and not ready.study.commands
     is_pulled = ready.study.model["system"] == "rod"
-    alone = [(cause,) for cause in (smooth if is_pulled else smooth[::3])]
-    first, *others = alone if moves or is_pulled else [smooth]
+    first, *others = [(cause,) for cause in smooth] if is_pulled else [smooth]
     _columns_are_slopes(ready, first)
     for causes in others:
         _columns_are_slopes(ready, causes, without_base=True)

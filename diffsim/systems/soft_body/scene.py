@@ -267,8 +267,8 @@ class SoftScene(Scene):
         # share of the fibers' stiffness that is left in the solid's own force
         values["fiber_stiffness"] = 1e-12 * self.number("fiber_stiffness")
         physics = body.physics(**values)
-        # a field of moduli weighs the strain; the energy carries gradients in x alone
-        scale = 0.5 * self.number("youngs_modulus").detach().mean() * body.nodal_volume.sum()
+        # a field of moduli weighs the strain
+        scale = 0.5 * self.number("youngs_modulus").mean() * body.nodal_volume.sum()
         return SolidForce(PreparedBody(body, physics), scale)
 
     def simulate(self) -> Tensor:
