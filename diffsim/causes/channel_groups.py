@@ -52,7 +52,6 @@ def channel_groups(channels: Sequence[Channel], *, late_record: bool) -> tuple[C
     """Dials of a study, the widest first.
 
     Args:
-        channels: Channels of the study.
         late_record: Whether a record that is late as a whole shows as no late command does.
     """
     stated = any(c.sensor is not None for c in channels)

@@ -157,7 +157,6 @@ def on_commands(
 
     Args:
         row: Cause with ``at: command``.
-        names: Names of the commands.
         scales: Numbers that its formula may use.
         between: What the commands do between samples.
         system: Kind of system.
@@ -309,7 +308,6 @@ class Sessions:
 
         Args:
             fact: Name of the fact; None: none is stated.
-            study: Study with the runs.
         """
         if fact is None:
             return None

@@ -55,7 +55,6 @@ def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
     """A cause in an instrument, by its row.
 
     Args:
-        row: Row of the cause.
         of: Instrument that the cause changes.
         system: Kind of system.
     """

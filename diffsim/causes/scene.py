@@ -59,7 +59,6 @@ class ForceLaw:
     """A force of position, speed and usual speed, at a size.
 
     Attributes:
-        formula: Formula of the force.
         size: () or (K,).
     """
 
@@ -173,7 +172,6 @@ class Commands:
         """A name for each row of the values; a name may stand for several, "" is no name.
 
         Args:
-            names: Name of each row.
             values: (..., width, num_times).
             known: What the study says of its commands: their values before the run.
             usual: Of those of which it says nothing, where they had not their first ones.
@@ -232,7 +230,6 @@ class Commands:
 
         Args:
             change: Function of them and of the grid.
-            rows: Which they are.
             u: Commands, (..., len(rows), num_times).
             grid: Their times.
         """

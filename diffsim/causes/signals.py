@@ -153,7 +153,6 @@ def after(u: Tensor, grid: Grid, change: SignalMap, before: Tensor) -> Tensor:
 
     Args:
         u: Signals, (..., num_times).
-        grid: Times of the signals.
         change: What happens to them on their way; alone it takes them to have had their first
             values before.
         before: These values, (...) or fewer axes that broadcast; NaN: the first one.

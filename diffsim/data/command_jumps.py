@@ -82,7 +82,6 @@ def without_jumps(values: Array, times: Array, jumps: Jumps) -> Array:
     Args:
         values: Samples of the command, (num_samples,).
         times: Their times, (num_samples,) [s].
-        jumps: Its jumps.
     """
     mended = np.array(values, dtype=np.float64)
     kept = np.isfinite(mended)

@@ -89,7 +89,6 @@ def open_table(
     divided by commas, a decimal comma is read as a point.
 
     Args:
-        path: CSV file to be read.
         what: What it should be, for the message, such as "recording".
         header_line: Line with the names of the columns, from 1; 0: there is none.
         first_line: Line of the first sample; by default the one after the header.
@@ -305,7 +304,6 @@ class Table:
     Attributes:
         header: Names of the columns; a column of lists is one for each entry, ``name[0]``.
         lines: Line of each row in the file.
-        used: Columns that were asked for.
         left_out: What the file holds, or lost, and the table does not have, a sentence each.
     """
 

@@ -53,7 +53,6 @@ class FoundRobot:
         Args:
             path: The file, or the folder that holds it, or its content.
             keys: The task's ``model``, which the study had, channels included.
-            plain: What it describes.
             folder: Folder that its files are relative to.
             setup: Facts of the set-up.
 

@@ -25,7 +25,6 @@ def make_open_loop(kind: str, task: Task, seed: int) -> OpenLoop:
     Args:
         kind: "sinusoid", or "knots" (20 over an episode).
         task: The task to be controlled.
-        seed: Seed of the guess.
     """
     rng = np.random.default_rng([seed, 4])
     n, dt = task.num_actions, task.dt

@@ -111,7 +111,6 @@ def first_controller(
 
     Args:
         task: The task to be controlled.
-        seed: Seed of weights and commands.
         warm_up: Steps of each of eight episodes.
         output_gain: Gain of the last layer's weights.
         balance_clock: As of ``Setup``.

@@ -49,7 +49,6 @@ class Changing:
     """K directions of a body's parameters: what all steps of a rollout share.
 
     Args:
-        prepared: The body and its parameters.
         physics: Their directions, with a leading K.
 
     Attributes:

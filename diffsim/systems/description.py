@@ -175,7 +175,6 @@ def mismatched_channels(
 
     Args:
         shown: Keys that name a channel each, and that.
-        study: Study with the channels.
         hint: What to do about a channel that no key names.
     """
     named, channels = list(shown), [c.name for c in study.channels]
@@ -369,7 +368,6 @@ class BaseParameters:
     """Quantities of a description by name: base parameters, and their values in a run.
 
     Args:
-        quantities: Quantities by name of the parameter.
         runs: Runs of the study; ``per`` makes one parameter for each run or each fact of ``setup``.
 
     Attributes:
@@ -437,7 +435,6 @@ def fact_in(run: Run, name: str, unit: str) -> float:
 
     Args:
         run: Run whose ``setup`` has it.
-        name: Name of the fact.
         unit: SI unit that it is wanted in.
 
     Raises:

@@ -268,7 +268,6 @@ def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]
 
     Args:
         model: The plain model, as it was fitted.
-        runs: Runs that were fitted.
     """
     short = model.short_windows(runs)
     if not short:
@@ -289,7 +288,6 @@ def budget_gates(
     Args:
         num_unscanned: Groups of effects with kinks that were not tried over decades.
         num_unfitted: Sets that could be better and that nobody fitted.
-        settings: The budgets.
         plain: Fit of the plain model.
     """
     if plain.ended == "budget":

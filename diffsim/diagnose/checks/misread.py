@@ -43,7 +43,6 @@ def choose_commands(
     motion cannot jump, and what a record shows of a jump is seen in the channels.
 
     Args:
-        run: Run as it was recorded.
         commands: What is known of commands.
         left: Measured minus predicted in a run, (num_samples, num_channels) [unit of the channel].
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].

@@ -261,7 +261,6 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
 
     Args:
         series: What the best set leaves, by run; NaN where nothing was measured [unit of sd].
-        sd: Of the noise, as stated.
     """
     none = np.zeros(0)
     parts = [x[start:stop] / sd for x in series for start, stop in _stretches(np.isfinite(x))]

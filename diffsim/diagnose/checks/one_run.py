@@ -130,7 +130,6 @@ class _Others:
 
     Attributes:
         study: Study with the description.
-        model: Plain model.
         runs: As the fit tells them.
         q: Standardized numbers of the fit, (num_base,).
         floor: Noise of each channel, (num_channels,) [unit of the channel].

@@ -34,7 +34,6 @@ class _Begin:
     """How a run begins: level and slope of each channel, (2, num_channels) each.
 
     Attributes:
-        run: The run.
         seen: As it was measured.
         told: As the model has it, at its priors.
         sd: Of their difference, by noise, priors and what may be wrong with commands.

@@ -53,11 +53,7 @@ class ReachInRun:
 
 @dataclass(frozen=True)
 class Reach:
-    """What terms at an entry do to the whitened record; nothing is simulated.
-
-    Attributes:
-        runs: By run.
-    """
+    """What terms at an entry do to the whitened record; nothing is simulated."""
 
     runs: tuple[ReachInRun, ...]
 

@@ -203,9 +203,7 @@ class FittedForm:
     """A form at its best beside what the record tells.
 
     Attributes:
-        form: The form.
         nats: What it leaves [nats], and the price of its numbers.
-        size: Its size.
         numbers: Its numbers in units of the variable, with their sd.
         term: Formula with the range put in.
         seen: What it does to the record, in noise sd.

@@ -335,7 +335,6 @@ def _weigh(
 
     Args:
         weigher: Evidence beside a model.
-        laws: Each with its basis.
         columns: Of all that each is weighed by, side by side, (num_valid, num_columns).
     """
     tried = [basis for _, law in laws for basis in law.tried]

@@ -142,9 +142,6 @@ class FoundLaws:
 def at_data_sheet(plain: Fit) -> list[Fit]:
     """The plain model at its data sheet, where its fit has left that: what is missing has bent the
     model's numbers, so that slopes there promise laws nothing. None where it cannot be simulated.
-
-    Args:
-        plain: Fit of the plain model.
     """
     problem = plain.problem
     if not has_left_prior(plain):
@@ -382,7 +379,6 @@ class Table:
     """Causes of the library that stand in one table with laws.
 
     Attributes:
-        library: The causes.
         most_steps: Weighted steps that laws may cost, their columns a share of it.
     """
 

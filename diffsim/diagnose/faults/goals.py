@@ -185,7 +185,6 @@ class Rows(Goals):
         """What an explanation does not trust, in words.
 
         Args:
-            choice: Its choice.
             names: Names of the channels.
         """
         out = []

@@ -73,7 +73,6 @@ class GroupPosterior:
         """Prior precision of a group's scatter, (num_scatter,).
 
         Args:
-            local: The group.
             log_spread: Logarithms of spreads over stated ones.
             daily_factor: Factor on the spreads of groups, 1 for groups like those that taught.
         """
@@ -85,7 +84,6 @@ class GroupPosterior:
         """What is known of the shared parameters of a group for one draw: mean and covariance.
 
         Args:
-            local: The group.
             draw: Number of the draw.
             new_state: Whether the group is in a state that was never seen.
             factor: Factor on the spreads of such a state.

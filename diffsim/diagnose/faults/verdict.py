@@ -253,8 +253,6 @@ def verdict_of(
     """What may be said of a group.
 
     Args:
-        group: The group.
-        evidences: All candidates with their evidence.
         effects: Causes by name.
         smallest_visible: Smallest size of each cause that would be visible alone.
     """

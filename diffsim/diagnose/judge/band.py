@@ -370,7 +370,6 @@ def _left_out_part(
 
     Args:
         fit: The extended model.
-        fold: The part.
         channels: Columns of ``measured``.
         residuals: Whitened, by run, of fits that have not seen them, (num_valid,) each.
     """
@@ -402,7 +401,6 @@ def _linear_variance(
 
     Args:
         fit: The extended model.
-        run: One of its runs.
         slopes: Whitened slopes of this run at the fit, (num_valid, n).
         covariance: Posterior of the coordinates, (n, n).
         own: Names of coordinates that are fitted to this run anyway.

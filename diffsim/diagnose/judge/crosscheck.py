@@ -47,7 +47,6 @@ def swap_probability(problem: Problem, residual: Array, *, seed: int) -> float |
     Args:
         problem: Fitted problem that left the residual.
         residual: Whitened residual of the fit, (num_valid,).
-        seed: Seed of the draws.
 
     Returns:
         (hits + 1) / (draws + 1), or None where repeats are missing or too short for a test.

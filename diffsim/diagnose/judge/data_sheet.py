@@ -77,8 +77,6 @@ def base_rows(
 
     Args:
         fit: Fit of the best set.
-        runs: Runs that were fitted.
-        wider: Widening of intervals.
         judged: Whether findings may be stated: repeats and numerical settings are in order.
         wrong: Value and sd of parameters without the pull of a data sheet that is wrong, in its
             standard deviations, by name; None: none.
@@ -210,8 +208,6 @@ def ranges_of_answer(
 
     Args:
         fit: Fit of the extended model.
-        base: Its base parameters.
-        causes: All causes.
     """
     return _ranges(fit, base, {row.name: row.size for row in causes if row.origin == EFFECT})
 

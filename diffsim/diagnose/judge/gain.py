@@ -167,7 +167,6 @@ def compared(
     ones are not independent of each other, longer ones say no more.
 
     Args:
-        runs: Runs that no fit has seen.
         null: A fit whose noise floor whitened the residuals.
         before: Residuals without the effects, (num_valid,) by run.
         after: Residuals with the effects, (num_valid,) by run.
@@ -203,7 +202,6 @@ def share_removed(blocks: Array, *, seed: int) -> Gain:
     Args:
         blocks: Samples, sum of squares of the null model, and of the extended one, (num_blocks, 3)
             [noise variances].
-        seed: Seed of the bootstrap.
     """
     rng, num_blocks = np.random.default_rng(seed), len(blocks)
     picks = rng.integers(num_blocks, size=(DRAWS, num_blocks))
@@ -315,7 +313,6 @@ class LeftOut:
 
     Args:
         problem: Problem with the runs that are fitted.
-        folds: Parts that are left out.
     """
 
     problem: Problem

@@ -143,7 +143,6 @@ def own_rows(problem: Problem, x: Array, run: Run, names: Collection[str]) -> tu
     Args:
         problem: Model and noise.
         x: Standardized coordinates with the run's own values, (n,).
-        run: The run.
         names: Its own names, as of ``own_names``.
     """
     rows = []

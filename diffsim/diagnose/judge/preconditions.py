@@ -64,7 +64,6 @@ class Grounds:
         judgment: The verdict and the search behind it.
         about: Probabilities and sizes over all sets.
         members: Effects that the extended model holds, by index.
-        fit: Its fit.
         gates: All checks, those of numerical settings at that fit.
         base: Base parameters there, findings among them.
         chosen_by: What names were held against; empty: nothing.
@@ -276,7 +275,6 @@ def said_gradient(gate: GateResult, whose: str = "its derivative") -> str:
     """What a failed gradient check means for sizes.
 
     Args:
-        gate: The check.
         whose: The derivative of what.
     """
     if gate.value < USEFUL:

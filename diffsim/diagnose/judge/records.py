@@ -229,11 +229,7 @@ class ErrorRow:
 
 
 def pooled_by_kind(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
-    """All runs together, a row for each kind of channel.
-
-    Args:
-        errors: Of the runs.
-    """
+    """All runs together, a row for each kind of channel."""
     kinds: dict[tuple[str, str], list[ErrorRow]] = {}
     for row in errors:
         kinds.setdefault((row.kind, row.unit), []).append(row)

@@ -27,7 +27,6 @@ def without_each(saved: SavedModel, effects: Sequence[Effect]) -> dict[str, Save
 
     Args:
         saved: Content of the file.
-        effects: Its effects.
     """
     out = {}
     for effect in effects:

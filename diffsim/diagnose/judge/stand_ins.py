@@ -124,7 +124,6 @@ def form_of(
     Args:
         fit: Fit of a set of effects.
         changes: Whitened changes by refining numerical settings that the answer leaves too coarse.
-        without: Fits without an effect, by its place.
     """
     effects = fit.problem.effects
     base = fit.jacobian[:, : fit.problem.num_base]

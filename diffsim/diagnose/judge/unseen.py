@@ -47,7 +47,6 @@ class Span:
     Attributes:
         low, high: Smallest and largest value; None for labels.
         labels: Labels that occurred; empty for numbers.
-        unit: Unit of the quantity.
     """
 
     low: float | None

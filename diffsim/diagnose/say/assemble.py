@@ -263,7 +263,6 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
 
     Args:
         frozen: Report whose answer does not change any more but by what is taken back.
-        study: Study with its test runs.
         seed: Seed of the bootstrap.
         laws: Names of the causes that no library holds.
     """

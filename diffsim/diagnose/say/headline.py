@@ -113,7 +113,6 @@ def judged_headline(
         errors: Errors on the runs; none where no run could be simulated.
         gained: Gain over all of them; None: not known.
         extended: Whether the model names a cause.
-        gains: Gain by run.
     """
     if not errors:
         return "No run could be simulated."

@@ -212,7 +212,6 @@ def save_model(
     """Write extended_model.yaml with all that judging new runs needs.
 
     Args:
-        best: Fit of the extended model.
         null: Fit of the plain model to the same runs.
         folder: Folder of the file.
         study: Study that was fitted.

@@ -67,7 +67,6 @@ class BeforeTest:
     """What an answer was before the test runs took something back.
 
     Attributes:
-        verdict: The verdict.
         statuses: Status of the causes that have another one now, by name.
     """
 
@@ -204,7 +203,6 @@ def ends(size: Interval, unit: str = "") -> str:
     said to be none.
 
     Args:
-        size: Interval.
         unit: As it follows a number, with its space.
     """
     width = size.high - size.low

@@ -84,7 +84,6 @@ class _RefinedSetting:
     """One setting, refined step by step at the plain fit.
 
     Attributes:
-        name: Of the setting.
         numerics: The finest that was simulated.
         shift: Base parameters that make coarse records most like those, standardized.
         added: What is left of the change then, (N,) [unit of the channel].

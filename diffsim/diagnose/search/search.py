@@ -290,7 +290,6 @@ def _fitted_along_weak(
     Args:
         made: Simulations made so far, the set's fit among them.
         members: Effects of the set, by index.
-        fit: Its fit.
         until: Count of weighted steps after which no further step is tried.
     """
     tally = made.wide.model.simulations
@@ -316,7 +315,6 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
 
     Args:
         search: Search that has fitted all of them.
-        sets: Members of each.
         whole: Set whose parts they are; one that ended far above what slopes promise at the whole's
             end is fitted once more from there.
     """
@@ -472,7 +470,6 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
 
     Args:
         search: Sets that were weighed so far.
-        center: The best set.
         until: Weighted steps after which the rest keeps its linear evidence, subsets apart, and the
             first that promise to be better than the best set.
     """

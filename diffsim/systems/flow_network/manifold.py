@@ -201,7 +201,6 @@ class Manifold:
 
     Args:
         given: Description.
-        keys: Its manifold.
     """
 
     kind = "manifold"

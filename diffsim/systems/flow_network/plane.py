@@ -37,7 +37,6 @@ class PlaneNetwork:
 
     Args:
         given: Description.
-        plane: Its network.
     """
 
     kind = "flow_device"

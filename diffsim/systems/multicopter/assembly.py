@@ -300,7 +300,6 @@ def strongest_frequency(flights: DescribedFlights, runs: Sequence[Run]) -> tuple
 
     Args:
         flights: Recipe of the scenes, whose nominal vehicle the forces are left over by.
-        runs: Runs that are fitted.
     """
     records = [_find_residuals(flights, run) for run in runs]
     longest = max(float(t[-1] - t[0]) for t, _, _ in records)

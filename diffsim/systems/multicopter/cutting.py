@@ -202,7 +202,6 @@ def evenly_sampled(study: Study, rate_hz: float | None, means: Sequence[bool]) -
     Commands are means over the step that follows a sample.
 
     Args:
-        study: Recorded runs.
         rate_hz: Samples per second; None: as recorded, and runs that are even stay as they are.
         means: Which channels are means over the step before: accelerations are.
     """

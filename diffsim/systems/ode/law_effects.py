@@ -70,7 +70,6 @@ class _FollowedPath:
     """Gives x of a law in a run, by the plain model as it is described.
 
     Attributes:
-        model: Plain model.
         read: Its formulas, which read x.
     """
 
@@ -142,7 +141,6 @@ class _BentLaw:
     """Applies a change of a law, with the signals that it needs beside the formulas.
 
     Attributes:
-        plain: The change of formulas.
         further: Names of those signals.
         swept: Formulas that read x.
     """

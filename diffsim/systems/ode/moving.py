@@ -45,7 +45,6 @@ def check_motion(
     Args:
         motion: States and what goes with them.
         keys: Keys that all systems of formulas share.
-        inputs: Names of the inputs.
         known: Names that formulas may use.
         reader: Receives the mistakes.
     """

@@ -30,7 +30,6 @@ def own_effect(
 
     Args:
         where: Key of the block.
-        block: The block.
         study: Study with the recordings.
         known: Names that formulas may use.
         beside: Those of them that were recorded and are no inputs.

@@ -41,7 +41,6 @@ def read_system(
         keys: Keys that all systems of formulas share.
         given: What drives the system.
         motion: States and what goes with them.
-        study: Study with the recordings.
         reader: Receives the mistakes.
     """
     open_ = {i.name: list_commands_of(i, study) for i in given if i.held is None}
@@ -132,7 +131,6 @@ def list_commands_of(given: Input, study: Study) -> list[str]:
     """Commands that an input is made of.
 
     Args:
-        given: The input.
         study: Study with the recordings.
     """
     words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
@@ -143,7 +141,6 @@ def is_held(given: Input, study: Study) -> bool:
     """Whether an input is held: as is stated, else as an earlier fit took it, else as it looks.
 
     Args:
-        given: The input.
         study: Study with the recordings.
     """
     if given.held is not None:

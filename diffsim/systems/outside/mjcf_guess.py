@@ -92,7 +92,6 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     """Channels, commands and numbers of an MJCF by their names, else by their order.
 
     Args:
-        path: The MJCF.
         stated: The same as the study calls it.
         guess: What the recordings seem to hold.
 

@@ -55,11 +55,7 @@ class Points:
 
 
 class Balls:
-    """Balls as a description states them.
-
-    Args:
-        given: The description.
-    """
+    """Balls as a description states them."""
 
     kind = BALLS
     unwatched = CLICK_CHANNELS

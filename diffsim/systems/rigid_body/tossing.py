@@ -37,11 +37,7 @@ MIN_RESTS = 5  # tosses whose heights at rest tell their scatter
 class TossedBody:
     """A tossed body as a description states it.
 
-    Args:
-        given: The description.
-
     Attributes:
-        body: The body.
         contact: That with the ground; None: it is never touched.
     """
 
