@@ -19,7 +19,7 @@ from torch import Tensor
 from diffsim.causes._ops_signals import approach, find_intervals, follow
 from diffsim.core.arrays import Array, IntArray
 
-_SHORTEST = 1e-3  # of the shortest step: a lag below it is none
+SHORTEST_LAG = 1e-3  # of the shortest step: below it exp(-dt / tau) is zero to the last digit
 _SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
 MOST_STEPS = 1e9  # of a run
 
@@ -413,7 +413,7 @@ def decayed(factor: Tensor, term: Tensor) -> Tensor:
 
 def _decay(grid: Grid, time_constant: Tensor) -> tuple[Tensor, Tensor]:
     steps = grid.times.diff()
-    shortest = _SHORTEST * float(steps.min())
+    shortest = SHORTEST_LAG * float(steps.min())
     return steps, torch.exp(-steps / time_constant[..., None].clamp(min=shortest))
 
 

@@ -44,7 +44,6 @@ from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.ranges import Range
 
-CORRELATED = 0.8
 EXTEND_FILE = "extend.json"  # beside the model that it writes
 CLOSED_VERDICTS = ("none", "data_sheet", "named", DESCRIBED)  # verdicts that may leave nothing open
 
@@ -74,7 +73,7 @@ class NullFit:
         named = zip(self.fit.problem.names, moves, strict=True)
         return tuple(name for name, is_moving in named if not is_moving)
 
-    def strongest_correlations(self, limit: float = CORRELATED) -> Iterator[tuple[str, str, float]]:
+    def strongest_correlations(self, limit: float = 0.8) -> Iterator[tuple[str, str, float]]:
         """Pairs of parameters above the limit, strongest first."""
         names, r = self.fit.problem.names, self.fit.correlation
         rows, cols = np.triu_indices(len(names), 1)

@@ -36,6 +36,8 @@ from diffsim.identify.setup import DiagnosisSetup
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+MAX_EFFECTS = 6  # of systems whose parts or quantities have causes of their own
+
 
 class Quantity(Part):
     """A number of a description: known, or imperfectly known with a prior.

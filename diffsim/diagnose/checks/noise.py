@@ -377,10 +377,7 @@ def _autocorrelation(a: Array, count: int) -> Array:
     return np.array(rho[:count])
 
 
-LAGS = 10
-
-
-def ljung_box(fit: Fit, lags: int = LAGS) -> Array:
+def ljung_box(fit: Fit, lags: int = 10) -> Array:
     """(num_channels,) probability that white residuals are at least as correlated as these.
 
     Q = n (n + 2) sum_k r_k^2 / (n - k) ~ chi2(lags), summed over runs (Ljung and Box 1978, "On a

@@ -36,7 +36,6 @@ POSSIBLE = "possible"  # of one of several laws
 PRODUCT = "product"  # form of a line in one variable times another
 
 PERIODS_SHOWN = 3.0  # of a law that repeats: more are a grey wall
-TURN = 2.0 * np.pi
 #: the number that says how a hidden state remembers
 MEMORIES = {
     "": (),
@@ -186,7 +185,7 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
         value, sd = fit.values[name], fit.sd[name] * report.interval_factor
         value_shown = abs(value) if short == "amplitude" and law.form == "periodic" else value
         if short == "swing_rate":
-            short, value_shown, sd, unit = "frequency", value / TURN, sd / TURN, "Hz"
+            short, value_shown, sd, unit = "frequency", value / math.tau, sd / math.tau, "Hz"
         short = {"lasting": "time", "slip_reach": "threshold"}.get(short, short)
         half = HALF_LEVEL * float(sd)
         numbers[short] = Number(value_shown, value_shown - half, value_shown + half, unit)

@@ -31,12 +31,10 @@ FEWEST_PERIODS = 2.0  # over the range: fewer are no repetition, bumps follow th
 MOST_NUMBERS = 4000  # wave numbers that are tried
 MOST_WORK = 1e9  # wave numbers by samples, over all variables at all entries: some twenty seconds
 SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a period
-CHUNK = 200  # wave numbers at once
 PEAKS = 2  # wave numbers of a variable that are weighed
 ONE_TURN = 1.0  # wave number of what an angle brings back after a turn, as weight on a lever
-FLAT = 1e-9  # of its size, below which a variable rests
+ROUNDING = 1e-9  # of the size of a variable, or of what the record tells best: less is none
 NUM_POINTS = 81  # over the range of a variable, at which forms are held against the record
-TOLD = 1e-9  # of what the record tells best, below which it tells nothing
 MOST_AGAIN = 100  # laws that are weighed again beside one that stands
 MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
 SMALL = 0.01  # of the usual magnitude at an entry: a term at which slopes are taken
@@ -467,7 +465,7 @@ def _repeating(
     if len(numbers) < 3:
         return {}
     scores: dict[Entry, list[Array]] = {entry: [] for entry in seen}
-    for part in np.array_split(numbers, len(numbers) // CHUNK + 1):
+    for part in np.array_split(numbers, len(numbers) // 200 + 1):  # at once
         waves = _waves(u, part, spacing)
         for entry, (there, known) in seen.items():
             scores[entry].append(known.scores(there.coordinates(waves)))
@@ -499,7 +497,7 @@ def _range_of(u: Array) -> tuple[float, float] | None:
     """Least and largest value of a variable; None where it rests."""
     seen = u[np.isfinite(u)]
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 0.0)
-    is_flat = high - low <= FLAT * max(abs(low), abs(high), 1e-300)
+    is_flat = high - low <= ROUNDING * max(abs(low), abs(high), 1e-300)
     return None if is_flat or not np.isfinite(high - low) else (low, high)
 
 
@@ -594,7 +592,7 @@ class Weigher:
         """
         gram, right = self.reduced(columns)
         values, vectors = linalg.eigh(gram)
-        kept = values > TOLD * values[-1]
+        kept = values > ROUNDING * values[-1]
         size = np.sqrt(values[kept])
         return size[:, None] * vectors[:, kept].T, (vectors[:, kept].T @ right) / size
 

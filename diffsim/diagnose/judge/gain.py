@@ -25,7 +25,8 @@ from diffsim.diagnose.judge.left_out import (
     left_out_residual,
     newest_samples,
 )
-from diffsim.diagnose.judge.own_values import FAR_OFF, Frozen, held_out_point
+from diffsim.diagnose.judge.own_values import Frozen, held_out_point
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Fit, Problem
 from diffsim.identify.problem import PredictionError
 

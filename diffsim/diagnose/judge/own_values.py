@@ -14,12 +14,12 @@ from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
 from diffsim.data.study import Run
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.effort import FIT_RTOL
 
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
-FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no usual one
 
 
 def words_of(name: str) -> str:

@@ -46,7 +46,6 @@ MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
 NOT_CERTAIN = "Not certain:"
 TOGETHER = 0.5  # of the misfit, all that causes remove one by one: below it they act as one
-STAYS = 0.99  # of the error before: what is left is none the smaller
 SMALL = 0.05  # of what all remove: causes that the first sentence leaves to the page
 UNKNOWN_CAUSE, UNNAMED = "unknown ", "something without a name"
 SURELY, PROBABLY, PERHAPS = "certainly", "probably", "perhaps"
@@ -84,7 +83,7 @@ def headline(
     is_denied = False  # nothing is certain, and what is named leaves the unseen error as it was
     if errors and not failed and all(row.status != CERTAIN for row in effects_of(answer)):
         row = _quoted_kind(errors, True, gained)
-        is_denied = row.after > STAYS * row.before
+        is_denied = row.after > SKILL * row.before
     found = _say_findings(answer, laws, is_denied=is_denied)
     endings = _endings(answer, errors, failed, gained)
     # the longest words that fit with an ending: the error comes before details of the cause
@@ -574,7 +573,7 @@ def _on_unseen(
     besides = f", noise {noise}" if noise else ""
     if not changed:
         return [f"; the {where} is {before}{unit}{besides}", f"; {short} {before}{unit}{besides}"]
-    if row.after > STAYS * row.before:
+    if row.after > SKILL * row.before:
         verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
         return [
             f"{objects} the {where} {verb} {after}{unit}{besides}",

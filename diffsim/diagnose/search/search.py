@@ -56,7 +56,7 @@ MAX_MENDED = 3  # fits of the best set, each with better slopes along weak direc
 MOST_OF_PLAIN = 0.5
 MAX_ALONE = 8  # of these
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
-FINDING_SD = 3.0  # the same, from which it may be a finding that a data sheet is wrong
+FAR_OFF = 3.0  # the same, from which a value is no usual one, or a data sheet may be wrong
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -278,7 +278,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
 def _leaves_sheets(fit: Fit) -> bool:
     """Whether a fit would say that a data sheet is wrong."""
     base = zip(fit.problem.model.base, fit.x, strict=False)
-    return any("@" not in p.name and abs(x) > FINDING_SD for p, x in base)
+    return any("@" not in p.name and abs(x) > FAR_OFF for p, x in base)
 
 
 def _fitted_along_weak(

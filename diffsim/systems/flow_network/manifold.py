@@ -16,7 +16,7 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.stokes import FlowField
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.flow_network.corrections import shear_rate_squared
+from diffsim.systems.flow_network.corrections import MAX_SWEEPS, shear_rate_squared
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
 from diffsim.systems.flow_network.keys import FlowDeviceKeys, ManifoldKeys
 from diffsim.systems.flow_network.rig import FlowRig
@@ -30,7 +30,6 @@ from diffsim.systems.flow_network.steady import (
 )
 
 SWEEP_RTOL = 1e-8
-MAX_SWEEPS = 60
 WALL_SWEEPS = 3
 """Walls follow the pressure so often, each time ten times closer. Not to the last digit: the flow
 jumps by some 1e-4 where a wall passes nodes, and such a map may have no fixed point."""

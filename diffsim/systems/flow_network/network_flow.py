@@ -12,7 +12,7 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError, DiffsimError
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
-from diffsim.systems.flow_network.corrections import FlowDerivatives
+from diffsim.systems.flow_network.corrections import MAX_SWEEPS, FlowDerivatives
 from diffsim.systems.flow_network.grid_fits import DEEP, MovingFit, average_corners, integrate_face
 from diffsim.systems.flow_network.network import NetworkDevice
 
@@ -24,7 +24,6 @@ PENALTY = 200.0
 moves changes resistances more smoothly."""
 
 SLIP_RTOL = 1e-9
-MAX_SLIP_SWEEPS = 60
 
 
 class NetworkFlow:
@@ -130,7 +129,7 @@ class NetworkFlow:
         derivatives = FlowDerivatives(self.grid, phi, level > 0.0, level > DEEP)
         inside, wall = phi > spacing, torch.zeros(())
         share = 1.0 / (1.0 + 1.5 * abs(slip) / spacing)  # as in ``StokesScene``
-        for _ in range(MAX_SLIP_SWEEPS):
+        for _ in range(MAX_SWEEPS):
             gradient = derivatives.gradient(flow.velocity)
             asked = slip * derivatives.slip_velocity(gradient, phi)
             wall = share * asked + (1.0 - share) * wall
@@ -141,10 +140,10 @@ class NetworkFlow:
                 return flow
         raise ConvergenceError(
             f"the flow with slip length {slip:g} m changed by {change:.1e} of its largest speed in "
-            f"sweep {MAX_SLIP_SWEEPS}, needed {SLIP_RTOL:.1e}; narrow the bounds of the slip",
+            f"sweep {MAX_SWEEPS}, needed {SLIP_RTOL:.1e}; narrow the bounds of the slip",
             residual_norm=change,
             tolerance=SLIP_RTOL,
-            num_iters=MAX_SLIP_SWEEPS,
+            num_iters=MAX_SWEEPS,
         )
 
     def _level_set(self, offset: float, narrowing: tuple[float, ...]) -> Tensor:

@@ -16,6 +16,7 @@ from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.readings import Instrument, instrument_of, usual_sample
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
+from diffsim.core.units import GRAVITY
 from diffsim.identify.effect import Apply
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
 from diffsim.systems.soft_body import forces, loads, material, sensor
@@ -31,10 +32,8 @@ if TYPE_CHECKING:
 
 SOFT_BODY = "soft_body"  # the kind of system, and its table
 BODY, TIMED = "body", "is_timed"  # of the scales: magnitudes of the body; whether time matters
-G = 9.81  # [m/s^2]
 MOST_KNOTS = 16
 KNOTS_PER_S = 6.0
-SLIP_SPEED = 1e-2  # below which dry friction grows linearly [m/s]
 PULL_SHARE = 0.1  # of the command's range: a pull that nothing explains and is no surprise
 
 #: What causes do that no port says, by the names of their rows.
@@ -46,7 +45,7 @@ FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
         "stiffness_loss": material.lose_stiffness,
         "temperature_drift": material.drift_with_order,
         "body_scale": loads.enlarge_body,
-        "dry_friction": partial(forces.rub_nodes, slip_speed=SLIP_SPEED),
+        "dry_friction": partial(forces.rub_nodes, slip_speed=0.01),
         "linear_drag": partial(forces.drag_nodes, shares=forces.areas_of, quadratic=False),
         "quadratic_drag": partial(forces.drag_nodes, shares=forces.areas_of, quadratic=True),
         "added_mass": forces.add_fluid_mass,
@@ -74,7 +73,7 @@ def plant_of(given: SoftBodyKeys, study: Study, scales: Scales, places: Collecti
     """
     moves = given.numerics.motion != "quasi_static"
     weight = scales.plain[BODY]["mass"]
-    usual = {"push": PULL_SHARE * G * weight, **usual_motion(given, scales)}
+    usual = {"push": PULL_SHARE * GRAVITY * weight, **usual_motion(given, scales)}
     quantities = {name for name, q in given.quantities().items() if q.is_fitted}
     has_gravity = any(given.gravity.vector)
     return Plant(
