@@ -117,7 +117,6 @@ def clock_problems(channels: Sequence[Channel], clocks: Iterable[str]) -> Iterat
     """Clocks of what there is not.
 
     Args:
-        channels: Channels of the study.
         clocks: Names that a description gives clocks.
     """
     for name in clocks:

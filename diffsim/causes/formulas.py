@@ -154,7 +154,6 @@ class Formula:
         Args:
             own: Signals (..., width, num_times), sizes and shapes that broadcast with them, by
                 name; they come before what was recorded.
-            run: Run that is simulated.
             grid: Times of the signals; None: nothing changes over the run.
         """
         known = {n: torch.tensor(v, dtype=torch.float64) for n, v in self.numbers.items()}

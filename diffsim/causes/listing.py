@@ -65,7 +65,6 @@ def is_offered(row: Row, plant: Plant, facts: Mapping[str, bool]) -> bool:
 
     Args:
         row: Row of a table.
-        plant: What the system tells of itself.
         facts: What holds of the part that the row acts on, beside the facts of the plant.
     """
     known = {**plant.facts, **facts}

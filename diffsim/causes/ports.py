@@ -319,9 +319,6 @@ class Sessions:
     def index_of(self, run: Run) -> int | None:
         """Place of a run's session among the later ones; None: the first, or one that was never
         fitted, which is as described.
-
-        Args:
-            run: Run that is simulated.
         """
         label = str(run.setup.get(self.fact, self.labels[0]))
         return self.labels.index(label) - 1 if label in self.labels[1:] else None

@@ -170,7 +170,6 @@ def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
 
     Args:
         u: Signal, (..., num_times); held beyond the ends.
-        grid: Times of the signal.
         delay: () or (K,) [s].
     """
     if _is_alone(grid):
@@ -185,7 +184,6 @@ def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
 
     Args:
         u: Signal, (..., num_times); held beyond the ends.
-        grid: Times of the signal.
         delay: () or (K,) [s].
     """
     if _is_alone(grid):
@@ -207,7 +205,6 @@ def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -
 
     Args:
         u: Command, (..., num_times); each value lasts until the next time.
-        grid: Times of the command.
         delay: () or (K,) [s].
         signed: Whether it may be early: then slopes at whole steps are central.
     """
@@ -239,7 +236,6 @@ def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
 
     Args:
         u: Signal, (..., num_times).
-        grid: Times of the signal.
         time_constant: () or (K,) [s].
     """
     if _is_alone(grid):
@@ -256,7 +252,6 @@ def held_lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
 
     Args:
         u: Command, (..., num_times); each value lasts until the next time.
-        grid: Times of the command.
         time_constant: () or (K,) [s].
     """
     if _is_alone(grid):
@@ -343,7 +338,6 @@ def accelerated(
 
     Args:
         u: Signal, (..., num_times).
-        grid: Times of the signal.
         slowness: () or (K,) [s^2 per unit]; 0: the signal itself.
         cruise: Way above which a step is done at the greatest speed for a while, () or (K,) [unit];
             None: no speed is too great.
@@ -379,7 +373,6 @@ def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = No
 
     Args:
         u: Signal, (..., num_times).
-        grid: Times of the signal.
         half_gap: Half of the play, () or (K,).
         start: Where in the play it begins, -1 to 1, () or (K,); None: in the middle.
     """

@@ -173,7 +173,6 @@ def diagnosed(
 
     Args:
         inputs: Study, setup and seed.
-        progress: Receives stage, share done and message.
         cache: Folder for what was simulated, as of ``diagnose``.
     """
     setup = inputs.setup
@@ -497,7 +496,6 @@ def search_rounds(
     was simulated before: where that is coarse and corrected, at the sets that were found.
 
     Args:
-        null: The plain model under its noise floor.
         simulations: Simulations made so far.
         first: Sets and their coordinates, at which the search begins; none: at the plain model.
         again: Sets that an earlier search found, at whose ends it begins.

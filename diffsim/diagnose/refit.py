@@ -106,7 +106,6 @@ def fit_null(inputs: Inputs, numerics: Numerics | None = None) -> NullFit:
     """Noise floor and fit of the plain model.
 
     Args:
-        inputs: Study and setup.
         numerics: Refined numerical settings; None: the model's own.
     """
     return _plain(null_fit(_case(inputs, numerics)))
@@ -325,7 +324,6 @@ def advise_narrowing(
     known of the parameters that all runs share.
 
     Args:
-        inputs: Study and setup with a bank.
         report: Content of ``report.json``.
         numerics: Refined numerical settings of the report; None: the model's own.
 
@@ -354,7 +352,6 @@ def advise(
     """Refit each set and take the run of the setup's bank on which they differ most.
 
     Args:
-        inputs: Study and setup with a bank.
         sets: Names of the effects of every set.
         numerics: Refined numerical settings of the report; None: the model's own.
 

@@ -28,7 +28,6 @@ class FoundRobot:
     """A soft body with the causes that a diagnosis named.
 
     Attributes:
-        saved: Content of the file.
         model: Plain model with its causes, at the file's values.
         plain: The body without them.
         run: Stands for a run of a study: facts of its set-up.

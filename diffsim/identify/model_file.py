@@ -345,7 +345,6 @@ def without_values_of(saved: SavedModel, runs: Collection[str]) -> SavedModel:
     """A saved model without what single runs had of their own ("offset@run_9").
 
     Args:
-        saved: Content of the file.
         runs: Names of runs that the model has not met. A fitted run may have had such a name: its
             clock, its start, ... say nothing of another recording.
     """

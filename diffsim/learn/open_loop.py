@@ -24,7 +24,6 @@ def make_open_loop(kind: str, task: Task, seed: int) -> OpenLoop:
 
     Args:
         kind: "sinusoid", or "knots" (20 over an episode).
-        task: The task to be controlled.
     """
     rng = np.random.default_rng([seed, 4])
     n, dt = task.num_actions, task.dt
@@ -46,7 +45,6 @@ def fit_open_loop(
     """Maximize the mean reward of fixed episodes with L-BFGS; changes ``controller``.
 
     Args:
-        task: The task to be controlled.
         controller: First guess, which the fit changes.
         seed: Seed of the episodes' starts.
         batch: Number of episodes side by side.

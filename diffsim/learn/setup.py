@@ -110,7 +110,6 @@ def first_controller(
     methods go on to update them.
 
     Args:
-        task: The task to be controlled.
         warm_up: Steps of each of eight episodes.
         output_gain: Gain of the last layer's weights.
         balance_clock: As of ``Setup``.

@@ -424,7 +424,6 @@ class BaseParameters:
 
         Args:
             values: Values of the base parameters by name, () or (K,) each.
-            run: Run that is simulated.
         """
         return {
             key: values[self.name_of(key, run)] if q.is_fitted else self._known[key]

@@ -288,7 +288,6 @@ def budget_gates(
     Args:
         num_unscanned: Groups of effects with kinks that were not tried over decades.
         num_unfitted: Sets that could be better and that nobody fitted.
-        plain: Fit of the plain model.
     """
     if plain.ended == "budget":
         note = (

@@ -19,7 +19,6 @@ def without_misread(run: Run, commands: Sequence[Command]) -> tuple[Run, int]:
 
     Args:
         run: Run as it was recorded.
-        commands: What is known of commands.
 
     Returns:
         The run, the same object where nothing jumps, and the number of jumps.
@@ -43,7 +42,6 @@ def choose_commands(
     motion cannot jump, and what a record shows of a jump is seen in the channels.
 
     Args:
-        commands: What is known of commands.
         left: Measured minus predicted in a run, (num_samples, num_channels) [unit of the channel].
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
 

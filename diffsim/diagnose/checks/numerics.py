@@ -106,7 +106,6 @@ def could_be(fit: Fit, i: int, change: Array) -> float:
     what the cause does.
 
     Args:
-        fit: Fit of a set of effects.
         i: The effect's place in the fitted problem.
         change: (num_valid,) by refining a numerical setting once.
     """

@@ -101,7 +101,6 @@ def run_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
     """Runs whose record has a slip that the others do not have, whatever they are used for.
 
     Args:
-        study: Study with the description.
         setup: What the description made; where it cuts the runs, nothing is asked.
     """
     if setup.study is not None or study.faults is not None:
@@ -127,7 +126,6 @@ class _Others:
     """Runs beside a plain model that is fitted to all of them, each as noisy as what it leaves.
 
     Attributes:
-        study: Study with the description.
         runs: As the fit tells them.
         q: Standardized numbers of the fit, (num_base,).
         floor: Noise of each channel, (num_channels,) [unit of the channel].

@@ -50,7 +50,6 @@ def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
 
     Args:
         study: Study with the description; only ``ode`` is asked.
-        setup: What the description made.
     """
     model = study.model or {}
     states = model.get("states")

@@ -56,10 +56,6 @@ class _Way:
 def model_problems(study: Study, setup: DiagnosisSetup) -> list[Problem]:
     """Faults of a record that only its model can tell: of columns, of single runs, of where they
     begin; the first kind that is found.
-
-    Args:
-        study: Study with the description.
-        setup: What the description made.
     """
     for ask in (column_problems, run_problems, start_problems):
         if found := [*ask(study, setup)]:
@@ -72,7 +68,6 @@ def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
 
     Args:
         study: Study with the description; only systems of formulas are asked.
-        setup: What the description made.
     """
     if (study.model or {}).get("system") not in FORMULAS:
         return

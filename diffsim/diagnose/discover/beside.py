@@ -57,7 +57,6 @@ def causes_along(
     """Causes of the library along the recordings, a tangent for each size.
 
     Args:
-        followed: Simulations that lie on the recordings.
         most_steps: Weighted steps after which no further cause is simulated.
     """
     tally = followed.fit.problem.model.simulations

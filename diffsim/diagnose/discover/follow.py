@@ -210,7 +210,6 @@ def follow(fit: Fit, port: LawPort, max_steps: int = 8) -> FollowedRecord:
 
     Args:
         fit: Fit of a set of causes.
-        port: What the system offers to laws.
         max_steps: Steps towards the recordings; 0: the simulations as fitted.
     """
     problems, points, missing, slopes, chi2 = [], [], [], [], 0.0

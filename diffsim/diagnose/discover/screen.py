@@ -138,7 +138,6 @@ class Screen:
     """Laws without a form that were weighed beside one model.
 
     Attributes:
-        followed: Simulations that lie on the recordings.
         weigher: Evidence beside the model, and beside laws that stand already.
         found: The laws, the best first.
         courses: Each variable along the recordings, by its words and numbers.
@@ -273,9 +272,6 @@ def screen_laws(
     """All laws without a form, by their evidence.
 
     Args:
-        followed: Simulations that lie on the recordings.
-        port: What the system offers to laws.
-        progress: Receives stage, share done and message.
         most_steps: Weighted steps after which no further terms are simulated.
     """
     out: list[Candidate] = []

@@ -167,8 +167,6 @@ def find_laws(
     Args:
         fits: The plain model's fit, before it the model at its data sheet where the fit has left
             it, after it that of the best set of causes where there is one.
-        port: What the system offers to laws.
-        progress: Receives stage, share done and message.
         most_steps: Weighted steps after which no further law is fitted in the simulator.
         library: Causes that may act beside a law.
     """

@@ -40,7 +40,6 @@ class GroupPosterior:
     """What groups with known faults say of all others.
 
     Attributes:
-        layout: Where the base parameters belong.
         problem: Model, all runs, noise and effects.
         tails: How far goals are missed.
         locals: Groups that taught, linearized, by label.
@@ -147,7 +146,6 @@ def learn(
 
     Args:
         problem: Model, all runs, noise and effects.
-        layout: Where the base parameters belong.
         groups: All groups; those that do not teach are left out.
         seed: Of the draws of spreads.
         state: Fact of the runs that says which state of the rig they share; None: none.
@@ -268,7 +266,6 @@ def _terms(
     """Terms by which the known sizes of all groups keep their sign.
 
     Args:
-        layout: Where the base parameters belong.
         locals_: Groups that teach, linearized.
         log_spread: Logarithms of spreads over stated ones, (num_families,).
         terms: To start from.
@@ -312,7 +309,6 @@ def _draws(
     """Draws of the logarithms of spreads from their posterior, (NUM_DRAWS, num_families).
 
     Args:
-        layout: Where the base parameters belong.
         locals_: Groups that teach, linearized.
         best: Most probable logarithms, (num_families,).
         covariance: Of the normal distribution that is tried, (num_families, num_families).

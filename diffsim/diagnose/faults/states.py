@@ -37,7 +37,6 @@ def possible_states(group: Group, learned: GroupPosterior, keys: FaultKeys) -> t
 
     Args:
         group: The group to be judged.
-        learned: What other groups say.
         keys: ``faults`` of the study.
     """
     if keys.state is None:

@@ -144,7 +144,6 @@ class Band:
         """Half of the width in a run, (num_samples, num_channels) [unit of the channel].
 
         Args:
-            at: The extended model.
             sd: Posterior standard deviation of its standardized coordinates, (n,).
             run: Run that was not fitted; its own values are fitted to it.
             times: How far outside of the fitted runs it lies; 1: inside.
@@ -192,7 +191,6 @@ def band_of(
     """The band of a fit, from parts of its runs that are left out and from select runs.
 
     Args:
-        fit: The extended model.
         channels: Columns of ``measured``.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
         select: Runs with use: select.
@@ -289,7 +287,6 @@ def noise_of(parts: Sequence[Part], noise: Array) -> Array:
     What stays of a misfit would hide in it, and not grow with the distance.
 
     Args:
-        parts: One or more.
         noise: Standard deviation as stated, (num_channels,) [unit of the channel].
     """
     calmest = np.fmin.reduce([_mean_measured(part.left**2) for part in parts])
@@ -308,7 +305,6 @@ def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
     leave it where it begins, at 1.
 
     Args:
-        parts: One or more.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
     """
     left = np.array([_mean_measured(part.left**2) for part in parts])
@@ -369,7 +365,6 @@ def _left_out_part(
     """A part of the fitted runs.
 
     Args:
-        fit: The extended model.
         channels: Columns of ``measured``.
         residuals: Whitened, by run, of fits that have not seen them, (num_valid,) each.
     """
@@ -400,7 +395,6 @@ def _linear_variance(
     """Variance of a run's readings by a posterior near the fit, (num_samples, num_channels).
 
     Args:
-        fit: The extended model.
         slopes: Whitened slopes of this run at the fit, (num_valid, n).
         covariance: Posterior of the coordinates, (n, n).
         own: Names of coordinates that are fitted to this run anyway.
@@ -453,7 +447,6 @@ def _posterior_variance(
     Args:
         names: Coordinates that runs share.
         correlation: Posterior correlation of these, (n, n).
-        at: The extended model.
         sd: Posterior standard deviation of its standardized coordinates.
         run: Run that was not fitted; its own values are fitted to it.
         unmet: Parameters that no fitted run has.

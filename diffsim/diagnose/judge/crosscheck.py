@@ -45,7 +45,6 @@ def swap_probability(problem: Problem, residual: Array, *, seed: int) -> float |
     """Share of swapped draws whose statistic reaches that of the mean residual.
 
     Args:
-        problem: Fitted problem that left the residual.
         residual: Whitened residual of the fit, (num_valid,).
 
     Returns:

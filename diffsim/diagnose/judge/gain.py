@@ -342,7 +342,6 @@ def validation_of(plain: Fit, select: Sequence[Run]) -> Validation | None:
     """Select runs if there are any, else fit runs left out; None where they are too few.
 
     Args:
-        plain: Fit of the plain model.
         select: Runs with use: select.
     """
     if select:

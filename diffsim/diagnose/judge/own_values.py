@@ -130,7 +130,6 @@ def own_names(names: Sequence[str], run: Run, unmet: Collection[str] = ()) -> tu
 
     Args:
         names: Names of all coordinates.
-        run: Run that they belong to.
         unmet: Parameters that no fitted run has; those of this run's facts are its own.
     """
     at_run = f"@{run.name}"
@@ -172,7 +171,6 @@ def own_point(
     Args:
         problem: Model and noise, with this run only.
         x: Standardized coordinates, (n,); the run's own are fitted from the middle of their prior.
-        run: Run that they belong to.
         slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated at every step.
         unmet: Parameters that no fitted run has, as of ``own_names``.
     """

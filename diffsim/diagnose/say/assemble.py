@@ -122,12 +122,10 @@ def report_of(
     """The answer of a diagnosis, before any test run is looked at.
 
     Args:
-        null: The plain model under its noise floor.
         checks: Gates, and what they simulated.
         judgment: The verdict and the search behind it.
         screened: Scores of all candidates at the plain model.
         seed: Seed of the bootstraps.
-        bank: Runs that could be recorded next.
         validation: What names were held against.
     """
     judgment, checks, members = _settle_best_set(judgment, checks)

@@ -74,7 +74,6 @@ def headline(
     A second sentence says why that is not certain, a third one that the noise is not as stated.
 
     Args:
-        answer: What is put into words.
         errors: Errors on runs that were not fitted; none without such runs.
         failed: Runs that could not be simulated; errors are not quoted then.
         gained: Gain over all these errors; None: not known.
@@ -228,7 +227,6 @@ def _say_findings(answer: Answer, laws: Collection[str], *, is_denied: bool = Fa
     """What is wrong, without a full stop; shorter ones later.
 
     Args:
-        answer: What is put into words.
         laws: Names of the causes that no library holds.
         is_denied: Whether unseen runs speak against what is named.
     """
@@ -288,7 +286,6 @@ def _open(answer: Answer, verb: str) -> list[str]:
     What is missing may be in none of them: something like them is.
 
     Args:
-        answer: What is put into words.
         verb: Before "missing".
     """
     if pieces := [row for row in effects_of(answer) if ONE_LAW in row.rivals]:
@@ -397,7 +394,6 @@ def _missing(
     """Sentences on causes that are named, the longest first.
 
     Args:
-        answer: What is put into words.
         named: Causes, data sheets among them.
         laws: Names of the causes that no library holds.
         is_open: Whether none of them is surer than perhaps.

@@ -120,9 +120,7 @@ def effect_rows(
     """One row per effect, by evidence.
 
     Args:
-        effects: Candidates that were judged.
         judgment: The verdict and the search behind it; no search: effects were only screened.
-        screened: Scores at the plain model.
         changes: Change of the record by refining each numerical setting, (N,) each; it widens the
             intervals.
         saved: The extended model: sizes of its effects are those that it holds.
@@ -224,8 +222,6 @@ def cannot_see(
     """Effects that these data could not show, and why.
 
     Args:
-        effects: Candidates that were judged.
-        screened: Scores at the plain model.
         unmet: What the study lacks for candidates that were left out, by name.
         rows: Candidates by evidence; those that were considered with a size have been seen.
     """

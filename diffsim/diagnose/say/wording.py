@@ -232,7 +232,6 @@ def sentences(
     """Two to seven sentences with numbers and units.
 
     Args:
-        answer: What is put into words.
         gained: Gain on test runs; None without such runs or without a name.
         unseen: Errors on test runs.
         failed: Runs that could not be simulated, by name, with why.

@@ -256,7 +256,6 @@ class Manifold:
         """The device as a model: ``Numerics.mesh`` scales the cells, ``tolerance`` the sweeps.
 
         Args:
-            parameters: Quantities of the description.
             columns: Which of the readings are channels of the study.
         """
 

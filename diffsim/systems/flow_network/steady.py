@@ -116,7 +116,6 @@ def drive_commands(
     A drive is also known as ``inlet_1``, ``inlet_2`` and so on, by its place.
 
     Args:
-        run: Run that is simulated.
         drives: Command of each pump or regulator.
         held: Command or constant of each pressure [Pa]; None, or a command that the run does not
             have: zero.
@@ -156,7 +155,6 @@ def plant_of(
     study names causes.
 
     Args:
-        study: Study with the recordings.
         kind: Kind of system.
         samples: What the samples of a run are.
         pumps, pressures: Names of the commands.

@@ -125,8 +125,6 @@ def plant_of(
 
     Args:
         given: Description of the multicopter.
-        flights: The same, assembled.
-        study: Study with the recordings.
         scales: Usual magnitudes.
     """
     functions = dict(FUNCTIONS)
@@ -217,7 +215,6 @@ def acting_in(effect: Effect, facts: Mapping[str, str | float]) -> Effect:
     """The effect in those runs only whose set-up states some facts.
 
     Args:
-        effect: Candidate cause.
         facts: Values by name of the fact, such as {"propeller": "cut"}.
     """
     return replace(effect, apply=partial(_apply_there, inner=effect.apply, facts=dict(facts)))

@@ -16,7 +16,6 @@ def speed_lagged(thrusts: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
 
     Args:
         thrusts: Commanded thrusts, held until the next sample, (..., n_rotors, num_times) [N].
-        grid: Times, evenly spaced.
         time_constant: tau, (..., 1) [s]; at first the rotors turn as commanded.
     """
     dt, tau = float(grid.times[1] - grid.times[0]), time_constant
@@ -34,7 +33,6 @@ def lagged_in_windows(y: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
 
     Args:
         y: Readings, (num_windows, points, width, length).
-        grid: Times, evenly spaced.
         time_constant: tau, (..., 1) [s].
     """
     if y.shape[-1] < 2:

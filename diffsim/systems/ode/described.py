@@ -72,9 +72,6 @@ class FormulaSystem:
     """A description with its formulas parsed against a study.
 
     Attributes:
-        keys: Keys that all systems of formulas share.
-        motion: States and what goes with them.
-        study: Study with the recordings.
         held: Inputs, with whether they are held between samples.
         unsure: Inputs of which nobody knows whether they are held between samples.
         assumed: Inputs that are taken to be held though some run does not show it.

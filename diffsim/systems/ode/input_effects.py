@@ -21,11 +21,7 @@ from diffsim.systems.ode.scene import OdeScene
 
 
 def input_ways(library: Library) -> tuple[CommandGroup, ...]:
-    """Every input by itself, as causes of commands see it.
-
-    Args:
-        library: Names and magnitudes of the system.
-    """
+    """Every input by itself, as causes of commands see it."""
     system, several = library.system, len(library.system.held) > 1
     units = {c.name: (c.unit, c.shown_unit) for c in library.study.commands}
     is_electric = current_of(library.study.channels) is not None

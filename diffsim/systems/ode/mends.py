@@ -36,7 +36,6 @@ def mended(system: FormulaSystem, reader: Reader) -> FormulaSystem:
     """A system that moves, with all mends that the records of its study ask for.
 
     Args:
-        system: Description without mistakes.
         reader: Receives what was taken for granted.
     """
     for mend in MENDS:

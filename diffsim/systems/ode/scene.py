@@ -25,7 +25,6 @@ class OdeScene(Scene):
     effects; its commands are the inputs.
 
     Attributes:
-        run: Recorded run.
         starts: Start value of every state, formulas of the numbers.
         further: Inputs that effects have added by name, (num_times,) or (K, num_times).
         channels: Names of the channels in order.

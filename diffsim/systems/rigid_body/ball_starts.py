@@ -67,7 +67,6 @@ class BallStarts:
 
         Args:
             values: Values of the base parameters by name, () or (K,) each.
-            run: Run that is simulated.
         """
         return {
             key: values[name]

@@ -66,8 +66,6 @@ def plant_of(given: SoftBodyKeys, study: Study, scales: Scales, places: Collecti
     """What a described soft body tells of itself.
 
     Args:
-        given: Description of the body.
-        study: Study with the recordings.
         scales: Usual magnitudes, see ``scales_of``.
         places: Names of the places where forces may act.
     """
@@ -225,8 +223,6 @@ def scales_of(given: SoftBodyKeys, study: Study, mass_kg: float) -> Scales:
     """Usual magnitudes; of a study with a ``frame``, those of the saved model.
 
     Args:
-        given: Description of the body.
-        study: Study with the recordings.
         mass_kg: Mass of the body [kg].
 
     Raises:
@@ -240,7 +236,6 @@ def usual_motion(given: SoftBodyKeys, scales: Scales) -> dict[str, float]:
     """How far markers move: the widest channel; how fast: as far in a tenth of the longest run.
 
     Args:
-        given: Description of the body.
         scales: Usual magnitudes of the recordings.
     """
     seen = [name for name, reading in given.channels.items() if reading.axis is not None]
