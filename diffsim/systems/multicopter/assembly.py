@@ -91,7 +91,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
 
 
 def usual_magnitudes(flights: DescribedFlights, study: Study) -> Scales:
-    """Magnitudes of thrusts, channels and vehicle; of a saved model those that it was fitted with."""
+    """Magnitudes of thrusts, channels and vehicle; of a saved model those of its fit."""
     if (kept := Scales.kept_in(study)) is not None:
         return kept
     nominal, fleet = flights.nominal(), flights.nominal_fleet()
