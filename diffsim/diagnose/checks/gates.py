@@ -28,7 +28,6 @@ from diffsim.identify.effort import SearchSettings
 from diffsim.identify.model import SimModel
 
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
-REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
 
 
 def require_separate(study: Study) -> None:
@@ -101,7 +100,7 @@ def stretches_of(run: Run) -> dict[str, int]:
         if None in stretch or len(set(stretch)) < STRETCH:
             continue
         digest = hashlib.sha256(b"".join(filter(None, stretch))).digest()
-        if digest[0] % REMEMBERED == 0:
+        if digest[0] % 8 == 0:  # one of eight, chosen by its content: any part has the same ones
             out[digest[1:7].hex()] = i
     return out
 

@@ -30,7 +30,6 @@ from diffsim.diagnose.say.report import Report
 from diffsim.identify import Fit
 from diffsim.identify.law import VALUE, Law, Variable
 
-MOST_ROWS = 40  # of the table
 OF_NUMBERS = ("number", "value")  # kinds of entries that change a number of the model
 POSSIBLE = "possible"  # of one of several laws
 PRODUCT = "product"  # form of a line in one variable times another
@@ -54,7 +53,7 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     laws = tuple(_describe(report, by_name[row.name], row) for row in rows)
     answer = LawAnswer(
         laws,
-        tuple(_row(c) for c in found.screened[:MOST_ROWS]),
+        tuple(_row(c) for c in found.screened[:40]),
         tuple(_curve(f, laws) for f in found.fitted),
         found.num_tried,
     )

@@ -38,7 +38,6 @@ NUM_POINTS = 81  # over the range of a variable, at which forms are held against
 MOST_AGAIN = 100  # laws that are weighed again beside one that stands
 MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
 SMALL = 0.01  # of the usual magnitude at an entry: a term at which slopes are taken
-COLUMNS = 400  # of several laws, that are weighed at once
 MOST_PAIRS = 8  # laws of two variables that are weighed by what was left out, too
 WITH_PAIRS = ("force", "rate", "input", "reading")  # a number multiplies as it is
 PARTS = 4  # of a recording of less runs, that are left out one after the other
@@ -341,13 +340,13 @@ def _weigh(
 
 
 def _in_batches(sizes: Sequence[int]) -> Iterator[slice]:
-    """Consecutive parts of about ``COLUMNS`` columns.
+    """Consecutive parts of about 400 columns.
 
     Args:
         sizes: Columns of each member.
     """
     edges = np.cumsum([0, *sizes])
-    number = max(int(np.ceil(edges[-1] / COLUMNS)), 1)
+    number = max(int(np.ceil(edges[-1] / 400)), 1)
     cuts = np.searchsorted(edges, np.linspace(0, edges[-1], number + 1)[1:-1])
     for first, end in pairwise([0, *cuts.tolist(), len(sizes)]):
         if end > first:

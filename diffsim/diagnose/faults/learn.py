@@ -31,8 +31,6 @@ FACTOR_SD = 1.0  # sd of the logarithm of a spread about the stated one: a facto
 KNOWN_PRECISION = 1.0 / 3.0**2  # of known sizes: up to about five typical sizes
 NUM_DRAWS = 32  # of the spreads
 NUM_TRIED = 128  # normal draws that they are chosen from, in pairs about the best ones
-NUM_SWEEPS = 4  # over the signs of known sizes, at the most probable spreads
-NUM_SWEEPS_OF_DRAW = 2  # and from there for each draw of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +228,7 @@ def _learn_posterior(
     one = {e.name for e in state.problem.effects if not e.signed}
     terms = {label: Terms.none(local) for label, local in locals_.items()}
     start = best_spread(layout, locals_, start)
-    terms = _terms(layout, locals_, start, terms, one, NUM_SWEEPS)
+    terms = _terms(layout, locals_, start, terms, one, sweeps=4)
     held = _with_terms(locals_, terms)
     best = best_spread(layout, held, start)
     covariance: Array = np.asarray(np.linalg.inv(_curvature(layout, held, best)))
@@ -295,7 +293,7 @@ def _common_above_zero(
     one: Collection[str],
 ) -> Information:
     """What groups say together of the shared parameters, known sizes with their sign."""
-    own = _terms(layout, locals_, log_spread, terms, one, NUM_SWEEPS_OF_DRAW)
+    own = _terms(layout, locals_, log_spread, terms, one, sweeps=2)
     return common_information(layout, _with_terms(locals_, own), log_spread)
 
 

@@ -53,7 +53,6 @@ OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated 
 LEAST_PARTS = 2  # one does not tell how parts differ
 GROWTH = np.polynomial.Polynomial((-1.0, 0.0, 2.0))  # of what is left, by times: Chebyshev's T2
 TINY = 1e-300  # added to sums of what is asked: their ratio is 1 where nothing is
-ROUNDS = 200  # of the variances: each multiplies them, three digits are settled after a hundred
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +315,7 @@ def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
     known = 1.0 / (1.0 + np.sum(weight * spread / noise**2, axis=1, keepdims=True))
     grown = GROWTH(np.array([[part.times] for part in parts])) ** 2
     rest, excess = np.sum(left / grown, axis=0) / np.maximum(seen.sum(axis=0), 1), 1.0
-    for _ in range(ROUNDS):
+    for _ in range(200):  # each multiplies the variances; a hundred settle three digits
         variance = noise**2 + spread + grown * (rest + excess * spread)
         told, asked = weight * grown * left / variance**2, weight * grown / variance
         ahead, back = (known * told).sum(axis=0) + TINY, (known * asked).sum(axis=0) + TINY

@@ -32,7 +32,6 @@ from diffsim.identify.problem import PredictionError
 
 MIN_BLOCKS = 4  # fewer say nothing: three agree by chance
 MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
-DRAWS = 1000  # resamples of the bootstrap
 MOST = 1.2  # share that can be removed, and stated over left noise, where the noise is known
 NEAR_ZERO = 0.01  # noise variances per sample: a change of the error that is none
 RAN_AWAY = 10.0  # times the plain model's error: a fit without these samples says nothing of them
@@ -205,7 +204,7 @@ def share_removed(blocks: Array, *, seed: int) -> Gain:
             [noise variances].
     """
     rng, num_blocks = np.random.default_rng(seed), len(blocks)
-    picks = rng.integers(num_blocks, size=(DRAWS, num_blocks))
+    picks = rng.integers(num_blocks, size=(1000, num_blocks))
     drawn, total = blocks[picks].sum(axis=1), blocks.sum(axis=0)
     excess = total[1] - total[0]
     # a resample whose null error is below the noise has nothing to remove, but may get worse

@@ -15,7 +15,6 @@ from diffsim.identify.effect import TAIL, coordinate_of, precision_at, scaled_at
 from diffsim.identify.whitening import MIN_SPARSE
 
 Array = NDArray[np.float64]
-MAX_REWEIGHTS = 60
 REWEIGHT_TOLERANCE = 1e-7  # of a coordinate, relative above one
 FREE = 1e-6  # precision of a size that is nearly without a prior
 ROUNDING = 1e-13
@@ -90,7 +89,7 @@ def _reweight_sizes(
     weights = weights.copy()
 
     v, here = np.full(len(b), np.nan), np.inf
-    for step in range(MAX_REWEIGHTS):
+    for step in range(60):
         after, there = v, np.inf
         if step >= 2:  # safe ones come before Newton's
             curvature, push = np.ones(len(b)), np.zeros(len(b))

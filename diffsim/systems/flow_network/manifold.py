@@ -29,7 +29,6 @@ from diffsim.systems.flow_network.steady import (
     numbered,
 )
 
-SWEEP_RTOL = 1e-8
 WALL_SWEEPS = 3
 """Walls follow the pressure so often, each time ten times closer. Not to the last digit: the flow
 jumps by some 1e-4 where a wall passes nodes, and such a map may have no fixed point."""
@@ -273,7 +272,7 @@ class Manifold:
                 commands=drive_commands(run, self.given.drives, gains),
                 num_drives=self.num_inlets,
                 is_in_time=self.given.is_in_time,
-                rtol=SWEEP_RTOL * numerics.tolerance,
+                rtol=1e-8 * numerics.tolerance,
                 rig=rig(numerics.mesh),
                 columns=tuple(columns),
             )

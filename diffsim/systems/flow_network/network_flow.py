@@ -16,13 +16,6 @@ from diffsim.systems.flow_network.corrections import MAX_SWEEPS, FlowDerivatives
 from diffsim.systems.flow_network.grid_fits import DEEP, MovingFit, average_corners, integrate_face
 from diffsim.systems.flow_network.network import NetworkDevice
 
-BULK_RATIO = 1e7
-"""Less, and slender channels lose some per mille of the flow; rounding errors grow with it."""
-
-PENALTY = 200.0
-"""Of the walls, ten times the usual one: they let less of the flow through, and so a wall that
-moves changes resistances more smoothly."""
-
 SLIP_RTOL = 1e-9
 
 
@@ -52,8 +45,11 @@ class NetworkFlow:
             self.grid,
             [Inlet("x-", "in", lambda x: (x[:, 1] - height).abs() < reach), Open("x+")],
             viscosity=device.viscosity,
-            bulk_ratio=BULK_RATIO,
-            penalty=PENALTY,
+            # of less, slender channels lose some per mille; rounding errors grow with it
+            bulk_ratio=1e7,
+            # of the walls, ten times the usual one: they let less of the flow through, and a wall
+            # that moves changes resistances more smoothly
+            penalty=200.0,
         )
         phi = self._level_set(0.0, (0.0,) * len(device.outlets))
         centers = self.grid.centers.reshape(-1, 2)

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 SOFT_BODY = "soft_body"  # the kind of system, and its table
 BODY, TIMED = "body", "is_timed"  # of the scales: magnitudes of the body; whether time matters
-MOST_KNOTS = 16
-KNOTS_PER_S = 6.0
 PULL_SHARE = 0.1  # of the command's range: a pull that nothing explains and is no surprise
 
 #: What causes do that no port says, by the names of their rows.
@@ -262,7 +260,7 @@ def unknowns(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[Unknown
     if given.numerics.motion == "quasi_static" or until_s <= 0.0:
         return ()
     until_s += given.start.lead_in
-    count = min(max(4, round(KNOTS_PER_S * until_s) + 1), MOST_KNOTS)
+    count = min(max(4, round(6.0 * until_s) + 1), 16)  # six a second, in all at most 16
     knots = np.linspace(0.0, until_s, count)
     spacing = until_s / (count - 1)
     in_time = smooth_covariance(knots, 2.0 * spacing)
