@@ -73,13 +73,13 @@ class NullFit:
         named = zip(self.fit.problem.names, moves, strict=True)
         return tuple(name for name, is_moving in named if not is_moving)
 
-    def strongest_correlations(self, limit: float = 0.8) -> Iterator[tuple[str, str, float]]:
-        """Pairs of parameters above the limit, strongest first."""
+    def strongest_correlations(self) -> Iterator[tuple[str, str, float]]:
+        """Pairs of parameters above 0.8, strongest first."""
         names, r = self.fit.problem.names, self.fit.correlation
         rows, cols = np.triu_indices(len(names), 1)
         for k in np.argsort(-np.abs(r[rows, cols])):
             value = float(r[rows[k], cols[k]])
-            if abs(value) <= limit:
+            if abs(value) <= 0.8:
                 return
             yield names[rows[k]], names[cols[k]], value
 
