@@ -320,8 +320,7 @@ def trajectory_search() -> Mapping[str, Any]:
 def open_loop_search() -> Mapping[str, Any]:
     """Open-loop controllers by L-BFGS: a sinusoid and knots, for a copter and a swimmer."""
     from diffsim.envs import make_task
-    from diffsim.learn.open_loop import make_open_loop
-    from rl.open_loop import fit_open_loop
+    from diffsim.learn.open_loop import fit_open_loop, make_open_loop
 
     found = {}
     cases: list[tuple[str, str, dict[str, Any]]] = [

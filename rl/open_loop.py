@@ -8,20 +8,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
+from torch import nn
 
-from diffsim import optim
-from diffsim.control import OpenLoop
-from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import write_json_atomic
-from diffsim.envs.rollout import rollout_task
-from diffsim.envs.task import Task
-from diffsim.learn.open_loop import KINDS, make_open_loop
-from diffsim.learn.setup import broke_down, evaluate
+from diffsim.learn.open_loop import KINDS, fit_open_loop, make_open_loop
+from diffsim.learn.setup import evaluate
 from rl.arguments import setup_from, task_mistakes_in_short, training_parser
 
 
@@ -64,42 +57,3 @@ def main(argv: Sequence[str], description: str | None = None) -> dict[str, objec
     path = write_json_atomic((args.out or name) / "open_loop.json", out)
     print(f"{setup.label}, {args.controller}: best reward {reward:.4g}; {path}")
     return out
-
-
-def fit_open_loop(
-    task: Task, controller: OpenLoop, *, seed: int, batch: int = 1, max_iterations: int
-) -> optim.Result:
-    """Maximize the mean reward of fixed episodes with L-BFGS; changes ``controller``.
-
-    Args:
-        controller: First guess, which the fit changes.
-        seed: Seed of the episodes' starts.
-        batch: Number of episodes side by side.
-        max_iterations: Largest number of iterations of L-BFGS.
-
-    Returns:
-        The search's result; its values are minus the mean reward per step. The controller gets the
-        parameters of ``final``.
-
-    Raises:
-        DiffsimError: the simulation of the first guess breaks down.
-    """
-    start = task.start(batch, np.random.default_rng([seed, 5]))
-    trained = [p for p in controller.parameters() if p.requires_grad]
-    first = parameters_to_vector(trained).detach().numpy().astype(np.float64)
-
-    def loss_and_gradient(x: Array) -> tuple[float, Array]:
-        vector_to_parameters(torch.from_numpy(x), trained)
-        try:
-            loss: Tensor = -rollout_task(task, controller, start, task.max_steps).rewards.mean()
-            parts = torch.autograd.grad(loss, trained)
-        except (ArithmeticError, RuntimeError, ValueError) as error:
-            if not broke_down(error):
-                raise
-            raise DiffsimError(f"the simulation broke down: {error}") from error
-        return float(loss.detach()), torch.cat([g.flatten() for g in parts]).numpy()
-
-    budget = optim.Budget(evaluations=None, iterations=max_iterations)
-    result = optim.minimize(loss_and_gradient, first, options=optim.Options(budget=budget))
-    vector_to_parameters(torch.from_numpy(result.final.x.copy()), trained)
-    return result

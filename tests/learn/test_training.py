@@ -16,13 +16,13 @@ import torch
 pytest.importorskip("gymnasium", reason="environments need gymnasium: pip install '.[rl]'")
 
 from diffsim.core.errors import DiffsimError
-from diffsim.learn import gradient
+from diffsim.learn import gradient, open_loop
 from diffsim.learn.checkpoint import CHECKPOINT
 from diffsim.learn.cma_es import steer_members
 from diffsim.learn.critics import Critic, td_lambda_targets
 from diffsim.learn.gradient import BadGradients, GradientLearner, GradientOptions, NanGuard
 from diffsim.learn.methods import make_learner
-from diffsim.learn.open_loop import make_open_loop
+from diffsim.learn.open_loop import fit_open_loop, make_open_loop
 from diffsim.learn.run import (
     Learner,
     Update,
@@ -33,8 +33,7 @@ from diffsim.learn.run import (
 )
 from diffsim.learn.setup import Setup, evaluate, first_controller
 from diffsim.learn.shac import ShacLearner, ShacOptions
-from rl import open_loop, train_gradient
-from rl.open_loop import fit_open_loop
+from rl import train_gradient
 from tests.kills import Killed, killing_replace
 from tests.optional import needs
 
