@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from torch import Tensor
 
 from diffsim.causes.listing import list_causes
@@ -24,7 +24,7 @@ from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
-from diffsim.core.schema import KindWords, Part
+from diffsim.core.schema import Converted, Part
 from diffsim.core.units import after_number, in_unit
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -106,8 +106,8 @@ class Quantity(Part):
 IN_UNIT = ("value", "sd", "lower", "upper")
 
 
-def quantity(unit: str) -> Any:
-    """Type of a key that is a :class:`Quantity` in a unit; text with another unit is converted.
+def quantity(unit: str) -> Converted:
+    """A :class:`Quantity` in a unit; text with another unit is converted.
 
     Args:
         unit: SI unit of the key, "-" if none.
@@ -130,19 +130,16 @@ def quantity(unit: str) -> Any:
         }
         return {**given, **numbers, "unit": unit}
 
-    said = KindWords("quantity" if unit == "-" else f"quantity in {unit}")
-    return Annotated[Quantity, BeforeValidator(read), said]
+    return Converted("quantity" if unit == "-" else f"quantity in {unit}", read)
 
 
-def positive_quantity(unit: str) -> Any:
-    """Type of a key that is a :class:`Quantity` above 0, such as a mass."""
+def _require_above_zero(given: Quantity) -> Quantity:
+    if given.value <= 0.0:
+        raise ValueError(f"value must be above 0, got {given.value:g}")
+    return given
 
-    def above_zero(given: Quantity) -> Quantity:
-        if given.value <= 0.0:
-            raise ValueError(f"value must be above 0, got {given.value:g}")
-        return given
 
-    return Annotated[quantity(unit), AfterValidator(above_zero)]
+ABOVE_ZERO = AfterValidator(_require_above_zero)  # of a quantity such as a mass
 
 
 def unstated_facts(quantities: Mapping[str, Quantity], runs: Sequence[Run]) -> Iterator[Problem]:

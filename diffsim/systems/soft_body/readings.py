@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from pydantic import (
     Field,
-    TypeAdapter,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -64,7 +63,7 @@ class Reading(Part):
     @classmethod
     def _check_unit(cls, given: Any, info: ValidationInfo) -> Any:
         unit = "m" if info.data.get("about") is None else "rad"
-        return TypeAdapter(quantity(unit)).validate_python(given)
+        return quantity(unit).read(given)
 
     @model_validator(mode="after")
     def _check_one_motion(self) -> Reading:
