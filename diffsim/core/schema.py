@@ -158,7 +158,7 @@ def read_part(part: type[_P], given: Any, where: str) -> _P:
 
 @dataclass(frozen=True)
 class Converted(KindWords):
-    """How a key with a unit is read; :func:`number` and ``systems.description.quantity`` make it.
+    """How a key with a unit is read; made by :func:`number` and ``quantity_in``.
 
     Attributes:
         read: What the key holds, of what stands in the file.

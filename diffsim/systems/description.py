@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import torch
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
@@ -106,7 +106,12 @@ class Quantity(Part):
 IN_UNIT = ("value", "sd", "lower", "upper")
 
 
-def quantity(unit: str) -> Converted:
+def quantity(unit: str) -> Any:
+    """Type of a key that is a :class:`Quantity` in a unit, as kinds of other packages have it."""
+    return Annotated[Quantity, quantity_in(unit)]
+
+
+def quantity_in(unit: str) -> Converted:
     """A :class:`Quantity` in a unit; text with another unit is converted.
 
     Args:
