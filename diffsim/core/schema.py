@@ -157,7 +157,7 @@ def read_part(part: type[_P], given: Any, where: str) -> _P:
 
 
 @dataclass(frozen=True)
-class Converted(KindWords):
+class UnitReader(KindWords):
     """How a key with a unit is read; made by :func:`number` and ``quantity_in``.
 
     Attributes:
@@ -172,10 +172,10 @@ class Converted(KindWords):
         return core_schema.no_info_before_validator_function(self.read, handler(source))
 
 
-def number(unit: str) -> Converted:
+def number(unit: str) -> UnitReader:
     """A known number in a unit; text with another unit is converted."""
     words = "number" if unit == "-" else f"number in {unit}"
-    return Converted(words, lambda given: in_unit(given, unit))
+    return UnitReader(words, lambda given: in_unit(given, unit))
 
 
 def standing_alone(key: str, *kinds: type) -> BeforeValidator:

@@ -24,7 +24,7 @@ from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
-from diffsim.core.schema import Converted, Part
+from diffsim.core.schema import Part, UnitReader
 from diffsim.core.units import after_number, in_unit
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -111,7 +111,7 @@ def quantity(unit: str) -> Any:
     return Annotated[Quantity, quantity_in(unit)]
 
 
-def quantity_in(unit: str) -> Converted:
+def quantity_in(unit: str) -> UnitReader:
     """A :class:`Quantity` in a unit; text with another unit is converted.
 
     Args:
@@ -135,7 +135,7 @@ def quantity_in(unit: str) -> Converted:
         }
         return {**given, **numbers, "unit": unit}
 
-    return Converted("quantity" if unit == "-" else f"quantity in {unit}", read)
+    return UnitReader("quantity" if unit == "-" else f"quantity in {unit}", read)
 
 
 def _require_above_zero(given: Quantity) -> Quantity:
