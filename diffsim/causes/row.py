@@ -278,7 +278,6 @@ def number_in(stated: float | str, scales: Mapping[str, float]) -> float:
     """A number, or the value of a formula of usual magnitudes.
 
     Args:
-        stated: The number or formula.
         scales: Usual magnitudes by the names that it may use.
 
     Raises:

@@ -42,7 +42,6 @@ class CarriedCause:
     """A named cause, and whether a target has it.
 
     Attributes:
-        cause: Its name.
         by: Constants of the target that read it; empty: it is not carried.
         cost: Mean difference of the model with and without it, by channel, in shown units.
     """
@@ -86,12 +85,7 @@ def runs_to_fly(study: Study) -> tuple[Run, ...]:
 
 
 class Answer:
-    """A saved model that is simulated with and without its causes.
-
-    Args:
-        study: The study.
-        saved: Its answer.
-    """
+    """A saved model that is simulated with and without its causes."""
 
     def __init__(self, study: Study, saved: SavedModel):
         self.saved, self.study = saved, saved.framed(study)

@@ -21,6 +21,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+GRAVITY = 9.81  # acceleration of free fall [m/s^2]
 NO_UNIT = "-"
 _RELATIVE = (NO_UNIT, "", "command", "channel")  # units that say nothing after a number
 _COMMON = ("m", "mm", "kg", "g", "s", "ms", "N", "Pa", "kPa", "mbar", "rad", "deg", "rpm", "V", "A")

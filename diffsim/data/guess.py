@@ -83,7 +83,6 @@ class Guess:
     """What a folder seems to hold.
 
     Attributes:
-        folder: The folder.
         parts: Tables of each file that are asked for, the record first; empty: as they look.
         found: Tables that are looked at.
         kinds: Files of a run, the record first, run by run.

@@ -133,7 +133,6 @@ class BaseValues:
         """Value [unit] of one parameter, (...).
 
         Args:
-            name: Name of the parameter.
             q: Standardized coordinates, (..., num_base).
             linear: Values of those without a logarithm there, (..., num_linear).
         """

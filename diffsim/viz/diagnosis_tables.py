@@ -10,7 +10,7 @@ from diffsim.core.figures import figure, percent, signed, unit_of, with_interval
 from diffsim.core.units import small_scale
 from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.own_values import FAR_OFF, OwnRow, words_of
+from diffsim.diagnose.judge.own_values import OwnRow, words_of
 from diffsim.diagnose.judge.records import (
     HIDDEN,
     REFUTED,
@@ -25,6 +25,7 @@ from diffsim.diagnose.judge.records import (
 )
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import component_words
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.viz.report import Table
 
 _OUT = (REFUTED, HIDDEN, UNJUDGED)  # statuses of causes that the answer does without

@@ -28,7 +28,6 @@ from diffsim.identify.effort import SearchSettings
 from diffsim.identify.model import SimModel
 
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
-REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
 
 
 def require_separate(study: Study) -> None:
@@ -101,7 +100,7 @@ def stretches_of(run: Run) -> dict[str, int]:
         if None in stretch or len(set(stretch)) < STRETCH:
             continue
         digest = hashlib.sha256(b"".join(filter(None, stretch))).digest()
-        if digest[0] % REMEMBERED == 0:
+        if digest[0] % 8 == 0:  # one of eight, chosen by its content: any part has the same ones
             out[digest[1:7].hex()] = i
     return out
 
@@ -268,7 +267,6 @@ def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]
 
     Args:
         model: The plain model, as it was fitted.
-        runs: Runs that were fitted.
     """
     short = model.short_windows(runs)
     if not short:
@@ -289,8 +287,6 @@ def budget_gates(
     Args:
         num_unscanned: Groups of effects with kinks that were not tried over decades.
         num_unfitted: Sets that could be better and that nobody fitted.
-        settings: The budgets.
-        plain: Fit of the plain model.
     """
     if plain.ended == "budget":
         note = (

@@ -140,7 +140,6 @@ def fits_as_well(
         cost: Misfit with pulls of each hypothesis without unknown cause.
         free: Components of its sizes; one more than the best set has is allowed. What has many
             fits anything.
-        best: Set with the best evidence.
     """
     return frozenset(
         h
@@ -169,7 +168,6 @@ class Judgment:
     """Decision after the checks by the validation and on repeats.
 
     Attributes:
-        decision: Decision after all checks.
         search: Behind it, with what was refitted for the checks; None if nothing was searched.
         gain: Gain of the best set on the validation; None without one, or without a name.
         gains: Gain on the validation of each member of the sets that were considered, by index of

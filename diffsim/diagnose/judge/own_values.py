@@ -14,12 +14,12 @@ from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
 from diffsim.data.study import Run
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.effort import FIT_RTOL
 
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
-FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no usual one
 
 
 def words_of(name: str) -> str:
@@ -130,7 +130,6 @@ def own_names(names: Sequence[str], run: Run, unmet: Collection[str] = ()) -> tu
 
     Args:
         names: Names of all coordinates.
-        run: Run that they belong to.
         unmet: Parameters that no fitted run has; those of this run's facts are its own.
     """
     at_run = f"@{run.name}"
@@ -143,7 +142,6 @@ def own_rows(problem: Problem, x: Array, run: Run, names: Collection[str]) -> tu
     Args:
         problem: Model and noise.
         x: Standardized coordinates with the run's own values, (n,).
-        run: The run.
         names: Its own names, as of ``own_names``.
     """
     rows = []
@@ -173,7 +171,6 @@ def own_point(
     Args:
         problem: Model and noise, with this run only.
         x: Standardized coordinates, (n,); the run's own are fitted from the middle of their prior.
-        run: Run that they belong to.
         slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated at every step.
         unmet: Parameters that no fitted run has, as of ``own_names``.
     """

@@ -27,7 +27,7 @@ from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import NAMES, Judgment
-from diffsim.diagnose.judge.own_values import FAR_OFF, words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import SURE, BaseRow, ErrorRow
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
@@ -38,6 +38,7 @@ from diffsim.diagnose.search.evidence import (
 )
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.gauss_newton import has_exact_slopes
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
@@ -64,7 +65,6 @@ class Grounds:
         judgment: The verdict and the search behind it.
         about: Probabilities and sizes over all sets.
         members: Effects that the extended model holds, by index.
-        fit: Its fit.
         gates: All checks, those of numerical settings at that fit.
         base: Base parameters there, findings among them.
         chosen_by: What names were held against; empty: nothing.
@@ -276,7 +276,6 @@ def said_gradient(gate: GateResult, whose: str = "its derivative") -> str:
     """What a failed gradient check means for sizes.
 
     Args:
-        gate: The check.
         whose: The derivative of what.
     """
     if gate.value < USEFUL:

@@ -30,7 +30,7 @@ SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and ch
 SURE = 0.99  # probability from which a cause is certain; that no right data sheet passes for wrong
 LEVEL = ranges.LEVEL  # of every interval, and share of readings in the band of an unseen run
 HALF_LEVEL = ranges.HALF_LEVEL  # half of a normal interval [sd]
-SKILL = 0.99  # of the model's error: what leaves less without any skill is better, not alike
+SKILL = 0.99  # of an error: what leaves more is alike, and no better
 UNTOLD_SHARE = 0.99  # of the prior sd: a parameter that is where its prior is
 
 
@@ -229,11 +229,7 @@ class ErrorRow:
 
 
 def pooled_by_kind(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
-    """All runs together, a row for each kind of channel.
-
-    Args:
-        errors: Of the runs.
-    """
+    """All runs together, a row for each kind of channel."""
     kinds: dict[tuple[str, str], list[ErrorRow]] = {}
     for row in errors:
         kinds.setdefault((row.kind, row.unit), []).append(row)

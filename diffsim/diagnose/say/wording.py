@@ -67,7 +67,6 @@ class BeforeTest:
     """What an answer was before the test runs took something back.
 
     Attributes:
-        verdict: The verdict.
         statuses: Status of the causes that have another one now, by name.
     """
 
@@ -204,7 +203,6 @@ def ends(size: Interval, unit: str = "") -> str:
     said to be none.
 
     Args:
-        size: Interval.
         unit: As it follows a number, with its space.
     """
     width = size.high - size.low
@@ -234,7 +232,6 @@ def sentences(
     """Two to seven sentences with numbers and units.
 
     Args:
-        answer: What is put into words.
         gained: Gain on test runs; None without such runs or without a name.
         unseen: Errors on test runs.
         failed: Runs that could not be simulated, by name, with why.

@@ -216,9 +216,6 @@ def _simulated_beside(search: Search, key: Hypothesis, place: Center, best: Memb
 
     Args:
         search: Sets that were weighed so far.
-        key: The set and the unknown cause.
-        place: Where it has linear evidence.
-        best: Members of the best set.
     """
     if not slopes_are_simulated(search.wide.model) or key.effects >= best:
         return search

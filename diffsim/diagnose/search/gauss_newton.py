@@ -40,7 +40,6 @@ MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
 LEAST_RECORDS = 60.0  # simulations of all runs, by their weight, that any fit may take
 LEAST_SLOPES = 2.0  # times all slopes, that a fit of a set may take where they are simulations
 OVERSPENT = "its share of the budget was spent"
-TINY = np.finfo(float).tiny
 MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
 
@@ -152,7 +151,9 @@ class _Iterate:
             for run in self.problem.runs:
                 rows = slice(first, first := first + run.measured.size)
                 along = np.where(columns[rows].any(0), step, 0.0)
-                columns[rows] += np.outer(off[rows], along / max(float(along @ along), TINY))
+                columns[rows] += np.outer(
+                    off[rows], along / max(float(along @ along), np.finfo(float).tiny)
+                )
             jacobian = self.problem.whiten_all(columns)
         at = Linearization(x, record, here.idx, columns, error)
         return replace(self, at=at, residual=residual, jacobian=jacobian)

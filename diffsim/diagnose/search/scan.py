@@ -27,7 +27,7 @@ from diffsim.identify.whitening import gram_of
 Array = NDArray[np.float64]
 Members = frozenset[int]
 TIMES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of the typical size
-COARSE_TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)  # in pairs, and for effects of several components
+COARSE_TIMES = TIMES[1:]  # in pairs, and for effects of several components
 CLOSE = 30  # sizes from which the best are sought in one run
 BEST = 3  # of them, that are looked around and then tried in all runs
 ROUNDS = 3  # of looking around, each a third as far as the one before

@@ -56,7 +56,7 @@ MAX_MENDED = 3  # fits of the best set, each with better slopes along weak direc
 MOST_OF_PLAIN = 0.5
 MAX_ALONE = 8  # of these
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
-FINDING_SD = 3.0  # the same, from which it may be a finding that a data sheet is wrong
+FAR_OFF = 3.0  # the same, from which a value is no usual one, or a data sheet may be wrong
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -278,7 +278,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
 def _leaves_sheets(fit: Fit) -> bool:
     """Whether a fit would say that a data sheet is wrong."""
     base = zip(fit.problem.model.base, fit.x, strict=False)
-    return any("@" not in p.name and abs(x) > FINDING_SD for p, x in base)
+    return any("@" not in p.name and abs(x) > FAR_OFF for p, x in base)
 
 
 def _fitted_along_weak(
@@ -290,7 +290,6 @@ def _fitted_along_weak(
     Args:
         made: Simulations made so far, the set's fit among them.
         members: Effects of the set, by index.
-        fit: Its fit.
         until: Count of weighted steps after which no further step is tried.
     """
     tally = made.wide.model.simulations
@@ -316,7 +315,6 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
 
     Args:
         search: Search that has fitted all of them.
-        sets: Members of each.
         whole: Set whose parts they are; one that ended far above what slopes promise at the whole's
             end is fitted once more from there.
     """
@@ -472,7 +470,6 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
 
     Args:
         search: Sets that were weighed so far.
-        center: The best set.
         until: Weighted steps after which the rest keeps its linear evidence, subsets apart, and the
             first that promise to be better than the best set.
     """

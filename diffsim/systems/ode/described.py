@@ -31,10 +31,6 @@ from diffsim.systems.ode.network import TIME, Network
 from diffsim.systems.ode.pieces import Piece, start_name
 from diffsim.systems.ode.scene import OdeScene
 
-#: weighted steps (``SimModel.cost``) of a sample and of a step of the integrator: about the same
-#: (``benchmarks.step_costs``)
-_READ_COST, _STEP_COST = 1.0, 1.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class DescribedMotion:
@@ -76,9 +72,6 @@ class FormulaSystem:
     """A description with its formulas parsed against a study.
 
     Attributes:
-        keys: Keys that all systems of formulas share.
-        motion: States and what goes with them.
-        study: Study with the recordings.
         held: Inputs, with whether they are held between samples.
         unsure: Inputs of which nobody knows whether they are held between samples.
         assumed: Inputs that are taken to be held though some run does not show it.
@@ -168,7 +161,8 @@ def model_of(system: FormulaSystem) -> SimModel:
     made.moves = bool(system.motion.states and system.motion.places)
     stated = system.motion.time_step
     num_steps = max(system.usual_interval / stated, 1.0) if stated else system.parts
-    made.step_cost = _READ_COST + _STEP_COST * num_steps
+    # a sample costs as much as a step of the integrator (``benchmarks.step_costs``)
+    made.step_cost = 1.0 + num_steps
     made.cuts = {
         run: tuple((p.time, p.parting) for p in pieces) for run, pieces in system.pieces.items()
     }
