@@ -19,9 +19,10 @@ from functools import cached_property
 
 import numpy as np
 
+from diffsim.causes.readings import usual_sample
 from diffsim.core.arrays import Array
 from diffsim.core.figures import figure, percent
-from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult
+from diffsim.diagnose.checks.gates import MUCH_UNSEEN, SURE_SD, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off
@@ -42,8 +43,9 @@ from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
-SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 UNDONE = 3.0  # times as far as all causes together, that one moves the record
+TIMING = "timing"  # family of what is late
+TIMED = 0.5  # of a sample: stamps need not tell when between two of them something was read or set
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
 OTHERS_UNDO_IT = "it and others undo each other: one law may act in place of all"
@@ -220,6 +222,19 @@ def _may_be_zero(g: Grounds, i: int) -> str:
     return MAY_BE_ZERO if g.about.may_be_zero(i) else ""
 
 
+def _is_within_a_sample(g: Grounds, i: int) -> str:
+    """Of what is late, all of its interval: a record says that something was read between two
+    stamps, or that a command was set then, and not when."""
+    effect = g.search.wide.effects[i]
+    if (effect.family, effect.unit) != (TIMING, "s"):
+        return ""
+    known = TIMED * usual_sample(g.fit.problem.runs)
+    sizes = g.about.size(i).values()
+    if not sizes or any(max(abs(size.low), abs(size.high)) >= known for size in sizes):
+        return ""
+    return "it may be the record's stamps, as it is less than half a sample"
+
+
 def _helps_nothing(g: Grounds, i: int) -> str:
     """Its interval lies at zero or below, although there is something to gain."""
     gain = g.judgment.gains.get(i)
@@ -333,6 +348,7 @@ LEAVES_OPEN: tuple[Callable[[Grounds, int], str], ...] = (
     _sets_do_without,
     _stands_in_for_what_was_refused,
     _may_be_zero,
+    _is_within_a_sample,
     _helps_nothing,
 )
 OF_A_CAUSE: tuple[Callable[[Grounds, int], str], ...] = (
