@@ -111,7 +111,7 @@ def search_sets(search: Search) -> Search:
         ranked = sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s])
         search = repaired(_refit_promising(search, center, ranked, until))
         best = _best_of(search)
-        if best == center.members and len(best) > 1:
+        if _leaves_misfit(search, best):
             search = _refit_alone(search, until)
             best = _best_of(search)
         if best == center.members:
@@ -156,9 +156,10 @@ def _best_of(search: Search) -> Members:
 
 
 def _refit_alone(search: Search, until: float) -> Search:
-    """Refit single causes that take most of the misfit by the plain model's slopes, before a set of
-    several is the best one. Several find their size step by step, each a little: where the misfit
-    is large, slopes rank one that does it all behind them, though its own fit would lead there."""
+    """Refit single causes that take most of the misfit by the plain model's slopes, before sets
+    grow from the first of them. Several find their size step by step, each a little: where the
+    misfit is large, slopes rank one that does it all behind them, though its own fit would lead
+    there: a spring between two masses behind four that are late."""
     fit = search.fit_of(NONE)
     enough = search.nats(Hypothesis()) + MOST_OF_PLAIN * 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
     alone = [frozenset({i}) for i in range(len(search.wide.effects))]
@@ -422,11 +423,16 @@ def _center(search: Search, members: Members, last: Center) -> tuple[Center, Sea
 
 def _scan_kinks(search: Search, center: Center) -> tuple[Center, Search]:
     """A center with the scans of effects with kinks, where a misfit is left for them."""
-    fit, settings = search.fit_of(center.members), search.settings
-    if 0.5 * (fit.chi2 - fit.num_samples) < KEEP_NATS:
+    if not _leaves_misfit(search, center.members):
         return center, search
-    center, made = search.simulations.scanned(center, settings, search.num_families)
+    center, made = search.simulations.scanned(center, search.settings, search.num_families)
     return center, replace(search, simulations=made)
+
+
+def _leaves_misfit(search: Search, members: Members) -> bool:
+    """Whether more than noise is left by a fitted set."""
+    fit = search.fit_of(members)
+    return 0.5 * (fit.chi2 - fit.num_samples) >= KEEP_NATS
 
 
 def _with_linear(
