@@ -1,4 +1,4 @@
-"""An MJCF's joint that friction stops between its swings: what a slope at no friction cannot say."""
+"""A joint of an MJCF that friction stops: what a slope at no friction cannot say."""
 
 from dataclasses import replace
 
