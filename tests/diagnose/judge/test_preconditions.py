@@ -15,6 +15,7 @@ from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import (
     OTHERS_UNDO_IT,
     Grounds,
+    _is_within_a_sample,
     _may_be_replaced,
     _may_be_zero,
     doubts_of,
@@ -23,7 +24,7 @@ from diffsim.diagnose.judge.preconditions import (
     singled_out,
     wrong_gradients,
 )
-from diffsim.diagnose.judge.records import BaseRow, ErrorRow
+from diffsim.diagnose.judge.records import BaseRow, ErrorRow, Interval
 from diffsim.diagnose.say import assemble
 from diffsim.diagnose.say.causes import _why_not_refuted
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
@@ -511,3 +512,27 @@ def test_causes_that_undo_each_other_are_pieces_of_one_curve():
     weir_of_three = fitted([0, 1, 2])
     assert [_may_be_zero(weir_of_three, i) for i in range(3)] == [OTHERS_UNDO_IT] * 2 + [""]
     assert _may_be_zero(fitted([0, 3]), 0) == _may_be_zero(fitted([0]), 0) == ""
+
+
+@pytest.mark.parametrize(
+    ("family", "unit", "low", "high", "is_open"),
+    [
+        ("timing", "s", -0.7e-3, -0.3e-3, True),  # of a bench that lacks nothing
+        ("timing", "s", 8e-3, 9e-3, True),
+        ("timing", "s", 9e-3, 12e-3, False),
+        ("timing", "s/command", 1e-3, 2e-3, False),  # of a rate
+        ("damping", "s", 1e-3, 2e-3, False),
+    ],
+)
+def test_what_is_late_by_less_than_half_a_sample_may_be_the_stamps(
+    family, unit, low, high, is_open
+):
+    """Read every 20 ms: nobody wrote down when between two stamps."""
+    effect = SimpleNamespace(family=family, unit=unit)
+    run = SimpleNamespace(time_s=0.02 * np.arange(50))
+    known = SimpleNamespace(
+        search=SimpleNamespace(wide=SimpleNamespace(effects=[effect])),
+        about=SimpleNamespace(size=lambda _: {"": Interval(0.5 * (low + high), low, high)}),
+        fit=SimpleNamespace(problem=SimpleNamespace(runs=[run])),
+    )
+    assert ("stamps" in _is_within_a_sample(known, 0)) is is_open  # type: ignore[arg-type]
