@@ -48,6 +48,7 @@ TIMING = "timing"  # family of what is late
 TIMED = 0.5  # of a sample: stamps need not tell when between two of them something was read or set
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
+STAMPED = "it may be the record's stamps, as it is less than half a sample"
 OTHERS_UNDO_IT = "it and others undo each other: one law may act in place of all"
 FIT_AS_WELL = "other causes fit about as well"
 UNCONTRADICTED = "no other recording could contradict it"
@@ -211,7 +212,10 @@ def _stands_in_for_what_was_refused(g: Grounds, i: int) -> str:
 
 def _may_be_zero(g: Grounds, i: int) -> str:
     """Its size, or what it and others do together: a root, a line and a level are a weir. Where
-    each moves the record several times as far as all of them, what acts may be one law."""
+    each moves the record several times as far as all of them, what acts may be one law.
+
+    Of what is late, less than half a sample is as good as zero: a record says that something was
+    read between two stamps, or that a command was set then, and not when."""
     problem, own = g.fit.problem, dict[str, Array]()
     for effect in problem.effects:
         columns = problem.columns_of(effect)
@@ -219,20 +223,14 @@ def _may_be_zero(g: Grounds, i: int) -> str:
     moved = own.get(g.search.wide.effects[i].name)
     if moved is not None and np.linalg.norm(moved) > UNDONE * np.linalg.norm(sum(own.values())):
         return OTHERS_UNDO_IT
-    return MAY_BE_ZERO if g.about.may_be_zero(i) else ""
-
-
-def _is_within_a_sample(g: Grounds, i: int) -> str:
-    """Of what is late, all of its interval: a record says that something was read between two
-    stamps, or that a command was set then, and not when."""
+    if g.about.may_be_zero(i):
+        return MAY_BE_ZERO
     effect = g.search.wide.effects[i]
     if (effect.family, effect.unit) != (TIMING, "s"):
         return ""
-    known = TIMED * usual_sample(g.fit.problem.runs)
-    sizes = g.about.size(i).values()
-    if not sizes or any(max(abs(size.low), abs(size.high)) >= known for size in sizes):
-        return ""
-    return "it may be the record's stamps, as it is less than half a sample"
+    untold = TIMED * usual_sample(g.fit.problem.runs)
+    is_told = any(max(abs(s.low), abs(s.high)) >= untold for s in g.about.size(i).values())
+    return "" if is_told else STAMPED
 
 
 def _helps_nothing(g: Grounds, i: int) -> str:
@@ -348,7 +346,6 @@ LEAVES_OPEN: tuple[Callable[[Grounds, int], str], ...] = (
     _sets_do_without,
     _stands_in_for_what_was_refused,
     _may_be_zero,
-    _is_within_a_sample,
     _helps_nothing,
 )
 OF_A_CAUSE: tuple[Callable[[Grounds, int], str], ...] = (

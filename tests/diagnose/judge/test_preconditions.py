@@ -14,8 +14,8 @@ from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import (
     OTHERS_UNDO_IT,
+    STAMPED,
     Grounds,
-    _is_within_a_sample,
     _may_be_replaced,
     _may_be_zero,
     doubts_of,
@@ -500,7 +500,7 @@ def test_causes_that_undo_each_other_are_pieces_of_one_curve():
 
     def fitted(which):
         x = np.linalg.lstsq(columns[:, which], weir, rcond=None)[0]
-        effects = [SimpleNamespace(name=names[k]) for k in which]
+        effects = [SimpleNamespace(name=names[k], family="", unit="") for k in which]
         place = {names[k]: [row] for row, k in enumerate(which)}
         problem = SimpleNamespace(effects=effects, columns_of=lambda e: place[e.name])
         return SimpleNamespace(
@@ -528,11 +528,14 @@ def test_what_is_late_by_less_than_half_a_sample_may_be_the_stamps(
     family, unit, low, high, is_open
 ):
     """Read every 20 ms: nobody wrote down when between two stamps."""
-    effect = SimpleNamespace(family=family, unit=unit)
+    effect = SimpleNamespace(name="late", family=family, unit=unit)
     run = SimpleNamespace(time_s=0.02 * np.arange(50))
     known = SimpleNamespace(
         search=SimpleNamespace(wide=SimpleNamespace(effects=[effect])),
-        about=SimpleNamespace(size=lambda _: {"": Interval(0.5 * (low + high), low, high)}),
-        fit=SimpleNamespace(problem=SimpleNamespace(runs=[run])),
+        about=SimpleNamespace(
+            size=lambda _: {"": Interval(0.5 * (low + high), low, high)},
+            may_be_zero=lambda _: False,
+        ),
+        fit=SimpleNamespace(problem=SimpleNamespace(runs=[run], effects=[])),
     )
-    assert ("stamps" in _is_within_a_sample(known, 0)) is is_open  # type: ignore[arg-type]
+    assert _may_be_zero(known, 0) == (STAMPED if is_open else "")  # type: ignore[arg-type]
