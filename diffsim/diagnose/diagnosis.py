@@ -19,6 +19,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
     CONTRADICTED,
     LEAST_FREEDOM,
+    SURE_SD,
     GateResult,
     budget_gates,
     cuts_gate,
@@ -37,7 +38,7 @@ from diffsim.diagnose.discover.stage import Begin, FoundLaws, at_data_sheet, fin
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, SURE_SD
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
 from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look

@@ -179,6 +179,7 @@ CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
 PLAIN = "plain_budget"
 CONTRADICTED = "contradicted"
+SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 MUCH_UNSEEN = 3.0  # noise sd, root mean square, that unseen runs show
 UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"
@@ -334,16 +335,16 @@ def few_samples_gate(freedom: int) -> GateResult:
 
 
 def contradiction_gate(times: Mapping[str, float]) -> tuple[GateResult, ...]:
-    """A run that contradicts fit runs which leave noise alone; none where all runs do.
+    """A run that contradicts other fit runs which leave noise alone; none where all runs do.
 
     Args:
-        times: Error of each run that was not fitted, over its noise.
+        times: Error of each run that no fit has seen, over its noise.
     """
     run = max(times, key=lambda name: times[name], default="")
     if not run or not times[run] > MUCH_UNSEEN:
         return ()
     note = (
-        f"run {run} is {figure(times[run], 2)} times the noise off what the fitted runs tell, and "
+        f"run {run} is {figure(times[run], 2)} times the noise off what the others tell, and "
         "these leave noise alone: read its record first, else something acts in it alone"
     )
     return (GateResult(CONTRADICTED, False, times[run], MUCH_UNSEEN, note),)

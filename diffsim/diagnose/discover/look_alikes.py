@@ -69,6 +69,7 @@ TABLE: tuple[LookAlike, ...] = (
     LookAlike(("cross-talk", "misaligned axes"), _READ, "-", ("line",)),
     LookAlike(("magnet", "ground effect", "wall"), _PUSH, "-", ("reciprocal",)),
     LookAlike(("stop", "valve that opens", "cable that catches"), _PUSH, "-", ("threshold",)),
+    LookAlike(("dry friction, if of a speed", "limit"), _PUSH, "-", ("saturation",)),
     LookAlike(("iron that saturates", "limit"), (), "-", ("saturation",)),
 )
 

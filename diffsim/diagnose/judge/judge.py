@@ -13,6 +13,7 @@ import numpy as np
 from diffsim.diagnose.checks.gates import GateResult, contradiction_gate
 from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.gain import Gain, SelectRuns, Validation, gain_over
+from diffsim.diagnose.judge.left_out import run_apart
 from diffsim.diagnose.judge.records import LEVEL
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fitted_sets import Search
@@ -220,6 +221,9 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             gates = (*gates, *against)
             if withdrawn or against:
                 decision = replace(decision, verdict="unknown")
+        elif decision.verdict == "unknown":
+            apart = contradiction_gate(run_apart(search.fit_of(frozenset())))
+            gates = (*gates, *(g for g in apart if g not in gates))
         judgment = Judgment(decision, search, None, gains, withdrawn, gates, refuted)
         if validation is None:
             return judgment

@@ -111,9 +111,6 @@ def search_sets(search: Search) -> Search:
         ranked = sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s])
         search = repaired(_refit_promising(search, center, ranked, until))
         best = _best_of(search)
-        if best == center.members and len(best) > 1:
-            search = _refit_alone(search, until)
-            best = _best_of(search)
         if best == center.members:
             break
         center, search = _center(search, best, center)
@@ -153,21 +150,6 @@ def has_left_prior(fit: Fit) -> bool:
 def _best_of(search: Search) -> Members:
     """The set with the most evidence, without an unknown cause."""
     return max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
-
-
-def _refit_alone(search: Search, until: float) -> Search:
-    """Refit single causes that take most of the misfit by the plain model's slopes, before a set of
-    several is the best one. Several find their size step by step, each a little: where the misfit
-    is large, slopes rank one that does it all behind them, though its own fit would lead there."""
-    fit = search.fit_of(NONE)
-    enough = search.nats(Hypothesis()) + MOST_OF_PLAIN * 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-    alone = [frozenset({i}) for i in range(len(search.wide.effects))]
-    nats = {s: round(search.plain.weigh(s).nats, TIE_DIGITS) for s in alone}
-    ranked = sorted((s for s in alone if nats[s] > enough), key=lambda s: -nats[s])
-    for members in ranked[:MAX_ALONE]:
-        if search.steps < until:
-            search = refit(search, members)
-    return search
 
 
 def _fit_from_prior(search: Search) -> Search:
@@ -440,7 +422,13 @@ def _with_linear(
 def _refit_promising(
     search: Search, center: Center, ranked: Sequence[Members], until: float
 ) -> Search:
-    """Refit the first of the ranked neighbors, and as many more as are asked for.
+    """Refit the first of the ranked neighbors, and as many more as are asked for; where they leave
+    more than noise, single causes that take most of the misfit by the plain model's slopes, before
+    sets grow from the first of them.
+
+    Several find their size step by step, each a little: where the misfit is large, slopes rank one
+    that does it all behind them, though its own fit would lead there: a spring between two masses
+    behind four that are late.
 
     Args:
         search: Sets that were weighed so far.
@@ -456,6 +444,17 @@ def _refit_promising(
         if not is_within and any(_is_near_prior(search, tried) for tried in ranked[:k]):
             break
         search = refit(search, members, center)
+    plain, best = search.fit_of(NONE), search.fit_of(_best_of(search))
+    if 0.5 * (best.chi2 - best.num_samples) < KEEP_NATS:
+        return search
+    enough = MOST_OF_PLAIN * 0.5 * max(plain.chi2 - plain.num_samples, 0.0)
+    enough += search.nats(Hypothesis())
+    alone = [frozenset({i}) for i in range(len(search.wide.effects))]
+    nats = {s: round(search.plain.weigh(s).nats, TIE_DIGITS) for s in alone}
+    leading = sorted((s for s in alone if nats[s] > enough), key=lambda s: -nats[s])
+    for members in leading[:MAX_ALONE]:
+        if search.steps < until:
+            search = refit(search, members)
     return search
 
 

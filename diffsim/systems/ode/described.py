@@ -118,7 +118,7 @@ class FormulaSystem:
     def heard_before(self) -> frozenset[str]:
         """Inputs whose first values had been heard before fitted runs that start at rest."""
         sd = np.array([np.nan if c.sd is None else c.sd for c in self.study.channels])
-        late, every = torch.tensor(LATE, dtype=torch.float64), frozenset(self.inputs)
+        delays, every = torch.tensor(LATE, dtype=torch.float64), frozenset(self.inputs)
         records: dict[str, list[tuple[Array, Array]]] = {name: [] for name in self.inputs}
         for run in self.study.fit_runs:
             if len(run.time_s) < FEWEST_READINGS:
@@ -126,14 +126,16 @@ class FormulaSystem:
             if not _make_scene(self, self.priors, run, Numerics()).rests_without_inputs():
                 continue
             scene = _make_scene(self, self.priors, run, Numerics(), zero=every)
-            delay = (late * float(np.median(np.diff(run.time_s))))[:, None]
+            delay = (delays * float(np.median(np.diff(run.time_s))))[:, None]
             with torch.no_grad():
                 at_once = scene.simulate()[None]
                 for name in self.inputs:
-                    comes = late_by(delay, held=self.held[name])
-                    later = scene.changed(commands=scene.commands.changed((name,), comes))
-                    moved = torch.cat([at_once, later.simulate()])
-                    records[name].append((moved.numpy(), run.measured))
+                    comes, moved = late_by(delay, held=self.held[name]), [at_once]
+                    for zero in (every - {name}, every):
+                        begun = _make_scene(self, self.priors, run, Numerics(), zero=zero)
+                        late = begun.commands.changed((name,), comes)
+                        moved.append(begun.changed(commands=late).simulate())
+                    records[name].append((torch.cat(moved).numpy(), run.measured))
         return frozenset(name for name in self.inputs if is_heard_at_once(records[name], sd))
 
     @property
