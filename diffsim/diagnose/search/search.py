@@ -119,7 +119,10 @@ def search_sets(search: Search) -> Search:
             break
     else:  # nor are they where moves to a better set are used up
         search = search.with_late()
-    search = repaired(_refit_rivals(search, center, until))
+    search = _refit_rivals(search, center, until)
+    most = max(search.null.case.settings.plain_steps, search.settings.refit_steps)
+    search = replace(search, ends=search.steps + most)
+    search = repaired(search)
     return search if search.null.case.correction is not None else weigh_unknowns(search, center)
 
 
@@ -233,12 +236,13 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     not along weak directions."""
     made, fit = search.simulations, search.fit_of(members)
     # all of its fits share one budget: of a servo's 13 runs three had taken 47 million steps of 16
-    at, until = made.fitted[members], search.steps + search.settings.refit_steps
+    left = min(search.settings.refit_steps, search.ends - search.steps)
+    at, until = made.fitted[members], search.steps + left
     is_exact = fit.ended != "budget"
     is_exact &= has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
     model = search.wide.model
     by_differences = bool(at.idx) and model.moves and not has_tangents(model)
-    for k in range(MAX_MENDED):
+    for k in range(MAX_MENDED if left > 0.0 else 0):
         if not is_exact:
             after, end = made.fitted_from(members, at, np.inf, most=max(until - search.steps, 0.0))
             gained = 0.5 * (fit.chi2 + fit.prior - after.chi2 - after.prior)
@@ -246,7 +250,8 @@ def fitted_exactly(search: Search, members: Members) -> Search:
                 break  # what these slopes promise is not there: they are no better
             fit, made = after, made.kept(members, end)
             at = made.fitted[members]
-        better = made.with_weak_slopes(members) if by_differences else at
+        has_time = search.wide.model.simulations.steps < until
+        better = made.with_weak_slopes(members) if by_differences and has_time else at
         if better is at:
             break
         at, is_exact = better, False
@@ -300,7 +305,7 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
         whole: Set whose parts they are; one that ended far above what slopes promise at the whole's
             end is fitted once more from there.
     """
-    until = search.steps + search.null.case.settings.plain_steps
+    until = min(search.steps + search.null.case.settings.plain_steps, search.ends)
     made, near = search.simulations, None
     if whole:
         at = made.fitted[whole].joined(search.plain.at)
@@ -353,11 +358,14 @@ def repaired(search: Search) -> Search:
         subset = _better_subset(search, members)
         if subset is None:
             continue
+        if search.steps >= search.ends:
+            search = search.with_late()
+            continue
         made = search.simulations
         try:
             slopes = made.screened.get(subset, search.plain.at)
             start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
-            most = search.null.case.settings.plain_steps
+            most = min(search.null.case.settings.plain_steps, search.ends - search.steps)
             fit, at = made.fitted_from(members, start, search.best_cost(), most=most)
         except DiffsimError as error:  # that end cannot be moved: what it is must be said
             failed = {**search.failed, Hypothesis(members): str(error)}
