@@ -209,16 +209,22 @@ def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[CarriedCau
 def _paths_of(sim: Mjcf, described: OutsideDescription, cause: str) -> dict[str, str]:
     """The numbers of the model that a cause adds to, by its sizes; {}: there are none."""
     for body in sim.carriers:
-        if cause == f"payload_at_{spell_plainly(body)}":
+        if _is_at(cause, "payload", body):
             return {ONLY: f"body.{body}.payload"}
-        if cause == f"unbalance_at_{spell_plainly(body)}":
+        if _is_at(cause, "unbalance", body):
             return {axis: f"body.{body}.unbalance[{k}]" for k, axis in enumerate("xyz")}
     for law in OWN_LAWS:
         for place in described.hooks.force:
-            if cause == f"{law}_at_{spell_plainly(place)}":
+            if _is_at(cause, law, place):
                 path = path_of_law(sim.mujoco, sim.numbers, law, place)
                 return {} if path is None else {ONLY: path}
     return {}
+
+
+def _is_at(cause: str, row: str, place: str) -> bool:
+    """Whether a cause is that of a row at a place; earlier files have small letters."""
+    name = f"{row}_at_{spell_plainly(place)}"
+    return cause in (name, name.lower())
 
 
 def _readings(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -22,14 +23,27 @@ UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
 FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no usual one
 
 
+#: A cause at a place whose name holds a capital letter: no word, but a name of the user's file.
+_AT_NAMED = re.compile(r"([a-z\d_]+)_(at|of|from)_((?!all_|every_)[a-z\d_]*[A-Z][\w.]*)")
+
+
+def spelled_words(name: str) -> str:
+    """A part or channel as it is read: "left_arm" is "left arm", "FR_calf_joint" stays."""
+    return name if any(map(str.isupper, name)) else name.replace("_", " ")
+
+
 def words_of(name: str) -> str:
     """A code name in plain words: "drag[frame=A]" is "drag (frame A)", "joint.J2.damping" of an
-    MJCF is "damping of J2", the part as its file names it."""
+    MJCF is "damping of J2", "friction_at_FR_calf" is "friction at FR_calf": a part as its file
+    names it."""
     stem, _, run = name.partition("@")
     stem, _, fact = stem.partition("[")
     part, _, quantity = stem.partition(".")[2].rpartition(".")
     words = (quantity if part else stem).replace("_", " ").replace(".", " ")
-    if part:
+    if named := _AT_NAMED.fullmatch(stem):
+        place = named[3].replace(".", " ").replace("_and_", " and ")
+        words = f"{named[1].replace('_', ' ')} {named[2]} {place}"
+    elif part:
         words += f" of {part}"
     if fact:
         words += f" ({fact.rstrip(']').replace('=', ' ')})"

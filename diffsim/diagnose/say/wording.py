@@ -29,7 +29,7 @@ from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.apart import ALL
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import EXPLAINED, Decision
-from diffsim.diagnose.judge.own_values import words_of
+from diffsim.diagnose.judge.own_values import spelled_words, words_of
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER as ONLY_FIRST
 from diffsim.diagnose.judge.preconditions import said_gradient
 from diffsim.diagnose.judge.records import (
@@ -196,7 +196,7 @@ def _sizes_of_groups(row: CauseRow) -> dict[str, float]:
 
 def component_words(component: str) -> str:
     """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"."""
-    return component.strip("[]").replace("=", " ").replace("_", " ")
+    return " ".join(map(spelled_words, component.strip("[]").split("=")))
 
 
 def ends(size: Interval, unit: str = "") -> str:
@@ -281,7 +281,7 @@ def _failed_check(gate: GateResult) -> str:
         moved = f"moves records and fit by {figure(gate.value)} standard deviations in all"
         wanted = f"{gate.limit:g} at most were wanted"
         return f"A check failed: a finer {words_of(kind)} {moved}, {wanted}."
-    name = gate.name.replace(":", " of ").replace("_", " ")
+    name = f"{words_of(kind)} of {words_of(of)}" if of else words_of(kind)
     if (gate.value, gate.limit) == (0.0, 1.0):
         return f"A check failed: {name} ({gate.note})."
     return f"A check failed: {name} {figure(gate.value)}, wanted {gate.limit:g} ({gate.note})."
