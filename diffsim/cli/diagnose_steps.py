@@ -439,7 +439,7 @@ def _export(args: argparse.Namespace) -> None:
     saved = read_extended(args.saved or out)
     chosen = study if args.to is None else only_target(study, args.to)
     found = constants_of(chosen, saved) if args.to is None or chosen.export else []
-    print(f"verdict: {saved.verdict}; value (90 % interval)")
+    print(f"verdict: {saved.verdict}{'; value (90 % interval)' if found else ''}")
     for exported in found:
         print(f"{exported.title}:")
         for name, constant in exported.constants.items():

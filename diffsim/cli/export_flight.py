@@ -19,11 +19,13 @@ import torch
 from diffsim.cli.diagnose_export import flown_constants, is_text
 from diffsim.core.arrays import Array, Mask
 from diffsim.core.expression import parse_expression
+from diffsim.core.figures import counted, figure
 from diffsim.core.files import write_json_atomic, write_text_atomic
-from diffsim.core.units import factor
+from diffsim.core.units import after_number, factor, small_scale
 from diffsim.data.record.shapes import spikes
 from diffsim.data.record.signals import Samples
 from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.identify.model_file import SavedModel, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.outside import joint_drive
@@ -54,16 +56,18 @@ class CarriedCause:
 
 @dataclass(frozen=True)
 class Flight:
-    """Mean errors of a run in the shown unit of its channel.
+    """Mean errors of a run's channel in its shown unit.
 
     Attributes:
         run: Name of the run.
+        channel: Name of the channel.
         model: Of the answer's own model.
         export: Of the exported one.
         apart: Of the one against the other.
     """
 
     run: str
+    channel: str
     model: float
     export: float
     apart: float
@@ -75,7 +79,7 @@ class Flight:
         """Errors of one channel at the samples that are good, all (num_samples,)."""
         pairs = ((own, seen), (flown, seen), (flown, own))
         off = [float(np.abs(a - b)[good].mean()) for a, b in pairs]
-        return cls(run, *(_times(channel) * v for v in off))
+        return cls(run, channel.name, *(_times(channel) * v for v in off))
 
 
 def runs_to_fly(study: Study) -> tuple[Run, ...]:
@@ -226,29 +230,37 @@ def write_drive(answer: Answer, out: Path) -> list[Path]:
     ]
 
 
-def say_flights(flights: list[Flight] | str, channel: Channel) -> str:
-    """How the export does on the runs, in a sentence."""
+def say_flights(flights: list[Flight] | str, channels: Sequence[Channel]) -> list[str]:
+    """How the export does on the runs, a sentence for each channel."""
     if isinstance(flights, str):
-        return f"Not flown: {flights}."
-    unit = channel.shown_unit or channel.unit
-    own, export, apart = (
-        float(np.mean([getattr(f, name) for f in flights])) for name in ("model", "export", "apart")
-    )
-    return (
-        f"Flown in MuJoCo on {len(flights)} runs: {export:.3g} {unit} from what was measured, "
-        f"the model itself {own:.3g} {unit}; {apart:.3g} {unit} from one another."
-    )
+        return [f"Not flown: {flights}."]
+    out = []
+    for channel in channels:
+        if found := [f for f in flights if f.channel == channel.name]:
+            errors = (np.mean([getattr(f, n) for f in found]) for n in ("export", "model", "apart"))
+            export, own, apart = (_read(float(v), channel) for v in errors)
+            out.append(
+                f"{channel.name}, flown in MuJoCo on {counted(len(found), 'run')}: {export} from "
+                f"what was measured, the model itself {own}; {apart} from one another."
+            )
+    return out
 
 
 def say_carried(found: Sequence[CarriedCause], study: Study, program: str) -> list[str]:
     """The list of what is carried and of what is not, a line each."""
-    units = {c.name: c.shown_unit or c.unit for c in study.channels}
+    channels = {c.name: c for c in study.channels}
     out = []
     for carried in found:
-        cost = ", ".join(f"{v:.3g} {units[name]} of {name}" for name, v in carried.cost.items())
+        cost = [f"{name} by {_read(v, channels[name])}" for name, v in carried.cost.items()]
         how = f"carried by {', '.join(carried.by)}" if carried.by else f"not carried to {program}"
-        out.append(f"  {carried.cause}: {how}; it is worth {cost}")
+        out.append(f"  {words_of(carried.cause)}: {how}; without it off: {', '.join(cost)}")
     return out or [f"  no cause is named: {program} gets the fitted model as it is"]
+
+
+def _read(value: float, channel: Channel) -> str:
+    """A number in a channel's shown unit, small ones with a prefix."""
+    unit, times = small_scale(channel.shown_unit or channel.unit, (value,))
+    return f"{figure(times * value)}{after_number(unit)}"
 
 
 def _times(channel: Channel) -> float:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -80,9 +81,9 @@ def test_an_answer_flies_in_mujoco_as_it_does_here(servo, capsys):
     assert carried == {"delay_of_goal", "rate_limit_of_goal", "load_friction", "starting_duty"}
     assert causes["quantization_of_goal"]["cost"]["position"] > 1.0
     said = capsys.readouterr().out
-    assert "  quantization_of_goal: not carried to mujoco; it is worth " in said
-    assert "  delay_of_goal: carried by delay_s; it is worth " in said
-    assert "Flown in MuJoCo on 2 runs: " in said
+    assert "  quantization of goal: not carried to mujoco; without it off: position by " in said
+    assert "  delay of goal: carried by delay_s; without it off: position by " in said
+    assert "position, flown in MuJoCo on 2 runs: " in said and "e-0" not in said
     # what is not carried, and MuJoCo's steps of the first order: mrad
     missed = causes["quantization_of_goal"]["cost"]["position"]
     assert len(found["flights"]) == 2
@@ -173,8 +174,25 @@ def test_a_study_of_a_mujoco_model_gets_its_own_model_back(tmp_path, capsys):
     (flight,) = found["flights"]
     assert flight["apart"] < 2e-4 < flight["export"], "six digits, forces of RK4 and of the joint"
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "answer/model.xml"))
+    said = capsys.readouterr().out
+    assert "viscous friction at hinge: carried by joint.hinge.damping; without it off: " in said
+    assert "angle, flown in MuJoCo on 1 run: " in said and " rad" not in said  # mrad
+    assert "value (90 % interval)" not in said, "no constant follows"
     assert model.dof_damping[0] == pytest.approx(0.08) and model.body("rod").mass == 0.6
     np.testing.assert_allclose(model.body("rod").ipos[:2], [0.005, 0.02], atol=1e-6)
+    urdf = export(tmp_path, "urdf")
+    lacks = [c["cause"] for c in urdf["causes"] if not c["by"]]
+    assert lacks == ["added_spring_at_hinge"], "what a joint of a URDF cannot have"
+    root = ElementTree.fromstring(f"<r>{(tmp_path / 'answer/joints.urdf.xml').read_text()}</r>")
+    assert float(root.find("joint/dynamics").get("damping")) == pytest.approx(0.08)
+    assert float(root.find("joint/dynamics").get("friction")) == pytest.approx(0.02)
+    assert float(root.find("link[@name='rod']/inertial/mass").get("value")) == 0.6
+    inertia = root.find("link[@name='rod']/inertial/inertia")  # of all, about their center
+    mujoco.mju_quat2Mat(turn := np.zeros(9), model.body("rod").iquat)
+    full = turn.reshape(3, 3) @ np.diag(model.body("rod").inertia) @ turn.reshape(3, 3).T
+    assert float(inertia.get("ixx")) == pytest.approx(full[0, 0], rel=1e-4)
+    assert float(inertia.get("iyz")) == pytest.approx(full[1, 2], rel=1e-3)
+    assert urdf["flights"][0]["apart"] > 10.0 * flight["apart"], "without the spring"
     study["channels"][0]["shown_unit"] = "mrad"
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     (shown,) = export(tmp_path, "mujoco")["flights"]
