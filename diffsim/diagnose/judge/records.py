@@ -106,13 +106,14 @@ class CauseRow:
 
     @property
     def read_unit(self) -> str:
-        """Unit in which its size is read: ``shown_unit``, else small lengths in mm and so on; one
-        over a size that may be zero has no bound, and is read as it is."""
+        """Unit in which its size is read: ``shown_unit`` where that is another one, else small
+        lengths in mm and so on; one over a size that may be zero has no bound, and is read as it
+        is."""
         ends = [end for size in self.size.values() for end in (size.low, size.high)]
         if self.shown_power < 0 and not (ends and min(ends) > 0.0):
             return self.unit
-        if self.shown_unit is not None:
-            return self.shown_unit
+        if self.shown_unit not in (None, self.unit) or self.shown_times is not None:
+            return self.shown_unit or self.unit
         return small_scale(self.unit, ends or self.smallest_visible.values())[0]
 
     @property
