@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,6 +37,17 @@ FLOWN = ("kp", "load_inertia", "load_moment")  # constants that a drive on a joi
 MAX_RUNS = 20  # that an export is flown on
 STEP_S = 0.0005  # s
 CARRIED_FILE = "carried.json"
+#: What a drive on a joint has for a cause, by the row of the cause
+CONSTANTS = {
+    "delay": "delay_s",
+    "lag": "lag_s",
+    "rate_limit": "rate_limit_s",
+    "dry_friction": "frictionloss",
+    "viscous_friction": "damping",
+    "stribeck_friction": "stribeck",
+    "friction_asymmetry": "friction_asymmetry",
+    "square_drag": "square_drag",
+}
 POSITION, POWER = "goal", "powered"  # commands of a drive
 
 
@@ -47,11 +59,14 @@ class CarriedCause:
         cause: Its name.
         by: Constants of the target that read it; empty: it is not carried.
         cost: Mean difference of the model with and without it, by channel, in shown units.
+        would: Constant that a drive on a joint has for it, where no formula of the study reads it;
+            empty: there is none, or it is carried.
     """
 
     cause: str
     by: tuple[str, ...]
     cost: Mapping[str, float]
+    would: str = ""
 
 
 @dataclass(frozen=True)
@@ -152,7 +167,8 @@ def list_carried(answer: Answer, program: str) -> list[CarriedCause]:
     out = []
     for cause, components in answer.causes().items():
         by = tuple(name for name, own in read.items() if own & {cause, *components})
-        out.append(CarriedCause(cause, by, answer.cost(components)))
+        would = "" if by else CONSTANTS.get(re.split("_(?:of|at)_", cause)[0], "")
+        out.append(CarriedCause(cause, by, answer.cost(components), would))
     return out
 
 
@@ -253,6 +269,10 @@ def say_carried(found: Sequence[CarriedCause], study: Study, program: str) -> li
     for carried in found:
         cost = [f"{name} by {_read(v, channels[name])}" for name, v in carried.cost.items()]
         how = f"carried by {', '.join(carried.by)}" if carried.by else f"not carried to {program}"
+        if carried.would:
+            stated = study.export.get(MUJOCO, {}).get(carried.would)
+            formula = f"{stated} + {carried.cause}" if stated else carried.cause
+            how += f", unless export.mujoco says `{carried.would}: {formula}`"
         out.append(f"  {words_of(carried.cause)}: {how}; without it off: {', '.join(cost)}")
     return out or [f"  no cause is named: {program} gets the fitted model as it is"]
 

@@ -93,7 +93,7 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
     flights: list[Flight] | str
     if target == YAML:
         files = [write_text_atomic(out / "answer.yaml", _as_yaml(answer))]
-        carried = [replace(c, by=("answer.yaml",)) for c in list_carried(answer, YAML)]
+        carried = [replace(c, by=("answer.yaml",), would="") for c in list_carried(answer, YAML)]
         flights = "it holds the answer itself, in no program's words"
     elif target in (MUJOCO, URDF) and is_mjcf(answer.study):
         files, carried, flights = restate_mjcf(answer, out, target)
@@ -124,9 +124,11 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
 
 def _without(carried: CarriedCause, target: str) -> CarriedCause:
     """A cause, carried only by constants that the target has."""
-    if target == BAM:
-        return carried
-    return replace(carried, by=tuple(n for n in carried.by if n in _HAS[target]))
+    if target == BAM:  # whose constants have names of their own
+        return replace(carried, would="")
+    has = _HAS[target]
+    would = carried.would if carried.would in has else ""
+    return replace(carried, by=tuple(n for n in carried.by if n in has), would=would)
 
 
 def _write_drive(answer: Answer, target: str, out: Path) -> list[Path]:

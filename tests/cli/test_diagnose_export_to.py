@@ -2,12 +2,15 @@
 
 import importlib.util
 import json
+import shutil
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import yaml
 
+import diffsim
 from diffsim.cli import main
 from diffsim.cli.diagnose_export import say_interval
 from diffsim.identify.ranges import Range
@@ -90,6 +93,24 @@ def test_an_answer_flies_in_mujoco_as_it_does_here(servo, capsys):
     for flight in found["flights"]:
         assert flight["apart"] < 4.0 + 1.5 * missed
         assert flight["export"] == pytest.approx(flight["model"], rel=0.15)
+
+
+def test_a_cause_that_no_formula_reads_says_which_one_would(servo, tmp_path, capsys):
+    """It said "not carried to mujoco" of a delay, which MuJoCo's drive has."""
+    ready = Path(diffsim.__file__).parent / "data/ready/position_servo.yaml"
+    rig = yaml.safe_load(ready.read_text("utf-8"))
+    fewer = {n: f for n, f in rig["export"]["mujoco"].items() if n != "delay_s"}
+    folder = shutil.copytree(servo, tmp_path / "servo")
+    rig = {**rig, "export": {"mujoco": fewer}}
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    (folder / "study.yaml").write_text(yaml.safe_dump({**SERVO, "like": "rig.yaml"}))
+    found = {c["cause"]: c for c in export(folder, "mujoco")["causes"]}
+    assert not found["delay_of_goal"]["by"] and found["delay_of_goal"]["would"] == "delay_s"
+    said = capsys.readouterr().out
+    assert "to mujoco, unless export.mujoco says `delay_s: delay_of_goal`; without it" in said
+    assert not found["quantization_of_goal"]["would"], "a drive has no constant for it"
+    export(folder, "urdf")
+    assert "unless" not in capsys.readouterr().out, "a joint of a URDF has no delay"
 
 
 def test_what_is_written_stands_alone(servo):
