@@ -89,15 +89,19 @@ class OwnRow:
     @property
     def words(self) -> str:
         """The row in a clause."""
-        values = (self.value, self.prior_value, self.prior_sd)
-        shown, times = small_scale(self.unit, values)
-        value, prior, sd = (times * v for v in values)
-        unit = after_number(shown)
-        stated = f"{figure(prior, 4)} +- {figure(sd, 2)}{unit}"
+        read = self.as_read()
+        unit = after_number(read.unit)
+        stated = f"{figure(read.prior_value, 4)} +- {figure(read.prior_sd, 2)}{unit}"
         return (
-            f"{self.plain_name} {figure(value, 4)}{unit}, stated {stated}: "
+            f"{self.plain_name} {figure(read.value, 4)}{unit}, stated {stated}: "
             f"{figure(abs(self.pull), 2)} sd off"
         )
+
+    def as_read(self) -> OwnRow:
+        """The same in the unit in which it is read."""
+        unit, times = small_scale(self.unit, (self.value, self.prior_value, self.prior_sd))
+        value, prior, sd = (times * v for v in (self.value, self.prior_value, self.prior_sd))
+        return replace(self, unit=unit, value=value, prior_value=prior, prior_sd=sd)
 
 
 class Frozen(Protocol):

@@ -30,6 +30,8 @@ SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and ch
 SURE = 0.99  # probability from which a cause is certain; that no right data sheet passes for wrong
 LEVEL = ranges.LEVEL  # of every interval, and share of readings in the band of an unseen run
 HALF_LEVEL = ranges.HALF_LEVEL  # half of a normal interval [sd]
+#: Errors of a row, and half of its band
+ERRORS = ("before", "after", "noise", "band", "constant", "held", "without", "command")
 SKILL = 0.99  # of the model's error: what leaves less without any skill is better, not alike
 UNTOLD_SHARE = 0.99  # of the prior sd: a parameter that is where its prior is
 
@@ -227,6 +229,25 @@ class ErrorRow:
     held: float | None = None
     without: float | None = None
     command: float | None = None
+
+
+def in_small_units(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
+    """Rows in the unit in which they are read, one for each kind of channel.
+
+    Args:
+        errors: Of the runs.
+    """
+    scales = {
+        (row.kind, row.unit): small_scale(row.unit, (row.after, row.noise))
+        for row in pooled_by_kind(errors)
+    }
+    out = []
+    for row in errors:
+        unit, times = scales[row.kind, row.unit]
+        values = {name: getattr(row, name) for name in ERRORS}
+        read = {name: times * v for name, v in values.items() if v is not None}
+        out.append(replace(row, unit=unit, **read))
+    return out
 
 
 def pooled_by_kind(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
