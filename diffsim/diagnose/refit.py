@@ -419,7 +419,7 @@ def wanted_columns(report: Mapping[str, Any]) -> list[str]:
     for row in report.get("causes", ()):
         if row["status"] == UNJUDGED and (note := row["note"]):
             why = note.removeprefix("not judged: ")
-            is_need = row["probability"] is None and why == note  # what its row asks of a study
+            is_need = row.get("probability") is None and why == note  # what its row asks of a study
             needs.setdefault(f"record {why}" if is_need else why, []).append(row["words"])
     return [
         f"{', '.join(words[:MOST_LISTED])} could not be judged: {why}"
