@@ -24,7 +24,7 @@ FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no u
 
 
 #: A cause at a place whose name holds a capital letter: no word, but a name of the user's file.
-_AT_NAMED = re.compile(r"([a-z\d_]+)_(at|of|from)_((?!all_|every_)[a-z\d_]*[A-Z][\w.]*)")
+_AT_NAMED = re.compile(r"([a-z\d_ ]+)[_ ](at|of|from)[_ ]((?!all_|every_)[a-z\d_]*[A-Z][\w.]*)")
 
 
 def spelled_words(name: str) -> str:

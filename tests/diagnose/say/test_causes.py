@@ -365,6 +365,7 @@ def test_a_place_is_read_as_the_study_names_it():
     assert words_of("half_of_friction_at_FR_calf") == "half of friction at FR_calf"
     assert words_of("exchanged_commands_of_FL_hip_and_FR_hip").endswith("FL_hip and FR_hip")
     assert words_of("bias_of_all_commands_in_N_m") == "bias of all commands in N m"
+    assert words_of("unknown force at FR_calf_joint") == "unknown force at FR_calf_joint"
     assert component_words("FR_calf") == "FR_calf"
     assert component_words("[propeller=HQ_5x4]") == "propeller HQ_5x4"
     assert component_words("[battery=half_full]") == "battery half full"
