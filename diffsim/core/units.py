@@ -368,5 +368,5 @@ def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
     for smaller in _SMALLER.get(unit, prefixed):
         if most == 0.0 or times * most >= SMALL:
             break
-        shown, times = smaller, factor(unit, smaller)
+        shown, times = smaller, 1e3 * times if smaller in prefixed else factor(unit, smaller)
     return shown, times

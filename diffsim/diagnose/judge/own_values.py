@@ -27,11 +27,6 @@ FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no u
 _AT_NAMED = re.compile(r"([a-z\d_ ]+)[_ ](at|of|from)[_ ]((?!all_|every_)[a-z\d_]*[A-Z][\w.]*)")
 
 
-def spelled_words(name: str) -> str:
-    """A part or channel as it is read: "left_arm" is "left arm", "FR_calf_joint" stays."""
-    return name if any(map(str.isupper, name)) else name.replace("_", " ")
-
-
 def words_of(name: str) -> str:
     """A code name in plain words: "drag[frame=A]" is "drag (frame A)", "joint.J2.damping" of an
     MJCF is "damping of J2", "friction_at_FR_calf" is "friction at FR_calf": a part as its file

@@ -29,7 +29,7 @@ from diffsim.diagnose.checks.numerics import NUMERICS_GATES
 from diffsim.diagnose.judge.apart import ALL
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import EXPLAINED, Decision
-from diffsim.diagnose.judge.own_values import spelled_words, words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import FIRST_ANSWER as ONLY_FIRST
 from diffsim.diagnose.judge.preconditions import said_gradient
 from diffsim.diagnose.judge.records import (
@@ -195,8 +195,10 @@ def _sizes_of_groups(row: CauseRow) -> dict[str, float]:
 
 
 def component_words(component: str) -> str:
-    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"."""
-    return " ".join(map(spelled_words, component.strip("[]").split("=")))
+    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"; a name with a
+    capital letter stays."""
+    names = component.strip("[]").split("=")
+    return " ".join(n if any(map(str.isupper, n)) else n.replace("_", " ") for n in names)
 
 
 def ends(size: Interval, unit: str = "") -> str:
