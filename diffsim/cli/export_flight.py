@@ -172,12 +172,13 @@ def list_carried(answer: Answer, program: str) -> list[CarriedCause]:
     return out
 
 
-def fly(constants: Mapping[str, float], run: Run) -> Array:
+def fly(constants: Mapping[str, float], run: Run, *, is_held: bool = False) -> Array:
     """Angles of an exported drive in MuJoCo at the samples of a run, (num_samples,).
 
     Args:
         constants: Constants of the run.
         run: Run with the commands ``goal`` and, where its torque may be off, ``powered``.
+        is_held: Whether the goal stays from sample to sample; else lines join them.
     """
     import mujoco
 
@@ -190,8 +191,8 @@ def fly(constants: Mapping[str, float], run: Run) -> Array:
     drive.begin(model, float(goal[0]))
     count = int(np.ceil((time[-1] - time[0]) / STEP_S - 1e-6))
     steps = time[0] + STEP_S * np.arange(count + 1)
-    goals = np.interp(steps, time, goal)
     held = np.clip(np.searchsorted(time, steps + 1e-9, side="right") - 1, 0, None)
+    goals = goal[held] if is_held else np.interp(steps, time, goal)
     power = np.ones(len(steps)) if powered is None else np.asarray(powered)[held]
     out = np.empty(count + 1)
     for k in range(count + 1):
@@ -220,9 +221,15 @@ def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
     out = []
     channel = answer.study.channels[0]
     study = replace(answer.study, export={MUJOCO: formulas})
+    inputs = [i for i in (study.model or {}).get("inputs", ()) if isinstance(i, Mapping)]
+    is_held = any(i.get("name") == POSITION and i.get("held") is True for i in inputs)
     for run in answer.runs:
         constants = flown_constants(study, answer.saved, MUJOCO, run)
-        flown, own, seen = fly(constants, run), answer.record(run)[:, 0], run.measured[:, 0]
+        flown, own, seen = (
+            fly(constants, run, is_held=is_held),
+            answer.record(run)[:, 0],
+            run.measured[:, 0],
+        )
         out.append(Flight.of(run.name, channel, own, flown, seen, is_read(run)))
     return out
 

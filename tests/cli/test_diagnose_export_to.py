@@ -13,6 +13,8 @@ import yaml
 import diffsim
 from diffsim.cli import main
 from diffsim.cli.diagnose_export import say_interval
+from diffsim.cli.export_flight import fly
+from diffsim.data import Run
 from diffsim.identify.ranges import Range
 from tests.systems.outside.test_mjcf import XML as PENDULUM
 
@@ -236,3 +238,12 @@ def test_a_study_of_a_mujoco_model_gets_its_own_model_back(tmp_path, capsys):
 )
 def test_an_interval_without_an_end_is_said_in_words(found, words):
     assert say_interval(found).strip() == words
+
+
+def test_a_held_goal_is_flown_held():
+    """Lines between samples lead a held goal by half a sample: 20 mrad of a servo at 4 rad/s."""
+    time = np.array([0.0, 0.5, 1.0])
+    run = Run(name="a", group="a", time_s=time, measured=np.zeros((3, 1)), command={"goal": time})
+    drive = {"kp": 20.0, "damping": 2.0, "load_inertia": 0.01, "load_moment": 0.01}
+    held, lines = (fly(drive, run, is_held=held) for held in (True, False))
+    assert abs(held[1]) < 1e-6 and lines[1] > 0.2
