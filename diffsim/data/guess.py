@@ -95,6 +95,7 @@ class Guess:
         runs: Runs, one for each file or value of ``split``.
         split: Columns whose values are runs; empty: each file is one.
         every: Each n-th sample is enough.
+        beside: Files that are no tables and hold no facts.
         said: What was guessed, a sentence each.
         todo: What the user must say, a sentence each.
     """
@@ -112,6 +113,7 @@ class Guess:
     runs: list[GuessedRun] = field(default_factory=list)
     split: tuple[Column, ...] = ()
     every: int = 1
+    beside: list[Path] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     todo: list[str] = field(default_factory=list)
 

@@ -413,11 +413,13 @@ def wanted_columns(report: Mapping[str, Any]) -> list[str]:
         return []
     needs: dict[str, list[str]] = {}
     for row in report.get("causes", ()):
-        if row["status"] == UNJUDGED and row["note"]:
-            needs.setdefault(row["note"], []).append(row["words"])
+        if row["status"] == UNJUDGED and (note := row["note"]):
+            why = note.removeprefix("not judged: ")
+            is_need = row.get("probability") is None and why == note  # what its row asks of a study
+            needs.setdefault(f"record {why}" if is_need else why, []).append(row["words"])
     return [
-        f"{', '.join(words[:MOST_LISTED])} could not be judged: record {need}"
-        for need, words in needs.items()
+        f"{', '.join(words[:MOST_LISTED])} could not be judged: {why}"
+        for why, words in needs.items()
     ]
 
 

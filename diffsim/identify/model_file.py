@@ -400,7 +400,9 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
         ValueError: an effect that is not among the candidates, or lacks a component.
     """
     numerical = [coarse(name, finer) for name, finer in REFINEMENTS.items()]
-    by_name: dict[str, Effect] = {e.name: e for e in (*numerical, *candidates)}
+    # earlier files have places in small letters
+    small = {e.name.lower(): replace(e, name=e.name.lower()) for e in candidates}
+    by_name: dict[str, Effect] = small | {e.name: e for e in (*numerical, *candidates)}
     names = dict.fromkeys(
         c if c in by_name else c.partition(".")[0] for c in saved.components
     )  # "wind.north", or "gain.[propeller=5x4.5]"; an effect with one component its own name

@@ -194,8 +194,10 @@ def _sizes_of_groups(row: CauseRow) -> dict[str, float]:
 
 
 def component_words(component: str) -> str:
-    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"."""
-    return component.strip("[]").replace("=", " ").replace("_", " ")
+    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"; a name with a
+    capital letter stays."""
+    names = component.strip("[]").split("=")
+    return " ".join(n if any(map(str.isupper, n)) else n.replace("_", " ") for n in names)
 
 
 def ends(size: Interval, unit: str = "") -> str:
@@ -278,7 +280,7 @@ def _failed_check(gate: GateResult) -> str:
         moved = f"moves records and fit by {figure(gate.value)} standard deviations in all"
         wanted = f"{gate.limit:g} at most were wanted"
         return f"A check failed: a finer {words_of(kind)} {moved}, {wanted}."
-    name = gate.name.replace(":", " of ").replace("_", " ")
+    name = f"{words_of(kind)} of {words_of(of)}" if of else words_of(kind)
     if (gate.value, gate.limit) == (0.0, 1.0):
         return f"A check failed: {name} ({gate.note})."
     return f"A check failed: {name} {figure(gate.value)}, wanted {gate.limit:g} ({gate.note})."
