@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
+import torch.distributed as dist
 
 from diffsim.core.interrupts import EXIT_INTERRUPTED
 from diffsim.envs.registry import make_task, task_class
 from diffsim.envs.task_file import ChangedTaskError
 from diffsim.learn.gradient import GradientLearner, GradientOptions
-from diffsim.learn.parallel import LostProcessError, launched_together, process_group, rank
+from diffsim.learn.parallel import LostProcessError, launched_together, rank
 from diffsim.learn.recipes import recipe
 from diffsim.learn.run import Learner, Run, train
 from diffsim.learn.setup import Setup
@@ -166,6 +167,19 @@ def main_training(
         parser.error("torchrun: of all methods rl/train_gradient.py alone shares its episodes")
     with process_group():
         return _train_from_arguments(method, learner, options, quick, args)
+
+
+@contextmanager
+def process_group() -> Iterator[None]:
+    """Join the processes that ``torchrun`` has started; nothing where this one is alone."""
+    if not launched_together():
+        yield
+        return
+    dist.init_process_group("gloo")
+    try:
+        yield
+    finally:
+        dist.destroy_process_group()
 
 
 def _train_from_arguments(

@@ -52,7 +52,6 @@ class ByFormula:
         """How it acts on numbers: equally many of each size share it.
 
         Args:
-            names: Names of the numbers.
             is_factor: Whether they become as much larger, in place of having it added.
         """
         return partial(self._change_numbers, names=tuple(names), is_factor=is_factor)
@@ -148,7 +147,6 @@ class FilledLaw:
     """A formula of position and speed in which all else has its value.
 
     Attributes:
-        expression: The formula.
         numbers: Known numbers and facts of the run by name.
         shapes: Further numbers, () or (K,) each.
     """

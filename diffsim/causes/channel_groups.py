@@ -52,7 +52,6 @@ def channel_groups(channels: Sequence[Channel], *, late_record: bool) -> tuple[C
     """Dials of a study, the widest first.
 
     Args:
-        channels: Channels of the study.
         late_record: Whether a record that is late as a whole shows as no late command does.
     """
     stated = any(c.sensor is not None for c in channels)
@@ -118,7 +117,6 @@ def clock_problems(channels: Sequence[Channel], clocks: Iterable[str]) -> Iterat
     """Clocks of what there is not.
 
     Args:
-        channels: Channels of the study.
         clocks: Names that a description gives clocks.
     """
     for name in clocks:

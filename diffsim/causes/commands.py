@@ -79,10 +79,7 @@ def cause_of_commands(
     """A cause on the way of some commands, by its row.
 
     Args:
-        row: Row of the cause.
-        group: Commands that the cause changes alike.
         system: Kind of system.
-        needs: What a study must have, in place of what the row says.
     """
     effect = row.effect(
         on_commands(row, group.names, group.scales, group.between, system),

@@ -120,7 +120,6 @@ class Memory:
     """What a formula remembers.
 
     Attributes:
-        of: Formula of what is remembered.
         lasts: Name of a shape, or a number [s].
         from_zero: Whether it begins at zero, else as what it follows.
     """
@@ -135,7 +134,6 @@ class Formula:
     """A formula with what it remembers and its further numbers.
 
     Attributes:
-        expression: The formula.
         numbers: Known numbers by name: usual magnitudes, shapes without a prior.
         memories: What it remembers, by name.
     """
@@ -156,7 +154,6 @@ class Formula:
         Args:
             own: Signals (..., width, num_times), sizes and shapes that broadcast with them, by
                 name; they come before what was recorded.
-            run: Run that is simulated.
             grid: Times of the signals; None: nothing changes over the run.
         """
         known = {n: torch.tensor(v, dtype=torch.float64) for n, v in self.numbers.items()}
@@ -233,7 +230,6 @@ def parse_formula(
     """A formula as a row states it.
 
     Args:
-        text: The formula.
         known: Names that it may use beside the following.
         scales: Usual magnitudes by name.
         memories: What it remembers.

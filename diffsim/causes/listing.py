@@ -54,7 +54,6 @@ def numbers_added(kind: str, parts: Mapping[str, Mapping[str, str]]) -> tuple[st
     """Numbers that rows of a kind of system add to: zero, where no quantity has their name.
 
     Args:
-        kind: Kind of system.
         parts: Parts that are alike, as of ``Plant``.
     """
     filled = (own for _, row in rows_in_order(kind) for _, own in row.of_parts(parts))
@@ -66,7 +65,6 @@ def is_offered(row: Row, plant: Plant, facts: Mapping[str, bool]) -> bool:
 
     Args:
         row: Row of a table.
-        plant: What the system tells of itself.
         facts: What holds of the part that the row acts on, beside the facts of the plant.
     """
     known = {**plant.facts, **facts}

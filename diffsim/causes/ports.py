@@ -157,7 +157,6 @@ def on_commands(
 
     Args:
         row: Cause with ``at: command``.
-        names: Names of the commands.
         scales: Numbers that its formula may use.
         between: What the commands do between samples.
         system: Kind of system.
@@ -309,7 +308,6 @@ class Sessions:
 
         Args:
             fact: Name of the fact; None: none is stated.
-            study: Study with the runs.
         """
         if fact is None:
             return None
@@ -321,9 +319,6 @@ class Sessions:
     def index_of(self, run: Run) -> int | None:
         """Place of a run's session among the later ones; None: the first, or one that was never
         fitted, which is as described.
-
-        Args:
-            run: Run that is simulated.
         """
         label = str(run.setup.get(self.fact, self.labels[0]))
         return self.labels.index(label) - 1 if label in self.labels[1:] else None

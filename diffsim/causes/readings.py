@@ -55,7 +55,6 @@ def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
     """A cause in an instrument, by its row.
 
     Args:
-        row: Row of the cause.
         of: Instrument that the cause changes.
         system: Kind of system.
     """
@@ -83,8 +82,6 @@ def instrument_of(group: ChannelGroup, channels: Sequence[Channel], scales: Scal
     """The instrument that shows a group of channels, its causes named by their rows alone.
 
     Args:
-        group: Channels that causes change alike.
-        channels: Channels of the study.
         scales: Usual magnitudes of readings.
     """
     places = tuple(i for i, c in enumerate(channels) if c.name in group.channels)
@@ -101,8 +98,6 @@ def with_ending(
     Args:
         of: Instrument of the group.
         cause: Name of the row.
-        group: Channels that causes change alike.
-        channels: Channels of the study.
     """
     is_whole = not group.name or len(of.channels) == len(channels)
     is_one_kind = len({c.kind for c in channels}) == 1
@@ -115,7 +110,6 @@ def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tens
 
     Args:
         values: Values by name.
-        run: Run that is simulated.
     """
     name = f"{PLAY_START}@{run.name}"
     if name in values:
@@ -130,7 +124,6 @@ def pace(effect: Effect, sample_s: float) -> Effect:
     What is read every two seconds is seldom late by milliseconds.
 
     Args:
-        effect: Candidate cause.
         sample_s: Usual time between two samples [s].
     """
     least = 0.5 * sample_s

@@ -278,7 +278,6 @@ def number_in(stated: float | str, scales: Mapping[str, float]) -> float:
     """A number, or the value of a formula of usual magnitudes.
 
     Args:
-        stated: The number or formula.
         scales: Usual magnitudes by the names that it may use.
 
     Raises:
@@ -303,6 +302,6 @@ def _fill_in(texts: Names, parts: Mapping[str, tuple[str, ...]]) -> Names:
 
 
 def spell_plainly(name: str) -> str:
-    """A name as the names of causes are written: lower case, digits, underscores."""
-    kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name.lower())
+    """A name as the names of causes are written: letters as they are, digits, underscores."""
+    kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
     return kept.strip("_") or "x"

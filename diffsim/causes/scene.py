@@ -59,7 +59,6 @@ class ForceLaw:
     """A force of position, speed and usual speed, at a size.
 
     Attributes:
-        formula: Formula of the force.
         size: () or (K,).
     """
 
@@ -118,7 +117,6 @@ class Instruments:
 
         Args:
             shown: What there is to be read, (..., num_samples, num_channels).
-            grid: Times of the samples.
         """
         signals = shown.mT
         for channels, change in self.readings:
@@ -137,7 +135,6 @@ class Instruments:
 
         Args:
             shown: What there is to be read, (..., num_samples, num_channels).
-            grid: Times of the samples.
         """
         signals = shown.mT
         for channels, act in self.acts:
@@ -173,7 +170,6 @@ class Commands:
         """A name for each row of the values; a name may stand for several, "" is no name.
 
         Args:
-            names: Name of each row.
             values: (..., width, num_times).
             known: What the study says of its commands: their values before the run.
             usual: Of those of which it says nothing, where they had not their first ones.
@@ -204,19 +200,11 @@ class Commands:
         return replace(self, changes=(*self.changes, (tuple(sorted(every)), change)))
 
     def heard(self, grid: Grid) -> Tensor:
-        """What the actuators hear, (..., width, num_times).
-
-        Args:
-            grid: Times of the commands.
-        """
+        """What the actuators hear, (..., width, num_times)."""
         return self.pass_through(self.values, grid)
 
     def each_heard(self, grid: Grid) -> list[Tensor]:
-        """The same row by row, (..., num_times) each: points of one row are not those of others.
-
-        Args:
-            grid: Times of the commands.
-        """
+        """The same row by row, (..., num_times) each: points of one row are not those of others."""
         rows = list(self.values.unbind(-2))
         for places, change in self.changes:
             parts = [places] if getattr(change, "is_joint", False) else [(k,) for k in places]
@@ -232,9 +220,7 @@ class Commands:
 
         Args:
             change: Function of them and of the grid.
-            rows: Which they are.
             u: Commands, (..., len(rows), num_times).
-            grid: Their times.
         """
         if self.before is None:
             return change(u, grid)
@@ -245,7 +231,6 @@ class Commands:
 
         Args:
             values: (..., width, num_times).
-            grid: Their times.
         """
         for rows, change in self.changes:
             values = change_rows(values, rows, partial(self.act, change, rows), grid)

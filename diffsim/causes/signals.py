@@ -19,7 +19,7 @@ from torch import Tensor
 from diffsim.causes._ops_signals import approach, find_intervals, follow
 from diffsim.core.arrays import Array, IntArray
 
-_SHORTEST = 1e-3  # of the shortest step: a lag below it is none
+SHORTEST_LAG = 1e-3  # of the shortest step: below it exp(-dt / tau) is zero to the last digit
 _SPRINT = 1e12  # unit/s^2: an acceleration above it is no limit
 MOST_STEPS = 1e9  # of a run
 
@@ -153,7 +153,6 @@ def after(u: Tensor, grid: Grid, change: SignalMap, before: Tensor) -> Tensor:
 
     Args:
         u: Signals, (..., num_times).
-        grid: Times of the signals.
         change: What happens to them on their way; alone it takes them to have had their first
             values before.
         before: These values, (...) or fewer axes that broadcast; NaN: the first one.
@@ -171,7 +170,6 @@ def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
 
     Args:
         u: Signal, (..., num_times); held beyond the ends.
-        grid: Times of the signal.
         delay: () or (K,) [s].
     """
     if _is_alone(grid):
@@ -186,7 +184,6 @@ def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
 
     Args:
         u: Signal, (..., num_times); held beyond the ends.
-        grid: Times of the signal.
         delay: () or (K,) [s].
     """
     if _is_alone(grid):
@@ -208,7 +205,6 @@ def held_delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -
 
     Args:
         u: Command, (..., num_times); each value lasts until the next time.
-        grid: Times of the command.
         delay: () or (K,) [s].
         signed: Whether it may be early: then slopes at whole steps are central.
     """
@@ -240,7 +236,6 @@ def lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
 
     Args:
         u: Signal, (..., num_times).
-        grid: Times of the signal.
         time_constant: () or (K,) [s].
     """
     if _is_alone(grid):
@@ -257,7 +252,6 @@ def held_lagged(u: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
 
     Args:
         u: Command, (..., num_times); each value lasts until the next time.
-        grid: Times of the command.
         time_constant: () or (K,) [s].
     """
     if _is_alone(grid):
@@ -344,7 +338,6 @@ def accelerated(
 
     Args:
         u: Signal, (..., num_times).
-        grid: Times of the signal.
         slowness: () or (K,) [s^2 per unit]; 0: the signal itself.
         cruise: Way above which a step is done at the greatest speed for a while, () or (K,) [unit];
             None: no speed is too great.
@@ -380,7 +373,6 @@ def with_play(u: Tensor, grid: Grid, half_gap: Tensor, start: Tensor | None = No
 
     Args:
         u: Signal, (..., num_times).
-        grid: Times of the signal.
         half_gap: Half of the play, () or (K,).
         start: Where in the play it begins, -1 to 1, () or (K,); None: in the middle.
     """
@@ -414,7 +406,7 @@ def decayed(factor: Tensor, term: Tensor) -> Tensor:
 
 def _decay(grid: Grid, time_constant: Tensor) -> tuple[Tensor, Tensor]:
     steps = grid.times.diff()
-    shortest = _SHORTEST * float(steps.min())
+    shortest = SHORTEST_LAG * float(steps.min())
     return steps, torch.exp(-steps / time_constant[..., None].clamp(min=shortest))
 
 

@@ -28,8 +28,6 @@ class Member:
     Attributes:
         row: Name of the row.
         of: What it acts on; members of a tie share nothing of it.
-        unit: Unit of what it acts on.
-        effect: The cause.
     """
 
     row: str
@@ -43,7 +41,6 @@ def tie(effects: Sequence[Effect], name: str) -> Effect:
 
     Args:
         effects: Causes of one row, each of one member.
-        name: Name of the cause.
 
     Raises:
         ValueError: fewer than two causes, or causes whose sizes are no one size.

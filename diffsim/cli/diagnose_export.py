@@ -103,8 +103,6 @@ def flown_constants(study: Study, saved: SavedModel, program: str, run: Run) -> 
     Args:
         study: The study with its `export`.
         saved: Its answer.
-        program: Name of the program.
-        run: The run.
     """
     known = _ModelNumbers.of(study, saved)
     facts = {n: float(v) for n, v in run.setup.items() if _is_number(v)}

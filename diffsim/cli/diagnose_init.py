@@ -17,6 +17,7 @@ from diffsim.core.figures import counted
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
+from diffsim.data.facts_beside import passed_by
 from diffsim.data.folder_rules import guess_study
 from diffsim.data.guess import PIECES, Guess, GuessedColumn, GuessedRun
 from diffsim.data.joined_files import Kind
@@ -79,6 +80,7 @@ def init(
     out = require_target(folder, out, force=force)
     guess = guess_study(folder, parts)
     model = _model_beside(folder, out, guess) if system in (None, "outside") else None
+    guess.said += passed_by(guess, has_model=model is not None)
     text = study_text(guess, folder, out, system or "ode", model)
     write_text_atomic(out, text)
     for sentence in guess.said:

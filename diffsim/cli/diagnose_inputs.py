@@ -176,7 +176,6 @@ def _fewer_runs(study: Study, setup: DiagnosisSetup, effects: Sequence[Effect]) 
 
     Args:
         study: Study as it was read.
-        setup: Of all its runs.
         effects: Those of it that are asked for.
     """
     used = setup.study or study

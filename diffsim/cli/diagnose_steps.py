@@ -46,7 +46,7 @@ from diffsim.diagnose.judge.apart import apart_words
 from diffsim.diagnose.judge.described import require_same_kind
 from diffsim.diagnose.judge.frozen import judge_saved
 from diffsim.diagnose.judge.own_values import OwnRow, own_words, words_of
-from diffsim.diagnose.judge.records import OutsideRow, band_words, no_skill_words
+from diffsim.diagnose.judge.records import OutsideRow, band_words, in_small_units, no_skill_words
 from diffsim.diagnose.judge.rivals import cause_words
 from diffsim.diagnose.refit import (
     advise,
@@ -332,7 +332,7 @@ def _judge(args: argparse.Namespace) -> None:
         print(line)
     heads = (f"{h:>9}" for h in JUDGED_ERRORS)
     print(f"{'run':<24} {'quantity':<14} {' '.join(heads)}  {'unit':<8} fitted to it")
-    for row in found.errors:
+    for row in in_small_units(found.errors):
         values = (getattr(row, which) for which in JUDGED_ERRORS)
         numbers = " ".join(f"{'-' if v is None else f'{v:.3g}':>9}" for v in values)
         fitted = f"{row.num_fitted} value{'' if row.num_fitted == 1 else 's'}"
@@ -439,7 +439,7 @@ def _export(args: argparse.Namespace) -> None:
     saved = read_extended(args.saved or out)
     chosen = study if args.to is None else only_target(study, args.to)
     found = constants_of(chosen, saved) if args.to is None or chosen.export else []
-    print(f"verdict: {saved.verdict}; value (90 % interval)")
+    print(f"verdict: {saved.verdict}{'; value (90 % interval)' if found else ''}")
     for exported in found:
         print(f"{exported.title}:")
         for name, constant in exported.constants.items():

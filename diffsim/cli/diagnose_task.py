@@ -62,7 +62,7 @@ def worth(args: argparse.Namespace) -> None:
 
         facts = [("model", str(twin.saved.path)), ("task", str(args.task))]
         facts.append(("verdict of the diagnosis", twin.saved.verdict or "unknown"))
-        return write_worth(found, out.name, facts, out / WORTH_PAGE)
+        return write_worth(found, twin.study.name, facts, out / WORTH_PAGE)
 
     is_drawn(page)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,11 +20,13 @@ import torch
 from diffsim.cli.diagnose_export import flown_constants, is_text
 from diffsim.core.arrays import Array, Mask
 from diffsim.core.expression import parse_expression
+from diffsim.core.figures import counted, figure
 from diffsim.core.files import write_json_atomic, write_text_atomic
-from diffsim.core.units import factor
+from diffsim.core.units import after_number, factor, small_scale
 from diffsim.data.record.shapes import spikes
 from diffsim.data.record.signals import Samples
 from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.identify.model_file import SavedModel, rebuilt
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.outside import joint_drive
@@ -34,6 +37,17 @@ FLOWN = ("kp", "load_inertia", "load_moment")  # constants that a drive on a joi
 MAX_RUNS = 20  # that an export is flown on
 STEP_S = 0.0005  # s
 CARRIED_FILE = "carried.json"
+#: What a drive on a joint has for a cause, by the row of the cause
+CONSTANTS = {
+    "delay": "delay_s",
+    "lag": "lag_s",
+    "rate_limit": "rate_limit_s",
+    "dry_friction": "frictionloss",
+    "viscous_friction": "damping",
+    "stribeck_friction": "stribeck",
+    "friction_asymmetry": "friction_asymmetry",
+    "square_drag": "square_drag",
+}
 POSITION, POWER = "goal", "powered"  # commands of a drive
 
 
@@ -42,28 +56,32 @@ class CarriedCause:
     """A named cause, and whether a target has it.
 
     Attributes:
-        cause: Its name.
         by: Constants of the target that read it; empty: it is not carried.
         cost: Mean difference of the model with and without it, by channel, in shown units.
+        would: Constant that a drive on a joint has for it, where no formula of the study reads it;
+            empty: there is none, or it is carried.
     """
 
     cause: str
     by: tuple[str, ...]
     cost: Mapping[str, float]
+    would: str = ""
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Mean errors of a run in the shown unit of its channel.
+    """Mean errors of a run's channel in its shown unit.
 
     Attributes:
         run: Name of the run.
+        channel: Name of the channel.
         model: Of the answer's own model.
         export: Of the exported one.
         apart: Of the one against the other.
     """
 
     run: str
+    channel: str
     model: float
     export: float
     apart: float
@@ -75,7 +93,7 @@ class Flight:
         """Errors of one channel at the samples that are good, all (num_samples,)."""
         pairs = ((own, seen), (flown, seen), (flown, own))
         off = [float(np.abs(a - b)[good].mean()) for a, b in pairs]
-        return cls(run, *(_times(channel) * v for v in off))
+        return cls(run, channel.name, *(_times(channel) * v for v in off))
 
 
 def runs_to_fly(study: Study) -> tuple[Run, ...]:
@@ -86,12 +104,7 @@ def runs_to_fly(study: Study) -> tuple[Run, ...]:
 
 
 class Answer:
-    """A saved model that is simulated with and without its causes.
-
-    Args:
-        study: The study.
-        saved: Its answer.
-    """
+    """A saved model that is simulated with and without its causes."""
 
     def __init__(self, study: Study, saved: SavedModel):
         self.saved, self.study = saved, saved.framed(study)
@@ -148,16 +161,18 @@ def list_carried(answer: Answer, program: str) -> list[CarriedCause]:
     out = []
     for cause, components in answer.causes().items():
         by = tuple(name for name, own in read.items() if own & {cause, *components})
-        out.append(CarriedCause(cause, by, answer.cost(components)))
+        would = "" if by else CONSTANTS.get(re.split("_(?:of|at)_", cause)[0], "")
+        out.append(CarriedCause(cause, by, answer.cost(components), would))
     return out
 
 
-def fly(constants: Mapping[str, float], run: Run) -> Array:
+def fly(constants: Mapping[str, float], run: Run, *, is_held: bool = False) -> Array:
     """Angles of an exported drive in MuJoCo at the samples of a run, (num_samples,).
 
     Args:
         constants: Constants of the run.
         run: Run with the commands ``goal`` and, where its torque may be off, ``powered``.
+        is_held: Whether the goal stays from sample to sample; else lines join them.
     """
     import mujoco
 
@@ -170,8 +185,8 @@ def fly(constants: Mapping[str, float], run: Run) -> Array:
     drive.begin(model, float(goal[0]))
     count = int(np.ceil((time[-1] - time[0]) / STEP_S - 1e-6))
     steps = time[0] + STEP_S * np.arange(count + 1)
-    goals = np.interp(steps, time, goal)
     held = np.clip(np.searchsorted(time, steps + 1e-9, side="right") - 1, 0, None)
+    goals = goal[held] if is_held else np.interp(steps, time, goal)
     power = np.ones(len(steps)) if powered is None else np.asarray(powered)[held]
     out = np.empty(count + 1)
     for k in range(count + 1):
@@ -200,9 +215,15 @@ def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
     out = []
     channel = answer.study.channels[0]
     study = replace(answer.study, export={MUJOCO: formulas})
+    inputs = [i for i in (study.model or {}).get("inputs", ()) if isinstance(i, Mapping)]
+    is_held = any(i.get("name") == POSITION and i.get("held") is True for i in inputs)
     for run in answer.runs:
         constants = flown_constants(study, answer.saved, MUJOCO, run)
-        flown, own, seen = fly(constants, run), answer.record(run)[:, 0], run.measured[:, 0]
+        flown, own, seen = (
+            fly(constants, run, is_held=is_held),
+            answer.record(run)[:, 0],
+            run.measured[:, 0],
+        )
         out.append(Flight.of(run.name, channel, own, flown, seen, is_read(run)))
     return out
 
@@ -226,29 +247,41 @@ def write_drive(answer: Answer, out: Path) -> list[Path]:
     ]
 
 
-def say_flights(flights: list[Flight] | str, channel: Channel) -> str:
-    """How the export does on the runs, in a sentence."""
+def say_flights(flights: list[Flight] | str, channels: Sequence[Channel]) -> list[str]:
+    """How the export does on the runs, a sentence for each channel."""
     if isinstance(flights, str):
-        return f"Not flown: {flights}."
-    unit = channel.shown_unit or channel.unit
-    own, export, apart = (
-        float(np.mean([getattr(f, name) for f in flights])) for name in ("model", "export", "apart")
-    )
-    return (
-        f"Flown in MuJoCo on {len(flights)} runs: {export:.3g} {unit} from what was measured, "
-        f"the model itself {own:.3g} {unit}; {apart:.3g} {unit} from one another."
-    )
+        return [f"Not flown: {flights}."]
+    out = []
+    for channel in channels:
+        if found := [f for f in flights if f.channel == channel.name]:
+            errors = (np.mean([getattr(f, n) for f in found]) for n in ("export", "model", "apart"))
+            export, own, apart = (_read(float(v), channel) for v in errors)
+            out.append(
+                f"{channel.name}, flown in MuJoCo on {counted(len(found), 'run')}: {export} from "
+                f"what was measured, the model itself {own}; {apart} from one another."
+            )
+    return out
 
 
 def say_carried(found: Sequence[CarriedCause], study: Study, program: str) -> list[str]:
     """The list of what is carried and of what is not, a line each."""
-    units = {c.name: c.shown_unit or c.unit for c in study.channels}
+    channels = {c.name: c for c in study.channels}
     out = []
     for carried in found:
-        cost = ", ".join(f"{v:.3g} {units[name]} of {name}" for name, v in carried.cost.items())
+        cost = [f"{name} by {_read(v, channels[name])}" for name, v in carried.cost.items()]
         how = f"carried by {', '.join(carried.by)}" if carried.by else f"not carried to {program}"
-        out.append(f"  {carried.cause}: {how}; it is worth {cost}")
+        if carried.would:
+            stated = study.export.get(MUJOCO, {}).get(carried.would)
+            formula = f"{stated} + {carried.cause}" if stated else carried.cause
+            how += f", unless export.mujoco says `{carried.would}: {formula}`"
+        out.append(f"  {words_of(carried.cause)}: {how}; without it off: {', '.join(cost)}")
     return out or [f"  no cause is named: {program} gets the fitted model as it is"]
+
+
+def _read(value: float, channel: Channel) -> str:
+    """A number in a channel's shown unit, small ones with a prefix."""
+    unit, times = small_scale(channel.shown_unit or channel.unit, (value,))
+    return f"{figure(times * value)}{after_number(unit)}"
 
 
 def _times(channel: Channel) -> float:

@@ -4,19 +4,22 @@
 |---|---|
 | ``mujoco`` | constants, a drive on a joint with its callback; or the study's own MJCF, restated |
 | ``bam`` | constants of BAM's smallest model m1 to m5 that has what is named |
-| ``urdf`` | ``<dynamics>`` and ``<limit>`` of the joint |
+| ``urdf`` | ``<dynamics>`` and ``<limit>`` of the joint; of an MJCF of each, and ``<inertial>`` |
 | ``yaml`` | all numbers and causes with their forms, for any program |
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import yaml
+from scipy.spatial.transform import Rotation
 
 from diffsim.causes.row import spell_plainly
 from diffsim.cli.diagnose_export import flown_constants
@@ -33,6 +36,7 @@ from diffsim.cli.export_flight import (
     say_flights,
     write_drive,
 )
+from diffsim.core.figures import counted
 from diffsim.core.files import write_bytes_atomic, write_json_atomic, write_text_atomic
 from diffsim.data.study import Run, Study
 from diffsim.identify.model_file import SavedModel
@@ -46,6 +50,7 @@ from diffsim.systems.registry import description_of
 
 BAM, URDF, YAML = "bam", "urdf", "yaml"
 ONLY = "size"  # of a cause's components
+_IN_URDF = re.compile(r"\.(damping|frictionloss|payload|unbalance\[\d\])$")  # numbers of an MJCF
 #: Constants of a drive that a target's own equations have; MuJoCo's callback has all
 _RIG = (
     "kp",
@@ -85,14 +90,13 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
         ValueError: the target needs what the study does not state.
     """
     answer, study = Answer(study, saved), only_target(study, target)
-    channel = answer.study.channels[0]
     flights: list[Flight] | str
     if target == YAML:
         files = [write_text_atomic(out / "answer.yaml", _as_yaml(answer))]
-        carried = [replace(c, by=("answer.yaml",)) for c in list_carried(answer, YAML)]
+        carried = [replace(c, by=("answer.yaml",), would="") for c in list_carried(answer, YAML)]
         flights = "it holds the answer itself, in no program's words"
-    elif target == MUJOCO and is_mjcf(answer.study):
-        files, carried, flights = restate_mjcf(answer, out)
+    elif target in (MUJOCO, URDF) and is_mjcf(answer.study):
+        files, carried, flights = restate_mjcf(answer, out, target)
     else:
         if not study.export:
             raise ValueError(
@@ -105,10 +109,11 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
         flights = _fly(answer, target)
     for file in files:
         print(f"wrote {file}")
-    print(f"Causes of the answer, and what they are worth on {len(answer.runs)} runs:")
+    print(f"Causes of the answer, and what they are worth on {counted(len(answer.runs), 'run')}:")
     for line in say_carried(carried, answer.study, target):
         print(line)
-    print(say_flights(flights, channel))
+    for line in say_flights(flights, answer.study.channels):
+        print(line)
     content = {
         "target": target,
         "causes": [asdict(c) for c in carried],
@@ -119,9 +124,11 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
 
 def _without(carried: CarriedCause, target: str) -> CarriedCause:
     """A cause, carried only by constants that the target has."""
-    if target == BAM:
-        return carried
-    return replace(carried, by=tuple(n for n in carried.by if n in _HAS[target]))
+    if target == BAM:  # whose constants have names of their own
+        return replace(carried, would="")
+    has = _HAS[target]
+    would = carried.would if carried.would in has else ""
+    return replace(carried, by=tuple(n for n in carried.by if n in has), would=would)
 
 
 def _write_drive(answer: Answer, target: str, out: Path) -> list[Path]:
@@ -175,12 +182,15 @@ def is_mjcf(study: Study) -> bool:
     return study.model is not None and study.model.get("simulator") == MJCF
 
 
-def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[CarriedCause], list[Flight]]:
-    """Write the MJCF that moves as the answer does, as far as MuJoCo has its causes.
+def restate_mjcf(
+    answer: Answer, out: Path, target: str = MUJOCO
+) -> tuple[list[Path], list[CarriedCause], list[Flight]]:
+    """Write the MJCF that moves as the answer does, or what a URDF has of it.
 
     Args:
         answer: The saved model.
         out: Folder to write to.
+        target: "mujoco" or "urdf".
 
     Returns:
         The files, the list of causes, and how the written file moves on the runs.
@@ -195,42 +205,91 @@ def restate_mjcf(answer: Answer, out: Path) -> tuple[list[Path], list[CarriedCau
     carried = []
     for cause, components in answer.causes().items():
         paths = _paths_of(sim, described, cause)
+        if target == URDF and not all(_IN_URDF.search(path) for path in paths.values()):
+            paths = {}
         for component in components if paths else ():
             path = paths.get(component.rpartition(".")[2], paths.get(ONLY, ""))
             numbers[path] = numbers.get(path, sim.value_of(path)) + answer.saved.values[component]
         carried.append(CarriedCause(cause, tuple(paths.values()), answer.cost(components)))
-    text, files = sim.restated(numbers)
-    wrote = [write_text_atomic(out / "model.xml", text)]
-    wrote += [write_bytes_atomic(out / name, content) for name, content in files.items()]
-    again = Mjcf(str(out / "model.xml"), **_readings(source.options))
-    return wrote, carried, [_fly_mjcf(answer, described, again, run) for run in answer.runs]
+    with TemporaryDirectory() as folder:
+        place = out if target == MUJOCO else Path(folder)
+        text, files = sim.restated(numbers)
+        wrote = [write_text_atomic(place / "model.xml", text)]
+        wrote += [write_bytes_atomic(place / name, content) for name, content in files.items()]
+        again = Mjcf(str(place / "model.xml"), **_readings(source.options))
+    if target == URDF:
+        wrote = [write_text_atomic(out / "joints.urdf.xml", _as_urdf(again))]
+    return (
+        wrote,
+        carried,
+        [flight for run in answer.runs for flight in _fly_mjcf(answer, described, again, run)],
+    )
+
+
+def _as_urdf(sim: Mjcf) -> str:
+    """Friction of each hinge and slide, its largest force, and the inertia of each body."""
+    model, out = sim.plain, ["<!-- beside parent and child; a URDF has no place for the rest -->"]
+    for j in range(model.njnt):
+        if model.jnt_type[j] in (2, 3):
+            dof = model.jnt_dofadr[j]
+            efforts = [
+                abs(model.actuator_gear[i, 0]) * np.abs(model.actuator_forcerange[i]).max()
+                for i in range(model.nu)
+                if model.actuator_trnid[i, 0] == j and model.actuator_forcelimited[i]
+            ]
+            limit = f'<limit effort="{sum(efforts):.6g}"/>' if efforts else ""
+            out.append(
+                f'<joint name="{model.joint(j).name}"><dynamics '
+                f'damping="{model.dof_damping[dof]:.6g}" '
+                f'friction="{model.dof_frictionloss[dof]:.6g}"/>{limit}</joint>'
+            )
+    for b in range(1, model.nbody):
+        turn = Rotation.from_quat(np.roll(model.body_iquat[b], -1)).as_matrix()
+        moments = turn @ np.diag(model.body_inertia[b]) @ turn.T  # along the axes of the body
+        pairs = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
+        inertia = " ".join(f'i{name}="{moments[i, k]:.6g}"' for name, i, k in pairs)
+        at = " ".join(f"{v:.6g}" for v in model.body_ipos[b])
+        out.append(
+            f'<link name="{model.body(b).name}"><inertial><origin xyz="{at}" rpy="0 0 0"/>'
+            f'<mass value="{model.body_mass[b]:.6g}"/><inertia {inertia}/></inertial></link>'
+        )
+    return "\n".join(out) + "\n"
 
 
 def _paths_of(sim: Mjcf, described: OutsideDescription, cause: str) -> dict[str, str]:
     """The numbers of the model that a cause adds to, by its sizes; {}: there are none."""
     for body in sim.carriers:
-        if cause == f"payload_at_{spell_plainly(body)}":
+        if _is_at(cause, "payload", body):
             return {ONLY: f"body.{body}.payload"}
-        if cause == f"unbalance_at_{spell_plainly(body)}":
+        if _is_at(cause, "unbalance", body):
             return {axis: f"body.{body}.unbalance[{k}]" for k, axis in enumerate("xyz")}
     for law in OWN_LAWS:
         for place in described.hooks.force:
-            if cause == f"{law}_at_{spell_plainly(place)}":
+            if _is_at(cause, law, place):
                 path = path_of_law(sim.mujoco, sim.numbers, law, place)
                 return {} if path is None else {ONLY: path}
     return {}
+
+
+def _is_at(cause: str, row: str, place: str) -> bool:
+    """Whether a cause is that of a row at a place; earlier files have small letters."""
+    name = f"{row}_at_{spell_plainly(place)}"
+    return cause in (name, name.lower())
 
 
 def _readings(options: Mapping[str, Any]) -> dict[str, Any]:
     return {k: options[k] for k in ("channels", "commands", "held") if k in options}
 
 
-def _fly_mjcf(answer: Answer, described: OutsideDescription, sim: Mjcf, run: Run) -> Flight:
-    """The written file on a run, from the start of the answer in it."""
+def _fly_mjcf(answer: Answer, described: OutsideDescription, sim: Mjcf, run: Run) -> list[Flight]:
+    """The written file on a run, channel by channel, from the start of the answer in it."""
     starts = {}
     for name, quantity in described.start.items():
         found = [v for c, v in answer.saved.values.items() if c in (name, f"{name}@{run.name}")]
         starts[name] = found[0] if found else float(quantity.value)
-    flown, own = sim.predict(starts, run)[:, 0], answer.record(run)[:, 0]
-    seen = run.measured[:, 0]
-    return Flight.of(run.name, answer.study.channels[0], own, flown, seen, np.isfinite(seen))
+    pairs = zip(answer.record(run).T, sim.predict(starts, run).T, run.measured.T, strict=True)
+    return [
+        Flight.of(run.name, channel, own, flown, seen, np.isfinite(seen))
+        for channel, (own, flown, seen) in zip(answer.study.channels, pairs, strict=True)
+        if np.isfinite(seen).any()
+    ]

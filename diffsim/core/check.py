@@ -282,7 +282,7 @@ _BY_NAME = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_O
 MAX_COUNT = 2**31 - 1
 
 
-def require_count(name: str, value: Any, *, at_least: int = 0, hint: str = "") -> int:
+def require_count(name: str, value: Any, *, at_least: int = 0) -> int:
     """Check that a number is whole and not too small; 3.0 and NumPy's 3 are taken as 3.
 
     Raises:
@@ -294,8 +294,7 @@ def require_count(name: str, value: Any, *, at_least: int = 0, hint: str = "") -
         raise TypeError(f"{name} must be a number, got {type(plain).__name__}")
     if not at_least <= plain <= MAX_COUNT or plain != int(plain):  # NaN is nowhere
         upper = "" if plain < MAX_COUNT else f" and at most {MAX_COUNT}"
-        more = f"; {hint}" if hint else ""
-        raise ValueError(f"{name} must be a whole number >= {at_least}{upper}, got {plain!r}{more}")
+        raise ValueError(f"{name} must be a whole number >= {at_least}{upper}, got {plain!r}")
     return int(plain)
 
 
@@ -362,21 +361,18 @@ def require_entries(name: str, entries: Iterable[Any], kind: type, hint: str = "
             raise TypeError(f"{name}[{k}] must be {article} {kind.__name__}, got {got}{why}")
 
 
-def require_options(
-    what: str, options: Iterable[str], *takers: Callable[..., Any], known: Iterable[str] = ()
-) -> None:
+def require_options(what: str, options: Iterable[str], *takers: Callable[..., Any]) -> None:
     """Check that some function takes each option; the message offers the closest names.
 
     Args:
         what: What the options are of, for the message, such as "CopterHover".
         options: Names of keyword arguments.
         takers: Functions or classes that take them.
-        known: Further names that are allowed.
 
     Raises:
         ValueError: no taker has such an option.
     """
-    names = [*known, *(name for taker in takers for name in option_names(taker))]
+    names = [name for taker in takers for name in option_names(taker)]
     for name in options:
         require_choice(f"option of {what}", name, dict.fromkeys(names))
 

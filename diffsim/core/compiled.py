@@ -5,11 +5,11 @@
 
 import importlib
 import os
+import sys
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import ModuleType
 
-from diffsim.core.forked import keep_forks_alive
 from diffsim.core.processor import NEEDS, supported
 
 
@@ -48,6 +48,16 @@ def load() -> ModuleType:
     return importlib.import_module(f"diffsim._core_{names[0]}")
 
 
-keep_forks_alive()
+# Threads do not survive a fork, but PyTorch's pool in the child believes in them: its next parallel
+# operation waits for ever. A child computes with one thread of PyTorch, as its ``DataLoader`` does.
+# Kernels start their own threads at every call. Forking servers and ``spawn`` are not concerned.
+def _use_one_thread() -> None:
+    torch = sys.modules.get("torch")  # who has not imported it has no threads of it
+    if torch is not None and torch.get_num_threads() > 1:
+        torch.set_num_threads(1)
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which has no forks
+    os.register_at_fork(after_in_child=_use_one_thread)
 core = load()
 INSTRUCTION_SET: str = core.instruction_set

@@ -16,7 +16,6 @@ def figure(value: float, digits: int = DIGITS) -> str:
     """A number such as "2130", "0.0664", "1.66e-9"; a dash where there is none.
 
     Args:
-        value: Any float.
         digits: Digits that are kept; of 1e7 and more, and below 1e-4, with an exponent.
     """
     if math.isnan(value):
@@ -49,7 +48,6 @@ def counted(number: int, noun: str) -> str:
     """How many there are, such as "1 run" or "3 runs".
 
     Args:
-        number: How many.
         noun: Of one; more have an "s".
     """
     return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -66,7 +66,6 @@ def make_layer(
     Args:
         name: What errors of PyTorch call it.
         op: A custom op of ``torch.library`` without lists of tensors.
-        kernel: What the op calls.
         arguments: Names of the op's arguments, in order.
         setup: As ``setup_context`` of ``torch.library``: (ctx, inputs, output).
         backward: As ``backward`` of ``torch.library``: one gradient for every input.

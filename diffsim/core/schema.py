@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, ClassVar, TypeVar, get_args
@@ -18,9 +18,11 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    GetCoreSchemaHandler,
     ValidationError,
     model_validator,
 )
+from pydantic_core import core_schema
 
 from diffsim.core.check import did_you_mean
 from diffsim.core.errors import Mistakes
@@ -154,10 +156,26 @@ def read_part(part: type[_P], given: Any, where: str) -> _P:
         raise Mistakes(problem_lines(where, error)) from None
 
 
-def number(unit: str) -> Any:
-    """Type of a key that is a known number in a unit; text with another unit is converted."""
-    said = KindWords("number" if unit == "-" else f"number in {unit}")
-    return Annotated[float, BeforeValidator(lambda given: in_unit(given, unit)), said]
+@dataclass(frozen=True)
+class UnitReader(KindWords):
+    """How a key with a unit is read; made by :func:`number` and ``quantity_in``.
+
+    Attributes:
+        read: What the key holds, of what stands in the file.
+    """
+
+    read: Callable[[Any], Any]
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        return core_schema.no_info_before_validator_function(self.read, handler(source))
+
+
+def number(unit: str) -> UnitReader:
+    """A known number in a unit; text with another unit is converted."""
+    words = "number" if unit == "-" else f"number in {unit}"
+    return UnitReader(words, lambda given: in_unit(given, unit))
 
 
 def standing_alone(key: str, *kinds: type) -> BeforeValidator:

@@ -2,49 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated, TypeAlias
 
 from diffsim.core.schema import number
 
-if TYPE_CHECKING:
-    Degrees: TypeAlias = float
-    DegreesPerSecond: TypeAlias = float
-    Hertz: TypeAlias = float
-    KilogramSquareMeters: TypeAlias = float
-    Kilograms: TypeAlias = float
-    KilogramsPerCubicMeter: TypeAlias = float
-    Meters: TypeAlias = float
-    MetersPerSecond: TypeAlias = float
-    MetersPerSquareSecond: TypeAlias = float
-    MilliampHours: TypeAlias = float
-    Newtons: TypeAlias = float
-    Ohms: TypeAlias = float
-    Pascals: TypeAlias = float
-    PerSecond: TypeAlias = float
-    Radians: TypeAlias = float
-    RadiansPerSecond: TypeAlias = float
-    Ratio: TypeAlias = float
-    Seconds: TypeAlias = float
-    Volts: TypeAlias = float
-    Watts: TypeAlias = float
-else:
-    Degrees = number("deg")
-    DegreesPerSecond = number("deg/s")
-    Hertz = number("Hz")
-    KilogramSquareMeters = number("kg m^2")
-    Kilograms = number("kg")
-    KilogramsPerCubicMeter = number("kg/m^3")
-    Meters = number("m")
-    MetersPerSecond = number("m/s")
-    MetersPerSquareSecond = number("m/s^2")
-    MilliampHours = number("mA h")
-    Newtons = number("N")
-    Ohms = number("ohm")
-    Pascals = number("Pa")
-    PerSecond = number("1/s")
-    Radians = number("rad")
-    RadiansPerSecond = number("rad/s")
-    Ratio = number("-")
-    Seconds = number("s")
-    Volts = number("V")
-    Watts = number("W")
+Degrees: TypeAlias = Annotated[float, number("deg")]
+DegreesPerSecond: TypeAlias = Annotated[float, number("deg/s")]
+Hertz: TypeAlias = Annotated[float, number("Hz")]
+KilogramSquareMeters: TypeAlias = Annotated[float, number("kg m^2")]
+Kilograms: TypeAlias = Annotated[float, number("kg")]
+KilogramsPerCubicMeter: TypeAlias = Annotated[float, number("kg/m^3")]
+Meters: TypeAlias = Annotated[float, number("m")]
+MetersPerSecond: TypeAlias = Annotated[float, number("m/s")]
+MetersPerSquareSecond: TypeAlias = Annotated[float, number("m/s^2")]
+MilliampHours: TypeAlias = Annotated[float, number("mA h")]
+Newtons: TypeAlias = Annotated[float, number("N")]
+Ohms: TypeAlias = Annotated[float, number("ohm")]
+Pascals: TypeAlias = Annotated[float, number("Pa")]
+PerSecond: TypeAlias = Annotated[float, number("1/s")]
+Radians: TypeAlias = Annotated[float, number("rad")]
+RadiansPerSecond: TypeAlias = Annotated[float, number("rad/s")]
+Ratio: TypeAlias = Annotated[float, number("-")]
+Seconds: TypeAlias = Annotated[float, number("s")]
+Volts: TypeAlias = Annotated[float, number("V")]
+Watts: TypeAlias = Annotated[float, number("W")]

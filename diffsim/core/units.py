@@ -21,6 +21,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+GRAVITY = 9.81  # acceleration of free fall [m/s^2]
 NO_UNIT = "-"
 _RELATIVE = (NO_UNIT, "", "command", "channel")  # units that say nothing after a number
 _COMMON = ("m", "mm", "kg", "g", "s", "ms", "N", "Pa", "kPa", "mbar", "rad", "deg", "rpm", "V", "A")
@@ -340,9 +341,11 @@ def _match_quantity(value: float | int | str) -> re.Match[str] | None:
     return _QUANTITY.fullmatch(text)
 
 
-SMALL = 0.1  # what is below is read in the first of these that keeps it above, else in the last
-FLOWS = ("l/s", "ml/s", "ul/s")
-SMALL_UNITS = {"m": ("mm",), "s": ("ms",), "kg": ("g",), "m3/s": FLOWS, "m^3/s": FLOWS}
+SMALL = 0.1  # what is below is read in the first smaller unit that keeps it above, else in the last
+#: What takes a prefix, alone or per second; a damping or a stiffness keeps the unit of its formula.
+_TAKES_PREFIX = re.compile(r"(m|s|rad|N|N m|V|A|W)(/s(\^2)?)?")
+_FLOWS = ("l/s", "ml/s", "ul/s")
+_SMALLER = {"kg": ("g", "mg"), "m3/s": _FLOWS, "m^3/s": _FLOWS}
 
 
 def after_number(unit: str) -> str:
@@ -351,8 +354,8 @@ def after_number(unit: str) -> str:
 
 
 def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
-    """Unit in which values are read: small lengths in mm, short times in ms, small masses in g,
-    small flows in ml/s.
+    """Unit in which values are read: small ones with the prefix m or u, such as mrad or um, small
+    masses in g, small flows in ml/s.
 
     Args:
         unit: SI unit of the values.
@@ -362,8 +365,9 @@ def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
         The unit, and what values are multiplied by to be in it.
     """
     shown, times, most = unit, 1.0, max(map(abs, values), default=1.0)
-    for smaller in SMALL_UNITS.get(unit, ()):
-        if times * most >= SMALL:
+    prefixed = (f"m{unit}", f"u{unit}") if _TAKES_PREFIX.fullmatch(unit) else ()
+    for smaller in _SMALLER.get(unit, prefixed):
+        if most == 0.0 or times * most >= SMALL:
             break
-        shown, times = smaller, factor(unit, smaller)
+        shown, times = smaller, 1e3 * times if smaller in prefixed else factor(unit, smaller)
     return shown, times

@@ -79,7 +79,6 @@ def as_array(name: str, value: Any, dtype: torch.dtype = torch.float64) -> Tenso
 
     Args:
         name: The argument's name, for the message.
-        value: What was given.
         dtype: Dtype of the tensor; entries of another kind are refused, not rounded.
 
     Raises:

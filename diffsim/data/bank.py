@@ -33,7 +33,6 @@ class _Drive:
     """What one command can do.
 
     Attributes:
-        name: Name of the command.
         low: Least value [unit].
         high: Largest value [unit].
         rest: Value before anything happens [unit].
@@ -300,7 +299,6 @@ def command_table(run: Run, study: Study) -> str:
 
     Args:
         run: Run of the bank.
-        study: Study whose commands it has.
     """
     known = {c.name: c for c in study.commands}
     header, columns = ["time_s"], [run.time_s - run.time_s[0]]

@@ -34,7 +34,6 @@ def numeric_columns(samples: RunSamples, keep: Rows | slice = slice(None)) -> di
     """All columns of a run that hold numbers, by header, without gaps: (num_samples,) each.
 
     Args:
-        samples: Rows of the run.
         keep: Which of its samples are kept of each.
     """
     samples, found = replace(samples, tables=[table.twin() for table in samples.tables]), {}

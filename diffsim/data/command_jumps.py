@@ -37,15 +37,12 @@ class Jumps(NamedTuple):
     size: float
 
 
-def jumps_of(
-    values: Array, *, is_measured: bool, noise: float = 0.0, times: Array | None = None
-) -> Jumps:
+def jumps_of(values: Array, *, is_measured: bool, times: Array | None = None) -> Jumps:
     """Jumps of a command or channel in a run.
 
     Args:
         values: Its samples; those that are not finite are left out.
         is_measured: Whether lasting jumps are looked for: what is commanded may jump and stay.
-        noise: Standard deviation that is usual, of a sensor that may stand still for a while.
         times: Times of the samples [s]: over a gap of lost ones it may have moved far. None: even.
     """
     valid = np.flatnonzero(np.isfinite(values))
@@ -54,7 +51,7 @@ def jumps_of(
         return Jumps([], [], 0.0)
     change, least = np.abs(np.diff(seen)), LEAST * float(np.ptp(seen))
     away = np.abs(seen - median_filter(seen, size=WIDTH, mode="nearest"))
-    usual = max(SD_OVER_MAD * float(np.median(away)), float(np.median(change)), noise)
+    usual = max(SD_OVER_MAD * float(np.median(away)), float(np.median(change)))
     if not usual > 0.0:  # it rests but for what was commanded
         return Jumps([], [], 0.0)
     back = np.flatnonzero(away > max(JUMP_SD * usual, least))
@@ -82,7 +79,6 @@ def without_jumps(values: Array, times: Array, jumps: Jumps) -> Array:
     Args:
         values: Samples of the command, (num_samples,).
         times: Their times, (num_samples,) [s].
-        jumps: Its jumps.
     """
     mended = np.array(values, dtype=np.float64)
     kept = np.isfinite(mended)

@@ -27,6 +27,7 @@ _OF_STUDY = ("channels", "runs", "like")  # keys of a study, which is no file of
 _NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")  # that a quantity begins with
 #: Recordings of formats that only their own programs read.
 _UNREAD = (".c3d", ".xls", ".tdms", ".mf4", ".mdf", ".blf", ".slx", ".fig")
+_OF_MODELS = (".xml", ".stl", ".obj", ".msh", ".dae")
 _NO_DATA = (".md", ".rst", ".py", ".m", ".ipynb", ".pdf", ".png", ".jpg", ".svg", ".html")
 
 
@@ -62,23 +63,29 @@ def facts_beside(guess: Guess) -> Iterable[str]:
         if isinstance(value, str) and len(value.strip()) > MOST_LETTERS
     ]
     yield from listed(f"texts and lists of more than {MOST_LETTERS} letters, no facts", remarks)
-    yield from _passed_by(guess, (path for path in left if path not in sheets))
+    guess.beside = [path for path in left if path not in sheets]
 
 
-def _passed_by(guess: Guess, paths: Iterable[Path]) -> Iterator[str]:
-    """Files that no other sentence names."""
+def passed_by(guess: Guess, *, has_model: bool) -> Iterator[str]:
+    """Sentences on files that no other sentence names.
+
+    Args:
+        guess: What the folder seems to hold, once all of it is said.
+        has_model: Whether an MJCF of the folder was read; what it is made of is used.
+    """
     known = {one.path for one in guess.found}
     said = " ".join(guess.said).replace(f"{guess.folder}/", "")
     rest = {
         path.relative_to(guess.folder).as_posix(): path.suffix.lower()
-        for path in paths
+        for path in guess.beside
         if path not in known and path.name[0] not in "._" and not _is_study(_content_of(path))
     }
     rest = {name: ending for name, ending in rest.items() if not _is_named(name, said)}
     unread = [name for name, ending in rest.items() if ending in _UNREAD]
     for sentence in listed("recordings in formats that are not read", unread, 3):
         yield f"{sentence}; export them as CSV"
-    others = [name for name, end in rest.items() if end not in (*_UNREAD, *_NO_DATA)]
+    used = (*_UNREAD, *_NO_DATA, *(_OF_MODELS if has_model else ()))
+    others = [name for name, end in rest.items() if end not in used]
     yield from listed("other files, not used", others, 6)
 
 

@@ -183,12 +183,7 @@ def exported_topics(guess: Guess) -> Iterable[str]:
 
 
 def _topics_beside(main: str, known: Mapping[str, FoundTable]) -> tuple[str, ...]:
-    """The record of a log, topics that belong to it, and one that sounds commanded.
-
-    Args:
-        main: Topic of the record.
-        known: Tables of the log by their topics.
-    """
+    """The record of a log, topics that belong to it, and one that sounds commanded."""
     beside = tuple(topic for topic in BESIDE.get(main, ()) if topic in known)
     asked = [topic for topic in known if is_asked(topic) and topic != main]
     if not asked:

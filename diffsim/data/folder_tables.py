@@ -146,7 +146,6 @@ def files_below(folder: Path, depth: int = DEEPEST) -> Iterator[Path]:
 
     Args:
         folder: Folder that is looked into.
-        depth: How many folders deep.
     """
     for path in folder.iterdir():
         if path.is_file():

@@ -83,7 +83,6 @@ class Guess:
     """What a folder seems to hold.
 
     Attributes:
-        folder: The folder.
         parts: Tables of each file that are asked for, the record first; empty: as they look.
         found: Tables that are looked at.
         kinds: Files of a run, the record first, run by run.
@@ -96,6 +95,7 @@ class Guess:
         runs: Runs, one for each file or value of ``split``.
         split: Columns whose values are runs; empty: each file is one.
         every: Each n-th sample is enough.
+        beside: Files that are no tables and hold no facts.
         said: What was guessed, a sentence each.
         todo: What the user must say, a sentence each.
     """
@@ -113,6 +113,7 @@ class Guess:
     runs: list[GuessedRun] = field(default_factory=list)
     split: tuple[Column, ...] = ()
     every: int = 1
+    beside: list[Path] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     todo: list[str] = field(default_factory=list)
 

@@ -37,7 +37,6 @@ class Kind:
     Attributes:
         tag: Word by which their names differ from those of other kinds; empty: there are none.
         files: One of each run.
-        columns: Their columns.
         time: Keys of ``time``; empty: rows are those of the first kind.
     """
 

@@ -184,7 +184,6 @@ def log_column(name: str, part: str) -> Column | None:
 
     Args:
         name: Field as the log has it, such as "pose.position.x" or "q[0]".
-        part: Topic of the log that the column is in.
     """
     topic, column = part.rpartition("/")[2].partition(".")[0], column_of(name)
     if _UNUSED.search(name):

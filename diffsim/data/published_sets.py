@@ -88,12 +88,7 @@ def published_set(name: str) -> PublishedSet:
 
 
 def differing(known: PublishedSet, folder: Path) -> list[str]:
-    """Files of a data set that a folder lacks, or holds with other contents.
-
-    Args:
-        known: The data set.
-        folder: Its folder.
-    """
+    """Files of a data set that a folder lacks, or holds with other contents."""
     return [
         name
         for name, (digest, _) in known.files.items()
@@ -105,7 +100,6 @@ def get_set(known: PublishedSet, folder: Path, address: str) -> list[str]:
     """Fetch what a folder lacks of a data set; nothing is kept whose sum differs.
 
     Args:
-        known: The data set.
         folder: Its folder; made where it is missing.
         address: Folder of data sets on this machine, or its http address.
 

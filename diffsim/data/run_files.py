@@ -77,7 +77,6 @@ class RunReader:
     """Reads the runs of a study and collects what is wrong with them.
 
     Args:
-        study: The study file.
         root: Folder of the run files, which no file of the study leaves.
         given: Files that the caller named, and not the study: they may lie anywhere.
         strict: Whether stamps that cannot be right are a problem; else their rows are left out.
@@ -313,9 +312,6 @@ class RunReader:
         """A channel or command in SI units, at the rows of the run.
 
         Args:
-            stated: The channel or command.
-            entry: Entry of the run.
-            samples: Rows of the run.
             raw_of: Gets what one column holds of it, by name.
             keep: Which of the rows are kept.
         """

@@ -330,7 +330,6 @@ def facts_of(
 
     Args:
         setup: As the study states them.
-        samples: Rows of the run.
         words: What {name} stands for in texts.
         where: What messages call it, such as "runs[2].setup".
 

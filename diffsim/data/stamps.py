@@ -207,7 +207,6 @@ def stamp_words(path: object, lines: Sequence[int], now: Array, column: str) -> 
 
     Args:
         path: File, for the message.
-        lines: Line of each row in it.
         now: Their stamps, (num_rows,) [s].
         column: Column of the clock.
     """

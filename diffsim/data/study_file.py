@@ -242,9 +242,6 @@ def ready_rigs() -> tuple[str, ...]:
 def read_whole(path: Path) -> Any:
     """Content of a study file, joined with that of the one it is like.
 
-    Args:
-        path: The file.
-
     Returns:
         What the file holds, without ``like``; whatever it is, where it is no mapping.
 
@@ -285,7 +282,6 @@ def joined(base: Any, own: Any) -> Any:
 
     Args:
         base: What holds where ``own`` states nothing.
-        own: What goes before.
     """
     if isinstance(base, Mapping) and isinstance(own, Mapping):
         merged = dict(base)

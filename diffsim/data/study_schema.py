@@ -46,6 +46,13 @@ from diffsim.data.study_types import (
 )
 
 
+def _number_as_text(given: Any) -> Any:
+    return repr(given) if type(given) in (int, float) else given
+
+
+FormulaText = Annotated[str, BeforeValidator(_number_as_text)]
+
+
 def _wrap_in_list(given: Any) -> Any:
     return given if isinstance(given, (list, tuple)) and given else [given]
 
@@ -471,7 +478,7 @@ class StudyFile(Part):
     faults: FaultKeys | None = Field(
         None, description="Groups of runs that are each judged for a fault: `diagnose faults`"
     )
-    export: dict[str, dict[str, str]] = Field(
+    export: dict[str, dict[str, FormulaText]] = Field(
         {},
         description="Constants for other programs, by program and name: formulas of the model's "
         "numbers and causes, for `diagnose export`: {mujoco: {damping: kt**2/resistance}}. A text "

@@ -76,12 +76,7 @@ def open_text(path: Path) -> Iterator[TextIO]:
 
 @contextmanager
 def open_table(
-    path: Path,
-    what: str,
-    *,
-    header_line: int = 1,
-    first_line: int | None = None,
-    columns: Sequence[str] = (),
+    path: Path, what: str
 ) -> Iterator[tuple[list[str], Iterator[tuple[int, list[str]]]]]:
     """Header and numbered rows of a CSV file; blank lines are skipped.
 
@@ -89,18 +84,14 @@ def open_table(
     divided by commas, a decimal comma is read as a point.
 
     Args:
-        path: CSV file to be read.
         what: What it should be, for the message, such as "recording".
-        header_line: Line with the names of the columns, from 1; 0: there is none.
-        first_line: Line of the first sample; by default the one after the header.
-        columns: Names of the columns, in place of those of the file.
 
     Raises:
         FileNotFoundError: no such file; the message lists the CSV files beside it.
         ValueError: no header, too many columns, a column occurs twice, a row has another number of
             cells, or a line is no CSV.
     """
-    with _open_lines(path, what, header_line, first_line, columns) as (header, mark, before, lines):
+    with _open_lines(path, what, 1, None, ()) as (header, mark, before, lines):
         rows = csv.reader(lines, delimiter=mark, skipinitialspace=mark == " ")
         yield header, _number_rows(path, header, rows, before, mark != ",")
 
@@ -305,7 +296,6 @@ class Table:
     Attributes:
         header: Names of the columns; a column of lists is one for each entry, ``name[0]``.
         lines: Line of each row in the file.
-        used: Columns that were asked for.
         left_out: What the file holds, or lost, and the table does not have, a sentence each.
     """
 

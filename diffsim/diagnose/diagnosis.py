@@ -19,6 +19,7 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
     CONTRADICTED,
     LEAST_FREEDOM,
+    SURE_SD,
     GateResult,
     budget_gates,
     cuts_gate,
@@ -37,7 +38,7 @@ from diffsim.diagnose.discover.stage import Begin, FoundLaws, at_data_sheet, fin
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, SURE_SD
+from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
 from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
@@ -172,7 +173,6 @@ def diagnosed(
 
     Args:
         inputs: Study, setup and seed.
-        progress: Receives stage, share done and message.
         cache: Folder for what was simulated, as of ``diagnose``.
     """
     setup = inputs.setup
@@ -226,7 +226,6 @@ class _Answer:
     """An answer before test runs.
 
     Attributes:
-        frozen: The report.
         search: Behind it; None where nothing was searched.
         best: Set of causes with the best evidence.
         kept: Weighted steps of the budget that it left for laws.
@@ -362,9 +361,7 @@ def _newly_named(first: _Answer, again: _Answer | None, found: FoundLaws) -> lis
     or laws were looked for beside them before. While they were missing they have bent the laws.
 
     Args:
-        first: Without laws.
         again: The search with laws among its causes.
-        found: The laws.
     """
     if again is None or again.frozen.verdict not in NAMES:
         return []
@@ -405,11 +402,6 @@ def _may_take_over(again: Report, before: Report, laws: AbstractSet[str]) -> boo
     chosen among hundreds, by the runs that it is fitted to. Where both answers name something, one
     search has weighed causes and laws: no set without a law may be within the odds there, and
     unseen runs must not prefer what was named before. Else the new one gains more for sure.
-
-    Args:
-        again: The answer whose search had laws among its causes.
-        before: The answer without.
-        laws: Names of the laws.
     """
     names_something = again.verdict in NAMES
     if not names_something and before.verdict in NAMES:
@@ -504,7 +496,6 @@ def search_rounds(
     was simulated before: where that is coarse and corrected, at the sets that were found.
 
     Args:
-        null: The plain model under its noise floor.
         simulations: Simulations made so far.
         first: Sets and their coordinates, at which the search begins; none: at the plain model.
         again: Sets that an earlier search found, at whose ends it begins.

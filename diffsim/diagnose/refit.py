@@ -44,7 +44,6 @@ from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.ranges import Range
 
-CORRELATED = 0.8
 EXTEND_FILE = "extend.json"  # beside the model that it writes
 CLOSED_VERDICTS = ("none", "data_sheet", "named", DESCRIBED)  # verdicts that may leave nothing open
 
@@ -74,13 +73,13 @@ class NullFit:
         named = zip(self.fit.problem.names, moves, strict=True)
         return tuple(name for name, is_moving in named if not is_moving)
 
-    def strongest_correlations(self, limit: float = CORRELATED) -> Iterator[tuple[str, str, float]]:
-        """Pairs of parameters above the limit, strongest first."""
+    def strongest_correlations(self) -> Iterator[tuple[str, str, float]]:
+        """Pairs of parameters above 0.8, strongest first."""
         names, r = self.fit.problem.names, self.fit.correlation
         rows, cols = np.triu_indices(len(names), 1)
         for k in np.argsort(-np.abs(r[rows, cols])):
             value = float(r[rows[k], cols[k]])
-            if abs(value) <= limit:
+            if abs(value) <= 0.8:
                 return
             yield names[rows[k]], names[cols[k]], value
 
@@ -107,7 +106,6 @@ def fit_null(inputs: Inputs, numerics: Numerics | None = None) -> NullFit:
     """Noise floor and fit of the plain model.
 
     Args:
-        inputs: Study and setup.
         numerics: Refined numerical settings; None: the model's own.
     """
     return _plain(null_fit(_case(inputs, numerics)))
@@ -326,7 +324,6 @@ def advise_narrowing(
     known of the parameters that all runs share.
 
     Args:
-        inputs: Study and setup with a bank.
         report: Content of ``report.json``.
         numerics: Refined numerical settings of the report; None: the model's own.
 
@@ -355,7 +352,6 @@ def advise(
     """Refit each set and take the run of the setup's bank on which they differ most.
 
     Args:
-        inputs: Study and setup with a bank.
         sets: Names of the effects of every set.
         numerics: Refined numerical settings of the report; None: the model's own.
 
@@ -417,11 +413,13 @@ def wanted_columns(report: Mapping[str, Any]) -> list[str]:
         return []
     needs: dict[str, list[str]] = {}
     for row in report.get("causes", ()):
-        if row["status"] == UNJUDGED and row["note"]:
-            needs.setdefault(row["note"], []).append(row["words"])
+        if row["status"] == UNJUDGED and (note := row["note"]):
+            why = note.removeprefix("not judged: ")
+            is_need = row.get("probability") is None and why == note  # what its row asks of a study
+            needs.setdefault(f"record {why}" if is_need else why, []).append(row["words"])
     return [
-        f"{', '.join(words[:MOST_LISTED])} could not be judged: record {need}"
-        for need, words in needs.items()
+        f"{', '.join(words[:MOST_LISTED])} could not be judged: {why}"
+        for why, words in needs.items()
     ]
 
 

@@ -383,6 +383,6 @@ def _read_sizes(model: str | Path, num_rotors: int) -> CopterSizes:
     return CopterSizes.read(model, num_rotors)
 
 
-def _smooth_norm(vector: Tensor, width: float = 0.1) -> Tensor:
-    """sqrt(|v|^2 + w^2) - w: quadratic near zero, linear far away."""
-    return (vector.square().sum(-1) + width**2).sqrt() - width
+def _smooth_norm(vector: Tensor) -> Tensor:
+    """sqrt(|v|^2 + w^2) - w with w = 0.1: quadratic near zero, linear far away."""
+    return (vector.square().sum(-1) + 0.1**2).sqrt() - 0.1

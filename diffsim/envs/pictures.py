@@ -44,7 +44,6 @@ def body_picture(
     reach: float,
     ground: float | None = None,
     goal: Tensor | None = None,
-    color: str = "#f0a95c",
 ) -> NDArray[np.uint8]:
     """A soft body's surface.
 
@@ -55,7 +54,6 @@ def body_picture(
         reach: Half width of what is seen [m].
         ground: Height of the floor [m]; None: there is none. Its tiles do not move.
         goal: A point to be marked, (3,) [m].
-        color: Color of the skin.
     """
     from matplotlib.colors import LightSource
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -68,7 +66,7 @@ def body_picture(
     axes.add_collection3d(
         Poly3DCollection(
             x.numpy()[faces.numpy()],
-            facecolors=color,
+            facecolors="#f0a95c",
             edgecolors="#7a431055",
             linewidths=0.3,
             shade=True,

@@ -29,14 +29,12 @@ class ControlStep:
     """One control step, as terms of a reward see it.
 
     Attributes:
-        robot: Whose it is.
         dt: Control period [s].
         x_before, x: Nodes at its start and end, (batch, num_nodes, 3) [m].
         action, action_before: Of this step and of the one before, (batch, num_actions) [-].
         command, command_before: The same in their units, as they reached the drives.
         physics: Parameters of the body.
         goal: What markers shall reach, (batch, 3) [m]; None: the task has none.
-        goal_markers: Which markers.
     """
 
     robot: DescribedRobot

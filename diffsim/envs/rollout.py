@@ -41,7 +41,6 @@ def rollout_task(
     """Steer a task for some steps.
 
     Args:
-        task: The task to steer.
         controller: Gives the commands.
         state: (batch, ...) from ``task.start``.
         num_steps: Number of steps; above ``task.max_steps`` it makes no sense.

@@ -28,7 +28,6 @@ class FoundRobot:
     """A soft body with the causes that a diagnosis named.
 
     Attributes:
-        saved: Content of the file.
         model: Plain model with its causes, at the file's values.
         plain: The body without them.
         run: Stands for a run of a study: facts of its set-up.
@@ -53,7 +52,6 @@ class FoundRobot:
         Args:
             path: The file, or the folder that holds it, or its content.
             keys: The task's ``model``, which the study had, channels included.
-            plain: What it describes.
             folder: Folder that its files are relative to.
             setup: Facts of the set-up.
 

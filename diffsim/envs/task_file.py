@@ -34,7 +34,6 @@ class TaskFile:
     """Content of a task file.
 
     Attributes:
-        path: Where it is.
         task: Name of the kind of task.
         options: All other keys.
     """
@@ -129,7 +128,6 @@ def require_unchanged(name: str | Path, record: Mapping[str, Any] | None, what: 
     """Refuse a task file that is no longer what it was.
 
     Args:
-        name: Name of a task, or its file.
         record: Of the file, as it was then; None: it was none, or nobody kept it.
         what: What belongs to the file as it was, such as "runs/eel/checkpoint.pt".
 

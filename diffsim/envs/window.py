@@ -40,7 +40,6 @@ class PictureWindow:
     """Shows pictures one after the other, at most as fast as they happened.
 
     Args:
-        title: Title of the window.
         fps: Pictures per second.
 
     Raises:

@@ -347,7 +347,6 @@ def correlated(
 
     Args:
         unit: Independent standard normals, (count, num_names).
-        names: Names of the numbers.
         correlation_of: Function of two names.
     """
     rows = [[correlation_of(a, b) for b in names] for a in names]

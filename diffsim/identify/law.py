@@ -78,13 +78,11 @@ class Variable:
     Attributes:
         name: Name in words, such as "angle" or "heat of current^2".
         formula: Formula in the names of the model, of recorded columns and hidden states.
-        unit: Unit of it.
         columns: Recorded columns that the formula needs.
         states: Hidden states that it needs, by name.
         memory: Kind of the hidden state; "": none.
         of: What drives the hidden state.
         numbers: Numbers of the hidden states, tried values by name; fitted later.
-        number_units: Their units.
         is_turn: Whether laws that repeat are tried: states, readings and time, not what is hidden.
         at: Words of the entries at which a law of it may enter; (): all.
         times: What all of a law of it is multiplied by; None: nothing.

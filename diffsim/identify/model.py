@@ -133,7 +133,6 @@ class BaseValues:
         """Value [unit] of one parameter, (...).
 
         Args:
-            name: Name of the parameter.
             q: Standardized coordinates, (..., num_base).
             linear: Values of those without a logarithm there, (..., num_linear).
         """
@@ -422,10 +421,14 @@ class SimModel:
         this."""
         if not self.batched:
             # of a table's points nearly all sizes are zero; derivatives need all of them
-            every = torch.is_grad_enabled() or not self.leaves_zeros
-            each = range(len(q))
-            acting = [{e: s[k] for e, s in sizes.items() if every or s[k].any()} for k in each]
-            scenes = [self.scene(run, q[k], acting[k], numerics) for k in each]
+            acting: list[dict[Effect, Tensor]] = [{} for _ in q]
+            for effect, size in sizes.items():
+                there = (size != 0.0).any(-1)
+                if torch.is_grad_enabled() or not self.leaves_zeros:
+                    there = torch.ones_like(there)
+                for k in torch.nonzero(there)[:, 0].tolist():
+                    acting[k][effect] = size[k]
+            scenes = [self.scene(run, *at, numerics) for at in zip(q, acting, strict=True)]
             return torch.stack(self.simulate_scenes(scenes))
         # at once where the same effects act: each is as if no other effect were known, and a table
         # costs as much as it has points

@@ -46,7 +46,6 @@ from diffsim.identify.ranges import Range, range_of_number
 from diffsim.identify.setup import DiagnosisSetup
 
 MODEL_FILE = "extended_model.yaml"
-LEAST_CORRELATION = 0.01  # that is worth a place in the file
 FARTHEST = 3.0  # standard deviations that a draw may be off
 _ENTRY_KEYS = ("value", "sd", "unit")
 
@@ -208,7 +207,7 @@ def _correlation(fit: Fit) -> dict[str, dict[str, float]]:
     out: dict[str, dict[str, float]] = {}
     for i in shared:
         row = {names[j]: round(float(fit.correlation[i, j]), 8) for j in shared if j < i}
-        if row := {name: r for name, r in row.items() if abs(r) >= LEAST_CORRELATION}:
+        if row := {name: r for name, r in row.items() if abs(r) >= 0.01}:
             out[names[i]] = row
     return out
 
@@ -345,7 +344,6 @@ def without_values_of(saved: SavedModel, runs: Collection[str]) -> SavedModel:
     """A saved model without what single runs had of their own ("offset@run_9").
 
     Args:
-        saved: Content of the file.
         runs: Names of runs that the model has not met. A fitted run may have had such a name: its
             clock, its start, ... say nothing of another recording.
     """
@@ -402,7 +400,9 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
         ValueError: an effect that is not among the candidates, or lacks a component.
     """
     numerical = [coarse(name, finer) for name, finer in REFINEMENTS.items()]
-    by_name: dict[str, Effect] = {e.name: e for e in (*numerical, *candidates)}
+    # earlier files have places in small letters
+    small = {e.name.lower(): replace(e, name=e.name.lower()) for e in candidates}
+    by_name: dict[str, Effect] = small | {e.name: e for e in (*numerical, *candidates)}
     names = dict.fromkeys(
         c if c in by_name else c.partition(".")[0] for c in saved.components
     )  # "wind.north", or "gain.[propeller=5x4.5]"; an effect with one component its own name

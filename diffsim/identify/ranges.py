@@ -72,7 +72,6 @@ class FittedNumbers:
     """Numbers of a fit with the intervals of an answer.
 
     Attributes:
-        fit: Fit of the extended model.
         ranges: 90 % intervals by name.
     """
 
@@ -99,7 +98,6 @@ def range_of_number(saved: Numbers, name: str) -> Range:
     """Value and 90 % interval of a number, in its unit.
 
     Args:
-        saved: Saved model.
         name: Parameter or component of the file. Where the file has no interval, it is made of the
             standard deviation of the fit.
     """
@@ -113,7 +111,6 @@ def range_of(formula: Formula, names: Sequence[str], saved: Numbers) -> Range:
     Args:
         formula: Takes numbers by name, () or (num_draws,) each, and returns as many values.
         names: Numbers of the file that it needs.
-        saved: Saved model.
 
     Returns:
         The formula at the saved values, within its interval.
@@ -136,7 +133,6 @@ def draws_of(names: Sequence[str], saved: Numbers) -> dict[str, Tensor]:
 
     Args:
         names: Parameters and components of the file.
-        saved: Saved model.
     """
     names = list(dict.fromkeys(names))
     engine = torch.quasirandom.SobolEngine(len(names), scramble=True, seed=0)

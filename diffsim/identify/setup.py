@@ -92,8 +92,6 @@ class LawPort(ABC):
         Args:
             entry: Where the sum of the terms is added.
             variable: What ``u`` is.
-            terms: A formula for each component.
-            name: Name of the effect.
             typical: Factor that would be no surprise.
         """
 

@@ -16,9 +16,6 @@ CHECKPOINT = "checkpoint.pt"
 def read_checkpoint(folder: str | Path) -> dict[str, Any]:
     """A checkpoint of a training: tensors and plain values, no objects that would run code.
 
-    Args:
-        folder: Folder of the run.
-
     Raises:
         FileNotFoundError: there is none.
         ValueError: it is cut, or no checkpoint of a training.
@@ -45,7 +42,6 @@ def controller_of(folder: str | Path, task: Task) -> MLPController:
     """The controller of an earlier run, to go on with; its observations are normalized as there.
 
     Args:
-        folder: Folder of the run.
         task: That it shall steer from now on: as many observations and actions, such as of the
             same robot on another mesh.
 

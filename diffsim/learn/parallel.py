@@ -8,8 +8,7 @@ that of one process with the whole batch, up to the order of sums.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -54,19 +53,6 @@ def rank() -> int:
 def launched_together() -> bool:
     """Whether ``torchrun`` has started this process beside others."""
     return int(os.environ.get("WORLD_SIZE", "1")) > 1
-
-
-@contextmanager
-def process_group() -> Iterator[None]:
-    """Join the processes that ``torchrun`` has started; nothing where this one is alone."""
-    if not launched_together():
-        yield
-        return
-    dist.init_process_group("gloo")
-    try:
-        yield
-    finally:
-        dist.destroy_process_group()
 
 
 def own_members(batch: int) -> slice:

@@ -110,8 +110,6 @@ def first_controller(
     methods go on to update them.
 
     Args:
-        task: The task to be controlled.
-        seed: Seed of weights and commands.
         warm_up: Steps of each of eight episodes.
         output_gain: Gain of the last layer's weights.
         balance_clock: As of ``Setup``.

@@ -11,7 +11,6 @@ def connected_parts(num: int, first: IntArray, second: IntArray) -> IntArray:
     """Number of the connected component of each of ``num`` items, (num,), given linked pairs.
 
     Args:
-        num: Number of items.
         first, second: The two items of every link, (num_links,).
     """
     from scipy.sparse import coo_matrix

@@ -63,7 +63,6 @@ def shape_tables(
     """Gradients and weights of elements of a mesh whose nodes lie elsewhere.
 
     Args:
-        mesh: The mesh.
         x_rest: Rest positions, (num_nodes, 3) [m].
         elements: Indices of elements, (C,); None: all.
 

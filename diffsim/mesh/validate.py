@@ -180,5 +180,5 @@ def _first(indices: IntArray, limit: int = 8) -> str:
     return shown + (", ..." if len(indices) > limit else "")
 
 
-def _indices(indices: IntArray, limit: int = 1000) -> tuple[int, ...]:
-    return tuple(int(i) for i in indices[:limit])
+def _indices(indices: IntArray) -> tuple[int, ...]:
+    return tuple(int(i) for i in indices[:1000])

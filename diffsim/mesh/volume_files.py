@@ -61,7 +61,6 @@ def read_meshio(path: Path, file_format: str) -> VolumeFile:
     """Read a file through meshio.
 
     Args:
-        path: The file.
         file_format: meshio's name of its format.
 
     Raises:

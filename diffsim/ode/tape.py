@@ -58,8 +58,6 @@ def make_tape(
     Args:
         names: Given registers in their order, and what each is: "time", "state", "input" or
             "parameter".
-        rates: Formulas of the rates.
-        readings: Formulas of the readings.
     """
     writer, num_names = _Writer(names), len(names)
     found = [writer.register(f.root) for f in rates]

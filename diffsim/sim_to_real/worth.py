@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import torch
 
 from diffsim.core.checked import checked
+from diffsim.core.figures import figure
+from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.sim_to_real.tracking import EVALUATIONS, TrackingTask, best_command
 from diffsim.systems.twin import Twin
@@ -34,6 +36,8 @@ class Worth:
             "travel" [m], more is better.
         noise: What the search for a command leaves open: by how much its two best ends with the
             cause differ, and what three digits do not show.
+        unit: Unit in which a miss is read; empty: in the task's ``miss``, where channels differ.
+        one: How large a miss of 1 is, in ``unit``.
     """
 
     cause: str
@@ -43,6 +47,18 @@ class Worth:
     unaware: float
     of: str = MISS
     noise: float = 0.0
+    unit: str = ""
+    one: float = 1.0
+
+    def read(self, value: float) -> str:
+        """One of these numbers with its unit, small ones with a prefix.
+
+        Args:
+            value: As ``whole``, ``bought`` and so on.
+        """
+        given, one = ("m", 1.0) if self.of != MISS else (self.unit, self.one)
+        unit, times = small_scale(given, (one * self.whole, one * self.none))
+        return f"{figure(times * one * value)}{after_number(unit)}"
 
     @property
     def bought(self) -> float:
@@ -57,11 +73,10 @@ class Worth:
     @property
     def words(self) -> str:
         """A line for people."""
-        unit = "" if self.of == MISS else " m"
         name = "all causes" if self.cause == ALL else words_of(self.cause)
         text = (
-            f"{name}: best {self.of} {self.whole:.3g}{unit} with it, {self.half:.3g}{unit} "
-            f"with half, {self.none:.3g}{unit} without; {self.unaware:.3g}{unit} if the command "
+            f"{name}: best {self.of} {self.read(self.whole)} with it, {self.read(self.half)} "
+            f"with half, {self.read(self.none)} without; {self.read(self.unaware)} if the command "
             "does not know of it"
         )
         return f"{text}; mending it buys nothing" if self.is_nothing else text
@@ -120,7 +135,7 @@ def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> 
         with torch.no_grad():
             return float(task.score(twin.simulate(task.commands(knots))))
 
-    return TaskByShare(
+    found = TaskByShare(
         best=lambda share, causes, last: best_command(
             twin.with_share(share, causes) if causes else twin,
             task,
@@ -130,3 +145,7 @@ def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> 
         score=lambda found: found.score,
         unaware=lambda found: unaware(torch.from_numpy(found.knots)),
     ).worth(twin.causes)
+    units = {c.name: c.unit for c in twin.study.channels}
+    kinds = {(units[name], course.miss) for name, course in task.given.wanted.items()}
+    unit, one = kinds.pop() if len(kinds) == 1 else ("", 1.0)
+    return tuple(replace(row, unit=unit, one=one) for row in found)

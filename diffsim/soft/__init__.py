@@ -1,6 +1,6 @@
 """Soft bodies, projective-dynamics and hyperelastic, forward and backward (thesis 4.1)."""
 
-from diffsim.soft._solves import SolveStats
+from diffsim.soft._solves import SolveStats, record_stats
 from diffsim.soft.actuators import (
     ActuatorDynamics,
     ActuatorState,
@@ -21,7 +21,6 @@ from diffsim.soft.physics_tangent import physics_directions
 from diffsim.soft.rollout import rollout
 from diffsim.soft.state import State, Trajectory
 from diffsim.soft.statics import static_equilibrium
-from diffsim.soft.stats import record_stats
 from diffsim.soft.step import step
 from diffsim.soft.tangents import Directions, Tangents, rollout_tangents, static_tangents
 from diffsim.soft.tendons import Tendon

@@ -163,7 +163,6 @@ def let_slide(planes: ContactArrays, force: Tensor, tolerance: Tensor) -> Contac
     such contacts of the body take it: beside one that cannot slide there may again be none.
 
     Args:
-        planes: Half spaces that the step was solved with.
         force: Forces on the nodes, (batch, num_contacts, 3) [N].
         tolerance: Norm of the residual that the step had to reach, (batch,) [N].
     """

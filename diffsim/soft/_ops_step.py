@@ -110,7 +110,6 @@ class BoundStep:
         """x (batch, num_nodes, 3) [m] and stats of a step that :meth:`shares` its parameters.
 
         Args:
-            arrays: Of the step.
             keep: Whether an adjoint is likely to follow: linearly implicit steps of small bodies
                 keep their factors for it.
         """

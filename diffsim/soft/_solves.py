@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 from torch import Tensor
 
-from diffsim.core.record import Solve, announce, is_recording, verdict
+from diffsim.core.record import Solve, announce, is_recording, listening, verdict
 
 
 class SolveStats(NamedTuple):
@@ -77,3 +79,26 @@ def notify(kind: str, stats: Tensor, max_iters: int, *, contact: bool = False) -
             details=figures,
         )
     )
+
+
+@contextmanager
+def record_stats() -> Iterator[list[SolveStats]]:
+    """Collect the statistics of every solve inside the ``with`` block, in order of execution.
+
+    These are the ``details`` of the soft solves of ``diffsim.record()``: each thread of Python
+    collects its own. Steps that checkpointing computes twice are listed twice; explicit steps solve
+    nothing.
+
+    with soft.record_stats() as solves:
+        final = body(state)
+        loss(final).backward()
+    print([s.num_iters.item() for s in solves if s.kind == "adjoint"])
+    """
+    solves: list[SolveStats] = []
+
+    def listen(solve: Solve) -> None:
+        if isinstance(solve.details, SolveStats):
+            solves.append(solve.details)
+
+    with listening(listen):
+        yield solves

@@ -27,7 +27,6 @@ class Loads:
         target: Positions of Dirichlet nodes, (..., num_nodes, 3) [m].
         activation: Activations of the muscles, (..., num_muscles) [-].
         pressure: Gauge pressures of the chambers, (..., num_chambers) [Pa].
-        prepared: The body and its parameters.
     """
 
     force: Tensor
@@ -97,7 +96,6 @@ def check_loads(
     """What acts in a step.
 
     Args:
-        prepared: The body and its parameters.
         shape: Of the positions, (..., num_nodes, 3).
         given: ``LOADS`` by name, as ``step`` takes them; None and what is missing: none.
     """

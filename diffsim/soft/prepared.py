@@ -78,7 +78,6 @@ class PreparedBody:
     that checkpointing takes twice does the same both times.
 
     Args:
-        body: The body.
         physics: Its parameters, from ``body.physics(...)``; None: the body's own.
 
     Attributes:

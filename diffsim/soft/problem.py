@@ -49,7 +49,6 @@ def solve(problem: StepProblem, *, iterate: bool = False) -> Tensor:
     """The positions (..., num_nodes, 3) that solve a problem [m].
 
     Args:
-        problem: What is solved.
         iterate: Whether the solution is asked for where the body's own steps are linearly implicit.
     """
     x = problem.loads.prepared.solve(problem.arrays(), iterate=iterate)

@@ -49,7 +49,6 @@ class Changing:
     """K directions of a body's parameters: what all steps of a rollout share.
 
     Args:
-        prepared: The body and its parameters.
         physics: Their directions, with a leading K.
 
     Attributes:
@@ -98,7 +97,6 @@ def solve_along(
     """Derivatives of a problem's solution x along K directions.
 
     Args:
-        prepared: The body and its parameters.
         arrays: The problem, of one body.
         x: Its solution, (num_nodes, 3) [m].
         rates: Directions by name of ``StepArrays.specs``, with a leading K.

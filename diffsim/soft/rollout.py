@@ -107,7 +107,6 @@ class LoadsInTime:
     """What acts in each step of a rollout; what no step changes is checked once.
 
     Args:
-        prepared: The body and its parameters.
         shape: Of the positions, (..., num_nodes, 3).
         signals: ``LOADS`` by name, as ``rollout`` takes them.
     """

@@ -220,7 +220,6 @@ class _MovedInTime:
     """How loads move in each step, checked; what no step changes is checked once.
 
     Args:
-        body: The body.
         directions: K directions of the inputs.
         count: Number K of directions.
     """

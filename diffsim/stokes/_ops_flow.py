@@ -98,39 +98,33 @@ def _solve(call: Call) -> None:
     _finish(call, call["stats"], "Stokes solve", system)
 
 
-# One solve with the forward's factor serves all inputs; csrc/kernels/stokes/flow_system.cpp.
+def _solve_again(call: Call, name: str, **own: Any) -> None:
+    """One more solve with the forward's factor; csrc/kernels/stokes/flow_system.cpp."""
+    ctx, num_threads = _context(call.options), call.sizes["num_threads"]
+    stats = torch.zeros(call.sizes["cases"], len(STATS), dtype=torch.float64)
+    with ctx.lock:
+        system = ctx.system(call["phi"], num_threads)
+        getattr(system, name)(
+            inputs=_arrays(ctx, _by_name(call), float(call["viscosity"])),
+            **call.addresses("velocity", "pressure"),
+            **own,
+            stats=stats.data_ptr(),
+            num_threads=num_threads,
+        )
+    _finish(call, stats, f"{name} of the Stokes solve", system)
+
+
 def _adjoint(call: Call) -> None:
-    ctx, num_threads = _context(call.options), call.sizes["num_threads"]
-    stats = torch.zeros(call.sizes["cases"], len(STATS), dtype=torch.float64)
-    arrays = _arrays(ctx, _by_name(call), float(call["viscosity"]))
-    with ctx.lock:
-        system = ctx.system(call["phi"], num_threads)
-        system.adjoint(
-            inputs=arrays,
-            **call.addresses("velocity", "pressure", *(f"grad_{n}" for n in RESULTS)),
-            grads=_arrays(ctx, _by_name(call, "grad_"), 0.0),
-            **call.addresses("grad_phi", "grad_viscosity"),
-            stats=stats.data_ptr(),
-            num_threads=num_threads,
-        )
-    _finish(call, stats, "adjoint of the Stokes solve", system)
+    grads = _arrays(_context(call.options), _by_name(call, "grad_"), 0.0)
+    names = (*RESULTS, "phi", "viscosity")
+    _solve_again(call, "adjoint", grads=grads, **call.addresses(*(f"grad_{n}" for n in names)))
 
 
-# The same system along the direction of the inputs; csrc/kernels/stokes/flow_system.cpp.
+# The same system along the direction of the inputs.
 def _tangent(call: Call) -> None:
-    ctx, num_threads = _context(call.options), call.sizes["num_threads"]
-    stats = torch.zeros(call.sizes["cases"], len(STATS), dtype=torch.float64)
-    arrays = _arrays(ctx, _by_name(call), float(call["viscosity"]))
-    with ctx.lock:
-        system = ctx.system(call["phi"], num_threads)
-        system.tangent(
-            inputs=arrays,
-            **call.addresses("velocity", "pressure", "d_phi", *(f"d_{n}" for n in RESULTS)),
-            directions=_arrays(ctx, _by_name(call, "d_"), float(call["d_viscosity"])),
-            stats=stats.data_ptr(),
-            num_threads=num_threads,
-        )
-    _finish(call, stats, "tangent of the Stokes solve", system)
+    along = _arrays(_context(call.options), _by_name(call, "d_"), float(call["d_viscosity"]))
+    names = ("phi", *RESULTS)
+    _solve_again(call, "tangent", directions=along, **call.addresses(*(f"d_{n}" for n in names)))
 
 
 LOAD = array("cases?", "num_nodes", "dim", optional=True)

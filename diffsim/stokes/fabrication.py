@@ -48,7 +48,6 @@ def fabrication_mesh(
     ``height``.
 
     Args:
-        grid: The grid.
         phi: Level set at the nodes, (*node_shape,) float64, > 0 in the fluid [m].
         wall_thickness: None: the whole box but the fluid. Otherwise only the solid within this
             distance of the fluid [m], at least two cells; it reaches beyond the box where no
@@ -132,7 +131,6 @@ def channel_mesh(grid: Grid, phi: Tensor, *, height: float | None = None) -> tri
     """Closed surface of the fluid within the box: a casting core, or the domain of another solver.
 
     Args:
-        grid: The grid.
         phi: Level set at the nodes, (*node_shape,) float64, > 0 in the fluid.
         height: Height of the extrusion of a 2D design [m]; required there.
 

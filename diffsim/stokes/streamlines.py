@@ -78,7 +78,6 @@ def streamlines(
     field of the nodes' velocities.
 
     Args:
-        field: The flow.
         seeds: Points in the fluid, (n, dim) float64 [m], or how many to spread over the inlets (see
             ``inlet_seeds``).
         case: Index of one of the field's cases.
@@ -133,7 +132,6 @@ def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     strips, and those into pieces.
 
     Args:
-        field: The flow.
         count: Number of seeds.
         case: Index of one of the field's cases.
 

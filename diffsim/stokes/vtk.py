@@ -26,7 +26,6 @@ def write_vtk(path: str | Path, field: FlowField) -> Path:
 
     Args:
         path: File name; .vti or .vtu chooses the format, folders are made.
-        field: The flow.
 
     Returns:
         The path.

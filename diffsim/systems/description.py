@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import torch
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from torch import Tensor
 
 from diffsim.causes.listing import list_causes
@@ -24,7 +24,7 @@ from diffsim.causes.scales import SCALES
 from diffsim.core.check import did_you_mean
 from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
-from diffsim.core.schema import KindWords, Part
+from diffsim.core.schema import Part, UnitReader
 from diffsim.core.units import after_number, in_unit
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
@@ -35,6 +35,8 @@ from diffsim.identify.setup import DiagnosisSetup
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+MAX_EFFECTS = 6  # of systems whose parts or quantities have causes of their own
 
 
 class Quantity(Part):
@@ -105,7 +107,12 @@ IN_UNIT = ("value", "sd", "lower", "upper")
 
 
 def quantity(unit: str) -> Any:
-    """Type of a key that is a :class:`Quantity` in a unit; text with another unit is converted.
+    """Type of a key that is a :class:`Quantity` in a unit, as kinds of other packages have it."""
+    return Annotated[Quantity, quantity_in(unit)]
+
+
+def quantity_in(unit: str) -> UnitReader:
+    """A :class:`Quantity` in a unit; text with another unit is converted.
 
     Args:
         unit: SI unit of the key, "-" if none.
@@ -128,19 +135,16 @@ def quantity(unit: str) -> Any:
         }
         return {**given, **numbers, "unit": unit}
 
-    said = KindWords("quantity" if unit == "-" else f"quantity in {unit}")
-    return Annotated[Quantity, BeforeValidator(read), said]
+    return UnitReader("quantity" if unit == "-" else f"quantity in {unit}", read)
 
 
-def positive_quantity(unit: str) -> Any:
-    """Type of a key that is a :class:`Quantity` above 0, such as a mass."""
+def _require_above_zero(given: Quantity) -> Quantity:
+    if given.value <= 0.0:
+        raise ValueError(f"value must be above 0, got {given.value:g}")
+    return given
 
-    def above_zero(given: Quantity) -> Quantity:
-        if given.value <= 0.0:
-            raise ValueError(f"value must be above 0, got {given.value:g}")
-        return given
 
-    return Annotated[quantity(unit), AfterValidator(above_zero)]
+ABOVE_ZERO = AfterValidator(_require_above_zero)  # of a quantity such as a mass
 
 
 def unstated_facts(quantities: Mapping[str, Quantity], runs: Sequence[Run]) -> Iterator[Problem]:
@@ -175,7 +179,6 @@ def mismatched_channels(
 
     Args:
         shown: Keys that name a channel each, and that.
-        study: Study with the channels.
         hint: What to do about a channel that no key names.
     """
     named, channels = list(shown), [c.name for c in study.channels]
@@ -369,7 +372,6 @@ class BaseParameters:
     """Quantities of a description by name: base parameters, and their values in a run.
 
     Args:
-        quantities: Quantities by name of the parameter.
         runs: Runs of the study; ``per`` makes one parameter for each run or each fact of ``setup``.
 
     Attributes:
@@ -424,7 +426,6 @@ class BaseParameters:
 
         Args:
             values: Values of the base parameters by name, () or (K,) each.
-            run: Run that is simulated.
         """
         return {
             key: values[self.name_of(key, run)] if q.is_fitted else self._known[key]
@@ -437,7 +438,6 @@ def fact_in(run: Run, name: str, unit: str) -> float:
 
     Args:
         run: Run whose ``setup`` has it.
-        name: Name of the fact.
         unit: SI unit that it is wanted in.
 
     Raises:

@@ -1,59 +1,35 @@
 """Types of keys that are quantities, known or fitted; text with another unit is converted.
 
-They are named by what they are, known numbers (``core/schema_numbers.py``) by their unit. A type
-checker, which cannot read a call in an annotation, sees what a key holds.
+They are named by what they are, known numbers (``core/schema_numbers.py``) by their unit.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated, TypeAlias
 
-from diffsim.systems.description import Quantity, positive_quantity, quantity
+from diffsim.systems.description import ABOVE_ZERO, Quantity, quantity_in
 
-if TYPE_CHECKING:
-    Acceleration: TypeAlias = Quantity
-    Angle: TypeAlias = Quantity
-    Density: TypeAlias = Quantity
-    Force: TypeAlias = Quantity
-    Frequency: TypeAlias = Quantity
-    Inertia: TypeAlias = Quantity
-    Length: TypeAlias = Quantity
-    Mass: TypeAlias = Quantity
-    Pixels: TypeAlias = Quantity
-    Plain: TypeAlias = Quantity
-    PositiveDensity: TypeAlias = Quantity
-    PositiveInertia: TypeAlias = Quantity
-    PositiveLength: TypeAlias = Quantity
-    PositiveMass: TypeAlias = Quantity
-    PositivePressure: TypeAlias = Quantity
-    Pressure: TypeAlias = Quantity
-    Rate: TypeAlias = Quantity
-    Resistance: TypeAlias = Quantity
-    Speed: TypeAlias = Quantity
-    Time: TypeAlias = Quantity
-    Viscosity: TypeAlias = Quantity
-else:
-    Acceleration = quantity("m/s^2")
-    Angle = quantity("rad")
-    Density = quantity("kg/m^3")
-    Force = quantity("N")
-    Frequency = quantity("Hz")
-    Inertia = quantity("kg m^2")
-    Length = quantity("m")
-    Mass = quantity("kg")
-    Pixels = quantity("px")
-    Plain = quantity("-")
-    PositiveDensity = positive_quantity("kg/m^3")
-    PositiveInertia = positive_quantity("kg m^2")
-    PositiveLength = positive_quantity("m")
-    PositiveMass = positive_quantity("kg")
-    PositivePressure = positive_quantity("Pa")
-    Pressure = quantity("Pa")
-    Rate = quantity("1/s")
-    Resistance = quantity("Pa s/m^3")
-    Speed = quantity("m/s")
-    Time = quantity("s")
-    Viscosity = quantity("Pa s")
+Acceleration: TypeAlias = Annotated[Quantity, quantity_in("m/s^2")]
+Angle: TypeAlias = Annotated[Quantity, quantity_in("rad")]
+Density: TypeAlias = Annotated[Quantity, quantity_in("kg/m^3")]
+Force: TypeAlias = Annotated[Quantity, quantity_in("N")]
+Frequency: TypeAlias = Annotated[Quantity, quantity_in("Hz")]
+Inertia: TypeAlias = Annotated[Quantity, quantity_in("kg m^2")]
+Length: TypeAlias = Annotated[Quantity, quantity_in("m")]
+Mass: TypeAlias = Annotated[Quantity, quantity_in("kg")]
+Pixels: TypeAlias = Annotated[Quantity, quantity_in("px")]
+Plain: TypeAlias = Annotated[Quantity, quantity_in("-")]
+PositiveDensity: TypeAlias = Annotated[Quantity, quantity_in("kg/m^3"), ABOVE_ZERO]
+PositiveInertia: TypeAlias = Annotated[Quantity, quantity_in("kg m^2"), ABOVE_ZERO]
+PositiveLength: TypeAlias = Annotated[Quantity, quantity_in("m"), ABOVE_ZERO]
+PositiveMass: TypeAlias = Annotated[Quantity, quantity_in("kg"), ABOVE_ZERO]
+PositivePressure: TypeAlias = Annotated[Quantity, quantity_in("Pa"), ABOVE_ZERO]
+Pressure: TypeAlias = Annotated[Quantity, quantity_in("Pa")]
+Rate: TypeAlias = Annotated[Quantity, quantity_in("1/s")]
+Resistance: TypeAlias = Annotated[Quantity, quantity_in("Pa s/m^3")]
+Speed: TypeAlias = Annotated[Quantity, quantity_in("m/s")]
+Time: TypeAlias = Annotated[Quantity, quantity_in("s")]
+Viscosity: TypeAlias = Annotated[Quantity, quantity_in("Pa s")]
 
 # anywhere in the play, as likely; it matters only while there is one
 START_IN_PLAY = Quantity(value=0.0, sd=0.6, lower=-1.0, upper=1.0, per="run").as_usual()

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import special
 
 from diffsim.core.arrays import Array
+from diffsim.core.units import small_scale
 from diffsim.data.shown import shown, shown_change
 from diffsim.data.study import Channel
 from diffsim.viz import charts
@@ -43,10 +44,11 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
         channels: Channels of the study, in the order of the records, with their noise.
     """
     shown = seen_channels(runs)[:MAX_PANELS]
+    scales = {i: _scale_of_misfits(runs, i, channels[i]) for i in shown}
     titles = []
     for i in shown:
         unit = channels[i].shown_unit or channels[i].unit
-        titles += [f"{channels[i].name} [{unit}]", f"measured minus predicted [{unit}]"]
+        titles += [f"{channels[i].name} [{unit}]", f"measured minus predicted [{scales[i][0]}]"]
     figure = charts.grid(
         len(shown),
         2,
@@ -59,7 +61,7 @@ def runs_over_time(runs: Sequence[PredictedRun], channels: Sequence[Channel]) ->
     for k, run in enumerate(runs):
         for row, i in enumerate(shown, start=1):
             signals = _signals(run, i, channels[i], most)
-            left = _draw_misfits(run, i, channels[i], most)
+            left = _draw_misfits(run, i, channels[i], most, scales[i][1])
             for drawn in (*signals, *left):
                 drawn.visible = k == 0
                 drawn.showlegend = row == 1 and drawn in signals
@@ -116,14 +118,20 @@ def _noise_bars(channel: Channel, measured: Array, most: int) -> dict[str, Any]:
 
 
 def _draw_band(
-    run: PredictedRun, i: int, channel: Channel, most: int, *, around: Array | None = None
+    run: PredictedRun,
+    i: int,
+    channel: Channel,
+    most: int,
+    *,
+    around: Array | None = None,
+    times: float = 1.0,
 ) -> list[Any]:
-    """Where readings of one channel are expected in one run, or how far off; nothing where it has
-    no band."""
+    """Where readings of one channel are expected in one run, or how far off, ``times`` as large;
+    nothing where it has no band."""
     if run.band is None or not np.isfinite(half := run.band[:, i]).any():
         return []
     if around is None:
-        above = shown_change(channel, run.measured[:, i], half)
+        above = times * shown_change(channel, run.measured[:, i], half)
         edges = above, -above
     else:
         edges = shown(channel, around + half), shown(channel, around - half)
@@ -135,16 +143,27 @@ def _draw_band(
     return [area]
 
 
-def _draw_misfits(run: PredictedRun, i: int, channel: Channel, most: int) -> list[Any]:
-    """What is left of one channel in one run, before and after."""
+def _scale_of_misfits(runs: Sequence[PredictedRun], i: int, channel: Channel) -> tuple[str, float]:
+    """Unit in which what is left of a channel is read, as sentences have it, and the factor."""
+    left = (shown_change(channel, r.measured[:, i], r.measured[:, i] - r.null[:, i]) for r in runs)
+    return small_scale(
+        channel.shown_unit or channel.unit,
+        [float(np.abs(v[np.isfinite(v)]).max(initial=0.0)) for v in left],
+    )
+
+
+def _draw_misfits(
+    run: PredictedRun, i: int, channel: Channel, most: int, times: float
+) -> list[Any]:
+    """What is left of one channel in one run, before and after, ``times`` as large."""
     kinds = [("model before", NULL, run.null)]
     if run.extended is not None:
         kinds.append(("extended model", EXTENDED, run.extended))
-    band = _draw_band(run, i, channel, most)
+    band = _draw_band(run, i, channel, most, times=times)
     return band + [
         charts.line(
             run.time_s,
-            shown_change(channel, run.measured[:, i], run.measured[:, i] - predicted[:, i]),
+            times * shown_change(channel, run.measured[:, i], run.measured[:, i] - predicted[:, i]),
             name,
             color,
             most=most,

@@ -14,6 +14,7 @@ from diffsim.data.study import Channel
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.checks.noise import ljung_box
 from diffsim.diagnose.judge.apart import apart_words
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import CERTAIN
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.law_records import DESCRIBED
@@ -271,9 +272,9 @@ def _data_sheet(r: Report) -> page.Section:
     if (left := len(own) - MAX_NUISANCES) > 0:
         text.append(f"{left} more values of single runs, of smaller pull, are in report.json.")
     stems = (row.name.partition("@")[0].partition("[")[0] for row in r.base if not row.is_told)
-    if names := list(dict.fromkeys(stem.replace("_", " ") for stem in stems)):
-        whole = {row.name.partition("@")[0].partition("[")[0] for row in told}
-        some = ["some of " * (name.replace(" ", "_") in whole) + name for name in names]
+    if names := list(dict.fromkeys(words_of(stem) for stem in stems)):
+        whole = {words_of(row.name.partition("@")[0].partition("[")[0]) for row in told}
+        some = ["some of " * (name in whole) + name for name in names]
         text.append(f"These runs say nothing of {list_first(some, MAX_LISTED * 2)}.")
     content = [tables.base(shown)] if shown else []
     return page.Section(title=title, text=text, content=content)
@@ -298,7 +299,7 @@ def _confounding(r: Report) -> page.Section:
 def _component_of(name: str) -> str:
     """A component of a cause in words: "stiffness_loss.root" is "stiffness loss (root)"."""
     effect, _, component = name.partition(".")
-    words = effect.replace("_", " ")
+    words = words_of(effect)
     return f"{words} ({component_words(component)})" if component else words
 
 
@@ -378,7 +379,8 @@ def _gates(r: Report) -> page.Section:
 
 def _check_words(name: str) -> str:
     """A check in words: "gradient:sliding_friction" is "gradient of sliding friction"."""
-    return name.replace(":", " of ").replace("_", " ")
+    kind, _, of = name.partition(":")
+    return f"{words_of(kind)} of {words_of(of)}" if of else words_of(kind)
 
 
 def _describe_gate(gate: GateResult) -> str:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from diffsim.core.figures import figure, percent, signed, unit_of, with_interval, with_sd
-from diffsim.core.units import small_scale
 from diffsim.diagnose.judge.apart import ApartRow
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.own_values import FAR_OFF, OwnRow, words_of
+from diffsim.diagnose.judge.own_values import OwnRow, words_of
 from diffsim.diagnose.judge.records import (
     HIDDEN,
     REFUTED,
@@ -21,21 +19,21 @@ from diffsim.diagnose.judge.records import (
     ErrorRow,
     Interval,
     OutsideRow,
-    pooled_by_kind,
+    in_small_units,
 )
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import component_words
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.viz.report import Table
 
 _OUT = (REFUTED, HIDDEN, UNJUDGED)  # statuses of causes that the answer does without
-ERRORS = ("before", "after", "noise", "band", "constant", "held", "without", "command")
 MOST_OUTSIDE = 10  # rows: a flight has twenty quantities, most just outside
 
 
 def errors(rows: Sequence[ErrorRow]) -> Table:
     """Error before and after on runs that were not fitted; no columns without a number, and each
     kind of channel in the unit of its key figure."""
-    rows = _in_small_units(rows)
+    rows = in_small_units(rows)
     given = ("constant", "held", "command", "without")
     shown = [which for which in given if any(getattr(row, which) is not None for row in rows)]
     return Table(
@@ -78,20 +76,6 @@ def errors(rows: Sequence[ErrorRow]) -> Table:
     )
 
 
-def _in_small_units(rows: Sequence[ErrorRow]) -> list[ErrorRow]:
-    scales = {
-        (row.kind, row.unit): small_scale(row.unit, (row.after, row.noise))
-        for row in pooled_by_kind(rows)
-    }
-    out = []
-    for row in rows:
-        unit, times = scales[row.kind, row.unit]
-        values = {name: getattr(row, name) for name in ERRORS}
-        read = {name: times * v for name, v in values.items() if v is not None}
-        out.append(replace(row, unit=unit, **read))
-    return out
-
-
 def own(rows: Sequence[OwnRow]) -> list[Table]:
     """What was fitted to runs that nothing else was fitted to; empty where nothing was."""
     if not rows:
@@ -107,7 +91,7 @@ def own(rows: Sequence[OwnRow]) -> list[Table]:
                 unit_of(row.unit) or "–",
                 f"{round(row.pull, 1) + 0.0:+.1f}",  # no minus before zero
             ]
-            for row in rows
+            for row in (row.as_read() for row in rows)
         ],
         caption="Fitted to these runs for the extended model, by what the study declares unknown "
         "per run.",

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from diffsim.core.figures import signed, with_sd
-from diffsim.diagnose.judge.preconditions import SURE_SD
+from diffsim.diagnose.checks.gates import SURE_SD
 from diffsim.diagnose.refit import NullFit
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page

@@ -43,11 +43,13 @@ class Number:
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A figure. ``uri`` is a data URI, see ``figures.data_uri``; ``caption`` says what to see."""
+    """A figure. ``uri`` is a data URI, see ``figures.data_uri``; ``caption`` says what to see;
+    ``narrow`` is the same drawn for a phone, where letters of the wide one cannot be read."""
 
     uri: str
     caption: str
     alt: str = ""
+    narrow: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

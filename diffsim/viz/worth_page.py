@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
 
 from diffsim.core.figures import figure
+from diffsim.core.units import small_scale
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.sim_to_real.worth import ALL, MISS, Worth
 from diffsim.viz import charts
@@ -17,6 +19,7 @@ from diffsim.viz.charts import EXTENDED, NULL
 from diffsim.viz.figures import COLORS
 
 SHOWN = {"whole": "with it", "half": "with half of it", "none": "without it"}
+LABEL = 16  # letters of a cause in a line beside its bars
 UNAWARE = "command that does not know of it"
 TASK_MISS = "root mean square of the misses, each in units of the task's `miss`; less is better"
 TRAVEL = "travel [m]; more is better"
@@ -43,17 +46,18 @@ def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str
     """The page: what mending buys most, every cause as numbers and as bars."""
     ranked = sorted(found, key=lambda row: -row.bought)
     travel = found[0].of != MISS
-    unit = "m" if travel else ""
     numbers = [
         page.Number(
             label=f"mending {_words(row)} buys",
-            value="nothing" if row.is_nothing else figure(row.bought),
-            unit="" if row.is_nothing else unit,
-            note=f"{figure(row.whole)} with it, {figure(row.none)} without",
+            value="nothing" if row.is_nothing else row.read(row.bought).partition(" ")[0],
+            unit="" if row.is_nothing else row.read(row.bought).partition(" ")[2],
+            note=f"{row.read(row.whole)} with it, {row.read(row.none)} without",
         )
         for row in ranked
     ]
-    content: list[page.Item] = [_table(ranked), _bars(ranked, TRAVEL if travel else TASK_MISS)]
+    miss = "root mean square of the misses; less is better" if found[0].unit else TASK_MISS
+    what = TRAVEL if travel else miss
+    content: list[page.Item] = [_table(ranked), _bars(ranked, what)]
     return page.Report(
         title=f"What mending would buy: {name}",
         subtitle="The task's best command was sought again with each cause, with half of its size, "
@@ -63,7 +67,7 @@ def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str
         sections=[
             page.Section(
                 title="Cause by cause",
-                text=[f"Numbers are the {TRAVEL if travel else TASK_MISS}."],
+                text=[f"Numbers are the {what}."],
                 content=content,
             )
         ],
@@ -73,12 +77,11 @@ def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str
 
 def _first_sentence(row: Worth) -> str:
     """What mending buys most, and what it costs a command not to know of it."""
-    unit = " m" if row.of != MISS else ""
     if row.is_nothing:
-        best = f"its best {row.of} is {figure(row.whole)}{unit}"
+        best = f"its best {row.of} is {row.read(row.whole)}"
         return f"Mending no cause buys this task anything: {best}."
-    most = f"its best {row.of} goes from {figure(row.whole)} to {figure(row.none)}{unit}"
-    unaware = f"a command that does not know of it has {figure(row.unaware)}{unit}"
+    most = f"its best {row.of} goes from {row.read(row.whole)} to {row.read(row.none)}"
+    unaware = f"a command that does not know of it has {row.read(row.unaware)}"
     return f"Mending {_words(row)} buys most: {most}; {unaware}."
 
 
@@ -92,9 +95,9 @@ def _table(rows: Sequence[Worth]) -> page.Table:
         rows=[
             [
                 _words(r),
-                *(figure(getattr(r, key)) for key in SHOWN),
-                "nothing" if r.is_nothing else figure(r.bought),
-                figure(r.unaware),
+                *(r.read(getattr(r, key)) for key in SHOWN),
+                "nothing" if r.is_nothing else r.read(r.bought),
+                r.read(r.unaware),
             ]
             for r in rows
         ],
@@ -103,22 +106,42 @@ def _table(rows: Sequence[Worth]) -> page.Table:
     )
 
 
-def _bars(rows: Sequence[Worth], title: str) -> page.Chart:
+def _bars(rows: Sequence[Worth], what: str) -> page.Chart:
+    """Bars that lie, so that names and all of a scale have room on a phone."""
     colors = dict(zip(SHOWN, (EXTENDED, COLORS["fourth"], COLORS["measured_2"]), strict=True))
     labels = {**SHOWN, "unaware": UNAWARE}
+    unit, times = small_scale("m" if rows[0].of != MISS else rows[0].unit, [_largest(rows)])
     bars = [
         charts.graph_objects().Bar(
-            x=[_words(row) for row in rows],
-            y=charts.rounded(np.array([getattr(row, key) for row in rows])),
+            x=charts.rounded(times * _one(rows) * np.array([getattr(row, key) for row in rows])),
+            y=["<br>".join(wrap(_words(row), LABEL)) for row in rows],
+            orientation="h",
             name=label,
             marker_color=colors.get(key, NULL),
         )
         for key, label in labels.items()
     ]
     drawn: Any = charts.graph_objects().Figure(bars)
-    drawn.update_yaxes(title_text=title.split(";")[0].split(",")[0], type="log")
+    title = "travel" if what == TRAVEL else "rms of the misses"
+    ticks = [digit * 10.0**power for power in range(-6, 7) for digit in (1, 2, 5)]
+    drawn.update_xaxes(
+        title_text=f"{title} [{unit}]" if unit else title,
+        type="log",
+        tickvals=ticks,
+        ticktext=[figure(tick) for tick in ticks],  # plotly writes a small 2 for 20
+    )
+    drawn.update_yaxes(autorange="reversed")
+    drawn.update_layout(legend={"traceorder": "normal"})
     return page.Chart(
-        figure=charts.styled(drawn, height=320),
-        caption="Logarithmic scale. A tall last bar says that the command must know of the cause; "
+        figure=charts.styled(drawn, height=140 + 110 * len(rows)),
+        caption="Logarithmic scale. A long last bar says that the command must know of the cause; "
         "a fall from the first bar to the third, that a mended rig would do better.",
     )
+
+
+def _one(rows: Sequence[Worth]) -> float:
+    return rows[0].one if rows[0].of == MISS else 1.0
+
+
+def _largest(rows: Sequence[Worth]) -> float:
+    return _one(rows) * max(row.whole for row in rows)

@@ -26,9 +26,10 @@ def report(
     models: Sequence[Rung],
     plan: Plan,
     banner: str | None,
-    picture: bytes,
+    pictures: tuple[bytes, bytes],
 ) -> rp.Report:
-    """Everything on the page; ``picture`` is the PNG of the beam."""
+    """Everything on the page; ``pictures`` are PNG of the beam, for a wide screen and a phone."""
+    wide, narrow = (figures.uri_of(content, "png") for content in pictures)
     kind = "virtual" if study.is_virtual else "measured"
     return rp.Report(
         title=f"Silicone beam: simulated against {kind}",
@@ -38,7 +39,8 @@ def report(
         banner=banner,
         opening=[
             rp.Picture(
-                uri=figures.uri_of(picture, "png"),
+                uri=wide,
+                narrow=narrow,
                 caption="The tip after release: measured, simulated as is usual, and identified.",
             )
         ],

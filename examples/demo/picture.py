@@ -19,18 +19,24 @@ from examples.demo import verdict
 
 Array = NDArray[np.float64]
 SIZE_INCH, DPI = (12.0, 5.4), 100
+NARROW_INCH, NARROW_DPI = (5.2, 8.0), 150
 
 
-def beam(study: BeamStudy, results: dict[str, Any]) -> bytes:
-    """PNG, 1200 x 540: simulated beam with measured markers, tip height beside it."""
+def beam(study: BeamStudy, results: dict[str, Any], *, narrow: bool = False) -> bytes:
+    """PNG, 1200 x 540: simulated beam with measured markers, tip height beside it; 780 x 1200 with
+    the height below, for a phone."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # an extra
     from matplotlib.figure import Figure
 
     _, case = verdict.cases(study)
     trial = study.repeats()[case][1]
-    figure = Figure(figsize=SIZE_INCH, dpi=DPI, facecolor="white")
-    left = figure.add_axes((0.0, 0.0, 0.46, 0.9), projection="3d")
-    right = figure.add_axes((0.535, 0.14, 0.45, 0.70))
+    size, dpi = (NARROW_INCH, NARROW_DPI) if narrow else (SIZE_INCH, DPI)
+    figure = Figure(figsize=size, dpi=dpi, facecolor="white")
+    places = ((0.0, 0.48, 1.0, 0.42), (0.15, 0.08, 0.82, 0.39))
+    if not narrow:
+        places = ((0.0, 0.0, 0.46, 0.9), (0.535, 0.14, 0.45, 0.70))
+    left = figure.add_axes(places[0], projection="3d")
+    right = figure.add_axes(places[1])
     kept = np.load(results["simulated"]["joint"][case]["surface"])
     time_s, tip = trial.after_release(COMPARE_S)
     lowest = float(time_s[np.argmin(tip[:, 2])])
@@ -51,15 +57,20 @@ def beam(study: BeamStudy, results: dict[str, Any]) -> bytes:
     right.set(xlim=(0.0, COMPARE_S), ylim=(None, 1.0))
     right.set_xlabel("time since release [s]", color=SOFT)
     right.set_ylabel("tip height [mm]", color=SOFT)
-    right.legend(frameon=False, fontsize=10.5, labelcolor=INK, loc="lower right")
+    right.legend(frameon=False, fontsize=9 if narrow else 10.5, labelcolor=INK,
+                 loc="lower right")  # fmt: skip
     words = "VIRTUAL DATA — " if study.is_virtual else ""
-    figure.text(0.03, 0.93, f"{words}A silicone beam with a "
+    above = "above" if narrow else "left"
+    below = "\nbelow" if narrow else "right"
+    red = "\nred" if narrow else "red"
+    figure.text(0.03, 0.955 if narrow else 0.93, f"{words}A silicone beam with a "
                 f"{1e3 * trial.tip_load_mass_kg:.0f} g weight, released",
-                fontsize=16, color=INK, fontweight="bold")  # fmt: skip
-    figure.text(0.03, 0.885, f"left: simulated {1e3 * lowest:.0f} ms after release; red: the "
-                "tip markers and their measured path.  right: tip height on a recording "
-                "that no fit has seen",
-                fontsize=10.5, color=SOFT)  # fmt: skip
+                fontsize=11 if narrow else 16, color=INK, fontweight="bold")  # fmt: skip
+    figure.text(0.03, 0.945 if narrow else 0.885,
+                f"{above}: simulated {1e3 * lowest:.0f} ms after release; {red}: the "
+                f"tip markers and their measured path.  {below}: tip height on a recording "
+                "that no fit has seen", va="top" if narrow else "baseline",
+                fontsize=9 if narrow else 10.5, color=SOFT)  # fmt: skip
     buffer = io.BytesIO()
     FigureCanvasAgg(figure).print_png(buffer)
     return buffer.getvalue()

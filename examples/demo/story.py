@@ -261,8 +261,9 @@ def _write_page(
     study: BeamStudy, results: dict[str, Any], models: list[ladder.Rung], plan: Plan, out: Path
 ) -> None:
     from diffsim.viz import report as rp
-    from examples.demo import page
+    from examples.demo import page, picture
 
     banner = VIRTUAL_BANNER if study.is_virtual else None
-    picture = Path(results["files"]["picture"]).read_bytes()
-    rp.write(page.report(study, results, models, plan, banner, picture), out / "report.html")
+    wide = Path(results["files"]["picture"]).read_bytes()
+    drawn = (wide, picture.beam(study, results, narrow=True))
+    rp.write(page.report(study, results, models, plan, banner, drawn), out / "report.html")

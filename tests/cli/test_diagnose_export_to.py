@@ -2,13 +2,19 @@
 
 import importlib.util
 import json
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import yaml
 
+import diffsim
 from diffsim.cli import main
 from diffsim.cli.diagnose_export import say_interval
+from diffsim.cli.export_flight import fly
+from diffsim.data import Run
 from diffsim.identify.ranges import Range
 from tests.systems.outside.test_mjcf import XML as PENDULUM
 
@@ -80,15 +86,34 @@ def test_an_answer_flies_in_mujoco_as_it_does_here(servo, capsys):
     assert carried == {"delay_of_goal", "rate_limit_of_goal", "load_friction", "starting_duty"}
     assert causes["quantization_of_goal"]["cost"]["position"] > 1.0
     said = capsys.readouterr().out
-    assert "  quantization_of_goal: not carried to mujoco; it is worth " in said
-    assert "  delay_of_goal: carried by delay_s; it is worth " in said
-    assert "Flown in MuJoCo on 2 runs: " in said
+    assert "  quantization of goal: not carried to mujoco; without it off: position by " in said
+    assert "  delay of goal: carried by delay_s; without it off: position by " in said
+    assert "position, flown in MuJoCo on 2 runs: " in said and "e-0" not in said
     # what is not carried, and MuJoCo's steps of the first order: mrad
     missed = causes["quantization_of_goal"]["cost"]["position"]
     assert len(found["flights"]) == 2
     for flight in found["flights"]:
         assert flight["apart"] < 4.0 + 1.5 * missed
         assert flight["export"] == pytest.approx(flight["model"], rel=0.15)
+
+
+def test_a_cause_that_no_formula_reads_says_which_one_would(servo, tmp_path, capsys):
+    """It said "not carried to mujoco" of a delay, which MuJoCo's drive has."""
+    ready = Path(diffsim.__file__).parent / "data/ready/position_servo.yaml"
+    rig = yaml.safe_load(ready.read_text("utf-8"))
+    fewer = {n: f for n, f in rig["export"]["mujoco"].items() if n != "delay_s"}
+    fewer["supply_drop"] = 0  # a number is a formula, too
+    folder = shutil.copytree(servo, tmp_path / "servo")
+    rig = {**rig, "export": {"mujoco": fewer}}
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    (folder / "study.yaml").write_text(yaml.safe_dump({**SERVO, "like": "rig.yaml"}))
+    found = {c["cause"]: c for c in export(folder, "mujoco")["causes"]}
+    assert not found["delay_of_goal"]["by"] and found["delay_of_goal"]["would"] == "delay_s"
+    said = capsys.readouterr().out
+    assert "to mujoco, unless export.mujoco says `delay_s: delay_of_goal`; without it" in said
+    assert not found["quantization_of_goal"]["would"], "a drive has no constant for it"
+    export(folder, "urdf")
+    assert "unless" not in capsys.readouterr().out, "a joint of a URDF has no delay"
 
 
 def test_what_is_written_stands_alone(servo):
@@ -173,8 +198,25 @@ def test_a_study_of_a_mujoco_model_gets_its_own_model_back(tmp_path, capsys):
     (flight,) = found["flights"]
     assert flight["apart"] < 2e-4 < flight["export"], "six digits, forces of RK4 and of the joint"
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "answer/model.xml"))
+    said = capsys.readouterr().out
+    assert "viscous friction at hinge: carried by joint.hinge.damping; without it off: " in said
+    assert "angle, flown in MuJoCo on 1 run: " in said and " rad" not in said  # mrad
+    assert "value (90 % interval)" not in said, "no constant follows"
     assert model.dof_damping[0] == pytest.approx(0.08) and model.body("rod").mass == 0.6
     np.testing.assert_allclose(model.body("rod").ipos[:2], [0.005, 0.02], atol=1e-6)
+    urdf = export(tmp_path, "urdf")
+    lacks = [c["cause"] for c in urdf["causes"] if not c["by"]]
+    assert lacks == ["added_spring_at_hinge"], "what a joint of a URDF cannot have"
+    root = ElementTree.fromstring(f"<r>{(tmp_path / 'answer/joints.urdf.xml').read_text()}</r>")
+    assert float(root.find("joint/dynamics").get("damping")) == pytest.approx(0.08)
+    assert float(root.find("joint/dynamics").get("friction")) == pytest.approx(0.02)
+    assert float(root.find("link[@name='rod']/inertial/mass").get("value")) == 0.6
+    inertia = root.find("link[@name='rod']/inertial/inertia")  # of all, about their center
+    mujoco.mju_quat2Mat(turn := np.zeros(9), model.body("rod").iquat)
+    full = turn.reshape(3, 3) @ np.diag(model.body("rod").inertia) @ turn.reshape(3, 3).T
+    assert float(inertia.get("ixx")) == pytest.approx(full[0, 0], rel=1e-4)
+    assert float(inertia.get("iyz")) == pytest.approx(full[1, 2], rel=1e-3)
+    assert urdf["flights"][0]["apart"] > 10.0 * flight["apart"], "without the spring"
     study["channels"][0]["shown_unit"] = "mrad"
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     (shown,) = export(tmp_path, "mujoco")["flights"]
@@ -196,3 +238,12 @@ def test_a_study_of_a_mujoco_model_gets_its_own_model_back(tmp_path, capsys):
 )
 def test_an_interval_without_an_end_is_said_in_words(found, words):
     assert say_interval(found).strip() == words
+
+
+def test_a_held_goal_is_flown_held():
+    """Lines between samples lead a held goal by half a sample: 20 mrad of a servo at 4 rad/s."""
+    time = np.array([0.0, 0.5, 1.0])
+    run = Run(name="a", group="a", time_s=time, measured=np.zeros((3, 1)), command={"goal": time})
+    drive = {"kp": 20.0, "damping": 2.0, "load_inertia": 0.01, "load_moment": 0.01}
+    held, lines = (fly(drive, run, is_held=held) for held in (True, False))
+    assert abs(held[1]) < 1e-6 and lines[1] > 0.2

@@ -10,6 +10,7 @@ import yaml
 from diffsim import cli
 from diffsim.cli.diagnose_inputs import inputs_of
 from diffsim.data import Command, load_study, save_study
+from diffsim.diagnose.refit import wanted_columns
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Problem, save_extended
 from diffsim.identify.law import Entry, Law, Variable
@@ -135,5 +136,18 @@ def test_no_run_is_advised_beyond_the_travel_of_a_channel(folder, capsys):
         advised = json.loads((folder / "out" / "next.json").read_text())["chi2_gain"]
     said = capsys.readouterr().out
     assert "warm grease could not be judged: record a column of temperature" in said
+
     bank = inputs_of(load_study(folder / "study"), seed=0, with_bank=True).setup.bank
     assert 0 < len(advised) < len(bank)
+
+
+def test_what_no_record_would_mend_is_not_asked_for():
+    """It said: "record its derivative could not be confirmed"."""
+    row = {"status": "not judged", "words": "lag", "probability": 0.2}
+    rows = [row | {"note": "its derivative could not be confirmed"}]
+    rows.append(row | {"note": "not judged: repeats differ more than the noise", "words": "play"})
+    said = wanted_columns({"verdict": "named", "causes": rows})
+    assert said == [
+        "lag could not be judged: its derivative could not be confirmed",
+        "play could not be judged: repeats differ more than the noise",
+    ]

@@ -364,6 +364,16 @@ def test_meshes_and_includes_in_folders_of_their_own_are_found(tmp_path):
     assert setup_of(load_study(folder / "study.yaml")).model.name == "scene.xml in MuJoCo"
 
 
+def test_a_file_that_is_the_model_is_not_said_to_be_unused(tmp_path, capsys):
+    """Two lines contradicted each other: "not used: arm.xml", "model: arm.xml"."""
+    folder = arm_folder(tmp_path)
+    (folder / "wiring.dwg").write_bytes(b"AC1015")
+    init(folder)
+    said = capsys.readouterr().out
+    assert "guessed: model: arm.xml" in said
+    assert "other files, not used: wiring.dwg\n" in said
+
+
 def test_words_that_all_joints_share_tell_none_and_a_current_is_no_torque(tmp_path, capsys):
     folder = arm_folder(tmp_path, one="FR_thigh_joint", two="FR_calf_joint")
     for path in folder.glob("*.csv"):

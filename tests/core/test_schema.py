@@ -8,20 +8,21 @@ from pydantic import Field, ValidationError
 
 from diffsim.copter.design.design_file import load_design
 from diffsim.core.errors import Mistakes
-from diffsim.core.schema import FinitePart, Part, number, problem_lines, read_part
+from diffsim.core.schema import FinitePart, Part, problem_lines, read_part
+from diffsim.core.schema_numbers import Kilograms, Meters
 from diffsim.core.yaml_text import load_yaml, read_yaml_file
 from diffsim.data import load_study
 from diffsim.identify.model_file import read_extended
 
 
 class Mass(Part):
-    mass: number("kg") = Field(description="Mass")
+    mass: Kilograms = Field(description="Mass")
     label: str = Field("", description="Label")
 
 
 class Cart(Part):
     masses: tuple[Mass, ...] = Field(min_length=1, description="Masses")
-    length: number("m") = Field(description="Length")
+    length: Meters = Field(description="Length")
 
 
 def lines(content) -> list[str]:
@@ -56,7 +57,7 @@ def test_entries_that_are_wrong_are_not_missing():
 
 def test_numbers_of_a_finite_block_are_finite():
     class Rod(FinitePart):
-        sizes: tuple[number("m"), ...]
+        sizes: tuple[Meters, ...]
 
     with pytest.raises(Mistakes) as caught:
         read_part(Rod, {"sizes": [1, float("nan"), float("inf")]}, "rod.yaml: ")

@@ -167,8 +167,15 @@ def test_a_unit_beyond_what_numbers_hold_is_refused(unit):
         ("m^3/s", 3e-6, "ml/s", 3.0),
         ("m3/s", 2e-2, "l/s", 20.0),
         ("m3/s", 0.5, "m3/s", 0.5),
-        ("m", 1e-6, "mm", 1e-3),
-        ("N", 1e-3, "N", 1e-3),
+        ("m", 2e-4, "mm", 0.2),
+        ("m", 1e-6, "um", 1.0),
+        ("rad", 0.0123, "mrad", 12.3),
+        ("rad/s", 0.004, "mrad/s", 4.0),
+        ("N m", 0.02, "mN m", 20.0),
+        ("N", 1e-3, "mN", 1.0),
+        ("N", 0.2, "N", 0.2),
+        ("N m s/rad", 1e-3, "N m s/rad", 1e-3),  # as the model's formula has it
+        ("m", 0.0, "m", 0.0),
     ],
 )
 def test_what_is_small_is_read_in_the_unit_that_keeps_its_digits(unit, value, shown, read):

@@ -147,7 +147,7 @@ def tared(runs=SWEEPS, zeros=ZEROS, seed=0):
 
 def test_a_zero_of_each_run_is_named_and_an_unseen_run_tells_its_own():
     report = answer(tared())
-    assert (report.verdict, report.named) == ("named", ("zero_per_run_of_thrust_n",))
+    assert (report.verdict, report.named) == ("named", ("zero_per_run_of_thrust_N",))
     (cause,) = [c for c in report.causes if c.name in report.named]
     # of the test run, to which nothing was fitted, nothing is said
     assert list(cause.size) == [f"@A_{k}" for k in range(4)]
@@ -173,7 +173,7 @@ def test_a_saved_zero_of_each_run_is_judged_on_runs_of_another_study(tmp_path):
 
 def test_two_runs_do_not_ask_for_a_zero_each():
     s = setup_of(bench(runs=RUNS[1:]))
-    zero = next(e for e in s.effects if e.name == "zero_per_run_of_thrust_n")
+    zero = next(e for e in s.effects if e.name == "zero_per_run_of_thrust_N")
     assert zero.needs(bench(runs=RUNS[1:])) == "3 runs to fit"
 
 

@@ -53,14 +53,50 @@ def test_the_record_tells_whether_its_first_command_stood_before(before, seed):
     assert known is None or known.tolist() == [0.0]
 
 
+@pytest.mark.parametrize("stood", [True, False])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_speed_that_changes_at_once_is_heard_before_though_it_comes_late(stood, seed):
+    """Feed-forward of a sine begins with its greatest speed: a drive that was let go with it moves
+    at once, and still hears all that follows late."""
+    rng, runs = np.random.default_rng(seed), []
+    for name, size, rate in (("slow", 0.4, 6.0), ("fast", 0.2, 15.0)):
+        goal, speed = size * np.sin(rate * TIME), size * rate * np.cos(rate * TIME)
+        q = w = 0.0
+        seen = []
+        for t in TIME:
+            seen.append(q)
+            for part in range(20):
+                k = int(np.floor((t + 0.0005 * part - LATE) / 0.01 + 1e-9))
+                first = speed[0] if stood else 0.0
+                to, at = (goal[k], speed[k]) if k >= 0 else (0.0, first)
+                w += 0.0005 * (61.0 * (to - q) + 9.2 * (at - w))
+                q += 0.0005 * w
+        measured = np.array(seen)[:, None] + rng.normal(0.0, 1e-3, (len(TIME), 1))
+        runs.append(Run(name, TIME, measured, {"goal": goal, "speed": speed}, name))
+    model = {
+        **MODEL,
+        "inputs": [{"name": "goal", "held": True}, {"name": "speed", "held": True}],
+        "rates": {"q": "w", "w": "k*(goal - q) + d*(speed - w)"},
+    }
+    channel = Channel("angle", "rad", "angle", sd=1e-3)
+    study = Study("servo", "ode", (channel,), tuple(runs), model=model)
+    made = setup_of(study).model
+    before = made.scene(study.runs[0], made.at_prior()).commands.before
+    assert before is not None
+    goal_before, speed_before = before.tolist()
+    assert goal_before == 0.0
+    assert np.isnan(speed_before) == stood  # its first value, else zero
+
+
 def test_without_motion_or_noise_that_is_stated_nothing_is_told():
     rng = np.random.default_rng(5)
-    moved = [1.0 - np.exp(-6.0 * np.maximum(TIME - 0.01 * d, 0.0)) for d in (0.0, *TRIED)]
+    delays = (0.0, *(0.0 for _ in TRIED), *TRIED)
+    moved = [1.0 - np.exp(-6.0 * np.maximum(TIME - 0.01 * d, 0.0)) for d in delays]
     every = np.array(moved)[..., None]
     noise = 1e-3 * rng.normal(size=every[0].shape)
     sd = np.array([1e-3])
     assert is_heard_at_once([(every, every[0] + noise)], sd)
-    assert not is_heard_at_once([(every, every[1] + noise)], sd)
+    assert not is_heard_at_once([(every, every[-1] + noise)], sd)
     assert not is_heard_at_once([(every, every[0] + noise)], np.array([np.nan]))
     assert not is_heard_at_once([(0.0 * every, noise)], sd)
     assert not is_heard_at_once([(every, np.full_like(noise, np.nan))], sd)

@@ -323,8 +323,8 @@ def test_equations_too_fast_for_the_samples_are_stepped_more_often():
 def test_steps_are_tried_once_for_the_check_and_the_set_up(monkeypatch):
     """Both simulated the plain model, and asked twice whether a command moves all the time."""
     tried, asked = [], []
-    away, moves = mends.runs_away, reading.moves_on
-    monkeypatch.setattr(mends, "runs_away", lambda *a: tried.append(a) or away(*a))
+    away, moves = mends._runs_away, reading.moves_on
+    monkeypatch.setattr(mends, "_runs_away", lambda *a: tried.append(a) or away(*a))
     monkeypatch.setattr(reading, "moves_on", lambda *a: asked.append(a) or moves(*a))
     study = winding(inputs=[{"name": "force"}])
     description = description_of(study)

@@ -277,6 +277,16 @@ def test_runs_are_drawn_in_the_unit_of_the_recordings():
     assert figure.layout.annotations[0].text == "tip_z_m [mm]"
 
 
+def test_what_is_left_is_drawn_in_the_unit_of_the_sentence():
+    """The first sentence said 1.02 mrad, the chart beside it 0.001 rad."""
+    figure = charts.runs_over_time(RUNS[1:], CHANNELS)
+    left, rest = figure.data[3:5]
+    far = np.abs(RUNS[1].measured - RUNS[1].null)[:, 0].max()
+    assert far < 0.1 and figure.layout.annotations[1].text == "measured minus predicted [mm]"
+    np.testing.assert_allclose(left.y, 1e3 * (RUNS[1].measured - RUNS[1].null)[:, 0], rtol=1e-3)
+    assert np.abs(rest.y).max() > 1e-3 * np.abs(left.y).max()
+
+
 def test_channels_that_no_run_measured_are_not_drawn():
     blank = RUNS[1].measured.copy()
     blank[:, 0] = np.nan

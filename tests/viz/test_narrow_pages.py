@@ -88,6 +88,13 @@ def test_what_does_not_pay_and_what_to_do_are_said():
         "Mending own lag buys most: its best miss goes from 4 to 3.9; a command that does not know "
         "of it has 4."
     ]
+    shown = worth_page([Worth("lag", 4.0, 2.0, 1.0, 9.0, unit="rad", one=0.001)], "cart", [])
+    assert (shown.numbers[0].value, shown.numbers[0].unit) == ("3", "mrad")
+    assert "from 4 mrad to 1 mrad; a command that does not know of it has 9 mrad" in str(shown)
+    bars = shown.sections[0].content[1].figure
+    assert bars.layout.xaxis.title.text == "rms of the misses [mrad]"
+    assert "20" in bars.layout.xaxis.ticktext
+    assert [bar.x[0] for bar in bars.data] == [4.0, 2.0, 1.0, 9.0]
     harm = Worth("lag", 4.0, 4.1, 4.2, 4.2, noise=0.02)  # it said: buys -0.2
     page = worth_page([harm], "cart", [])
     assert page.verdict[0].startswith("Mending no cause buys this task anything")

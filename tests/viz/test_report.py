@@ -35,6 +35,15 @@ def example(**changes) -> rp.Report:
     return rp.Report(**{**settings, **changes})
 
 
+def test_a_phone_is_shown_the_picture_that_was_drawn_for_it():
+    wide = rp.Picture(uri="data:image/png;base64,QQ==", caption="Tip")
+    narrow = rp.Picture(uri=wide.uri, caption="Tip", narrow="data:image/png;base64,Qg==")
+    html = rp.render(example(opening=[narrow]))
+    source = '<source media="(max-width: 40rem)" srcset="data:image/png;base64,Qg==">'
+    assert html.count("<source") == html.count(source) == 1
+    assert "<source" not in rp.render(example(opening=[wide]))
+
+
 class Tags(HTMLParser):
     VOID = ("meta", "img", "br", "link")
 

@@ -97,7 +97,6 @@ class _Solution(NamedTuple):
     """A solved program and how it came about.
 
     Attributes:
-        task: The task that was solved.
         point: The candidate.
         program: The program with hard hover.
         x: Unknowns of the program at the optimum.

@@ -16,7 +16,6 @@ def lagrangian_hessian(
     """Second derivative of of_objective * objective + equal . equalities + unequal . inequalities.
 
     Args:
-        program: The program.
         x: All unknowns, (num_all,).
         equal: Multipliers of ``program.equalities``.
         unequal: Multipliers of ``program.inequalities``.

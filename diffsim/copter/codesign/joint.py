@@ -44,7 +44,6 @@ class Joint(NamedTuple):
         task: The task that was solved; its start is moved where the given one cannot be controlled.
         point: The best candidate.
         solution: Local solution at the best candidate.
-        program: The program that was solved.
         records: One per start.
         warnings: What its user must know.
     """

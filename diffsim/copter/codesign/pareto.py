@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Any
@@ -57,16 +57,10 @@ def pareto_front(
     mixes = [dict(zip(names, mix, strict=True)) for mix in _simplex(len(names), num_points)]
     with show_progress(total=len(mixes), disable=not progress, unit="mix") as bar:
         results = run_each(
-            partial(_design_mix, design, settings), mixes, executor, done=lambda *_: bar.update()
+            partial(codesign, design, **settings), mixes, executor, done=lambda *_: bar.update()
         )
     keep = undominated(np.array([[r.metrics[name] for name in names] for r in results]))
     return sorted((results[i] for i in keep), key=lambda r: r.metrics[names[0]])
-
-
-def _design_mix(
-    design: DesignSpace, settings: Mapping[str, Any], mix: Mapping[str, float]
-) -> CoDesignResult:
-    return codesign(design, mix, **settings)
 
 
 def undominated(values: Array, *, tolerance: float = 1e-6) -> list[int]:

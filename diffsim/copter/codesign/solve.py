@@ -35,7 +35,6 @@ class LocalSolution:
         history: Objective after each iteration.
         violations: Violation after each iteration.
         seconds: Wall time since the start after each iteration.
-        num_iters: Iterations.
     """
 
     x: Array

@@ -187,7 +187,6 @@ class Composer:
         """Put an adapter on a host; returns its patch that faces what follows.
 
         Args:
-            adapter: The part.
             host: Patch of the part onto which the adapter is put.
             guest: Name of the part that the whole connection is for.
             following: Shape of the patch that comes next.
@@ -278,7 +277,6 @@ def clip_for(spec: PartSpec, motor: Part, host: ContactEnd, degrees: float) -> P
 
     Args:
         spec: Specification of the motor, with a direction.
-        motor: The part.
         host: What carries the motor, placed.
         degrees: Turn of the clip about the host's normal.
 

@@ -25,8 +25,6 @@ class ContactEnd:
     """A patch of a placed part.
 
     Attributes:
-        placed: The part.
-        patch_name: Name of the patch.
         at: Place along the patch's sliding directions [m]; None for its center.
         slide: Whether that place is free; None leaves it to the patch.
     """

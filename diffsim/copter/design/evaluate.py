@@ -14,12 +14,7 @@ from diffsim.core.arrays import Array
 
 
 class PartTensors:
-    """What is constant while parameters move; gradients flow through every method.
-
-    Args:
-        placed: All parts.
-        names: Names of all parameters.
-    """
+    """What is constant while parameters move; gradients flow through every method."""
 
     def __init__(self, placed: Sequence[PlacedPart], names: Sequence[str]):
         index = {name: i for i, name in enumerate(names)}

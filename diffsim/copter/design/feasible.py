@@ -38,7 +38,6 @@ class FeasibleSet:
 
     Attributes:
         names: Names of all parameters x, (n,).
-        equalities, inequalities: The constraints.
         free_idx: Indices of the free entries of x, (n_free,).
         offset: (n,); basis: (n, n_free): x = offset + basis @ s.
     """
@@ -145,7 +144,6 @@ def eliminate(
     """Free parameters and basis of the equalities' solutions.
 
     Args:
-        names: Names of all parameters.
         constraints: Equalities and inequalities.
         preference: Per parameter; among choices the ones with the highest preference become free.
 

@@ -58,7 +58,6 @@ def placed_meshes(
     """Closed surfaces in the design's frame.
 
     Args:
-        parts: Parts of the design.
         values: All parameters by name [m].
         directions: Thrust directions, (n_rotors, 3), by which motors and their propellers are
             turned about the propeller's center; None leaves them as built.

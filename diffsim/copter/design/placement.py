@@ -56,7 +56,6 @@ class PlacedPart:
     """A part in a design.
 
     Attributes:
-        name: Name of the part in the design.
         part: The part, from the database.
         rotation: Design frame from part frame, (3, 3).
         automatic: Inserted by a rule, not by the author.

@@ -100,7 +100,6 @@ def whole_scene(model: str | Path, folder: Path | None = None) -> tuple[str, Fil
     """The text of an MJCF file with what it includes, for its motion, and its files by name.
 
     Args:
-        model: The file. Or its text, which names no files.
         folder: Folder that holds the file and all that it names; None: that of the file.
 
     Raises:

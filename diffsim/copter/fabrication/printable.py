@@ -39,7 +39,6 @@ def print_mesh(placed: PlacedPart, values: Array, design: Design) -> trimesh.Tri
     """The mesh of a printed part, centered on the bed, z from 0 up [mm].
 
     Args:
-        placed: The part.
         values: Shape parameters of the part [m].
         design: The design, which says what is screwed onto a frame.
     """

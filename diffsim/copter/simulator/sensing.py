@@ -77,7 +77,6 @@ class SensorStream:
 
     Args:
         sensors: Noise of the sensors; biases are drawn once, here.
-        seed: Seed of the noise.
     """
 
     def __init__(self, sensors: FlightSensors, seed: int):

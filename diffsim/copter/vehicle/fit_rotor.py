@@ -66,7 +66,6 @@ class RotorFit:
 
     Attributes:
         table: The rows.
-        model: The rotor.
         curves: ``thrust`` and ``thrust_offset`` (without and with a free offset), ``torque``,
             ``current`` (at the nominal voltage) and ``speed``.
         hysteresis: Up against down sweep where there are both: exponents with standard errors,

@@ -61,7 +61,6 @@ def placed_moments(moments: Moments, rotations: Tensor, translations: Tensor) ->
     """Moments in the design's frame of parts whose vertices are R v + t.
 
     Args:
-        moments: Moments in the parts' frames.
         rotations: (num_parts, 3, 3).
         translations: Translation of each part, (num_parts, 3) [m].
     """

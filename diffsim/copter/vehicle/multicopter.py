@@ -9,13 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from diffsim.core import units
 from diffsim.core.check import require
 from diffsim.core.checked import checked
 from diffsim.core.module import loadable
 from diffsim.core.numbers import values_of
 from diffsim.core.values import as_array
 
-GRAVITY = 9.81  # [m/s^2]
+GRAVITY = units.GRAVITY  # [m/s^2]
 
 NUMBERS = (
     "mass",

@@ -101,7 +101,6 @@ def assembled(
         places: Of the rotors, (3,) each [m].
         axes: Directions of thrust, (3,) each.
         spins: +1 clockwise seen against the thrust, else -1.
-        rotors: Their models.
         battery: None: not said.
         name: What logs and pictures call it.
         source: What messages call the file.
@@ -165,7 +164,6 @@ def own_rotor(
         max_thrust: At full signal and nominal voltage [N].
         torque_ratio: Reaction torque over thrust [m].
         cells: Of the battery in series, whose nominal voltage max_thrust is for.
-        thrust_exponent: Power of the speed in the thrust.
         max_speed: At full signal [rad/s]; None: usual.
         time_constant: Lag of the thrust [s]; None: usual.
         assumed: What the caller assumed of these.

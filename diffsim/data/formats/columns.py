@@ -43,7 +43,6 @@ def require_room(path: Path, unpacked: int) -> None:
     """Refuse a file that says of itself that it unpacks to more than ``most_unpacked``.
 
     Args:
-        path: The file.
         unpacked: Bytes that it says it has.
     """
     if unpacked > (most := most_unpacked(path)):

@@ -42,7 +42,6 @@ def read(path: Path, part: str, *, upright: bool = False) -> Columns:
 
     Args:
         path: The file.
-        part: The group.
         upright: Whether the longer side of a matrix is that of the samples, as in MATLAB's files.
     """
     h5py = _h5py()

@@ -103,11 +103,9 @@ class Signal:
     """A channel or a command.
 
     Attributes:
-        name: Of the channel or command.
         role: "channel" or "command".
         column: Column of the files; the name, where a formula has several.
         unit: SI unit of the channel or command; None: not stated.
-        runs: Its samples, by run.
         scale: SI value of one in the file's unit, where it is a multiple; None: it is not.
         sd: Noise that is stated, in the file's unit; 0: none.
         is_measured: Whether it was measured.
@@ -169,9 +167,7 @@ class Record:
     """A study as its rules see it.
 
     Attributes:
-        study: The study.
         channels: What was measured.
-        commands: What was commanded.
     """
 
     study: Study

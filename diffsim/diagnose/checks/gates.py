@@ -28,7 +28,6 @@ from diffsim.identify.effort import SearchSettings
 from diffsim.identify.model import SimModel
 
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
-REMEMBERED = 8  # of so many stretches one is, chosen by its content: any part has the same ones
 
 
 def require_separate(study: Study) -> None:
@@ -101,7 +100,7 @@ def stretches_of(run: Run) -> dict[str, int]:
         if None in stretch or len(set(stretch)) < STRETCH:
             continue
         digest = hashlib.sha256(b"".join(filter(None, stretch))).digest()
-        if digest[0] % REMEMBERED == 0:
+        if digest[0] % 8 == 0:  # one of eight, chosen by its content: any part has the same ones
             out[digest[1:7].hex()] = i
     return out
 
@@ -180,6 +179,7 @@ CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
 PLAIN = "plain_budget"
 CONTRADICTED = "contradicted"
+SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 MUCH_UNSEEN = 3.0  # noise sd, root mean square, that unseen runs show
 UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"
@@ -268,7 +268,6 @@ def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]
 
     Args:
         model: The plain model, as it was fitted.
-        runs: Runs that were fitted.
     """
     short = model.short_windows(runs)
     if not short:
@@ -289,8 +288,6 @@ def budget_gates(
     Args:
         num_unscanned: Groups of effects with kinks that were not tried over decades.
         num_unfitted: Sets that could be better and that nobody fitted.
-        settings: The budgets.
-        plain: Fit of the plain model.
     """
     if plain.ended == "budget":
         note = (
@@ -338,16 +335,16 @@ def few_samples_gate(freedom: int) -> GateResult:
 
 
 def contradiction_gate(times: Mapping[str, float]) -> tuple[GateResult, ...]:
-    """A run that contradicts fit runs which leave noise alone; none where all runs do.
+    """A run that contradicts other fit runs which leave noise alone; none where all runs do.
 
     Args:
-        times: Error of each run that was not fitted, over its noise.
+        times: Error of each run that no fit has seen, over its noise.
     """
     run = max(times, key=lambda name: times[name], default="")
     if not run or not times[run] > MUCH_UNSEEN:
         return ()
     note = (
-        f"run {run} is {figure(times[run], 2)} times the noise off what the fitted runs tell, and "
+        f"run {run} is {figure(times[run], 2)} times the noise off what the others tell, and "
         "these leave noise alone: read its record first, else something acts in it alone"
     )
     return (GateResult(CONTRADICTED, False, times[run], MUCH_UNSEEN, note),)

@@ -38,7 +38,6 @@ GRADIENT_SHARE = 0.25
 ADJOINT_SHARE = 0.5  # of the work of the check; the rest is for differences
 SHOWN = 0.5  # of an effect's largest slope over the runs: such a run shows it
 LENGTHS = (0.5, 0.1, 2.5)  # of the step of the differences
-SHORTER = (1.0, 0.2)  # likewise, of extrapolated differences, where a response is sharply bent
 LEFT_OUT = "gradient:not checked"
 
 
@@ -193,7 +192,7 @@ def _compare_adjoint(
             late.add(effect)
             continue
         errors[effect] = np.inf
-        for share in SHORTER:
+        for share in (1.0, 0.2):  # of the step: some responses are sharply bent
             wanted = _extrapolate_scores(slopes, problem.columns_of(effect), share)
             errors[effect] = min(errors[effect], error(effect, wanted))
             if errors[effect] < GRADIENT_RTOL:

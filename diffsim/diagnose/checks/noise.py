@@ -263,7 +263,6 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
 
     Args:
         series: What the best set leaves, by run; NaN where nothing was measured [unit of sd].
-        sd: Of the noise, as stated.
     """
     none = np.zeros(0)
     parts = [x[start:stop] / sd for x in series for start, stop in _stretches(np.isfinite(x))]
@@ -426,19 +425,13 @@ def _autocorrelation(a: Array, count: int) -> Array:
     return np.array(rho[:count])
 
 
-LAGS = 10
-
-
-def ljung_box(fit: Fit, lags: int = LAGS) -> Array:
+def ljung_box(fit: Fit) -> Array:
     """(num_channels,) probability that white residuals are at least as correlated as these.
 
-    Q = n (n + 2) sum_k r_k^2 / (n - k) ~ chi2(lags), summed over runs (Ljung and Box 1978, "On a
+    Q = n (n + 2) sum_k r_k^2 / (n - k) ~ chi2(10), summed over runs (Ljung and Box 1978, "On a
     measure of lack of fit in time series models"). Residuals are whitened by the noise floor;
-    missing samples join what lies on both sides.
-
-    Args:
-        fit: Fit whose whitened residual is tested.
-        lags: Largest lag [samples]; a fifth of a run's samples where that is fewer.
+    missing samples join what lies on both sides. Lags are ten, or a fifth of a run's samples where
+    that is fewer.
 
     Returns:
         NaN where a channel has too few samples.
@@ -454,7 +447,7 @@ def ljung_box(fit: Fit, lags: int = LAGS) -> Array:
         newest = np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])
         for c in range(num_channels):
             own = left[newest % num_channels == c]
-            count = min(lags, len(own) // 5)
+            count = min(10, len(own) // 5)
             if count:
                 statistic[c] += _statistic(own, count)
                 freedom[c] += count

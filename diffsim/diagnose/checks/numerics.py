@@ -106,7 +106,6 @@ def could_be(fit: Fit, i: int, change: Array) -> float:
     what the cause does.
 
     Args:
-        fit: Fit of a set of effects.
         i: The effect's place in the fitted problem.
         change: (num_valid,) by refining a numerical setting once.
     """
@@ -165,7 +164,6 @@ class SetNumerics:
 
     Attributes:
         changes: Change of the record by refining each setting, by its name, (N,) each.
-        gates: The numerics gate there.
         finer: Settings from which it passes, or the finest within the budget; None: it passes, or
             none finer are allowed.
     """
@@ -187,7 +185,6 @@ def check_numerics_of_set(
     """Check the numerical settings at the fit of a set of causes.
 
     Args:
-        fit: Fit of the set.
         record: Its prediction, (N,).
         settings: Budget of refinement.
         is_late: Nobody will search with finer settings: ``finer`` is no more than some within the
@@ -275,7 +272,6 @@ def note_numerics(
     """Gates with a note on how fine the settings in use are, and what they cost.
 
     Args:
-        gates: The numerics gate.
         numerics: Settings in use; None: the model's own.
         paid: Cost of a simulation over the plain one.
         budget: Largest such cost.

@@ -35,10 +35,8 @@ NUDGE = 0.01  # sd of a number, for slopes
 FAR_SQUARES = 9.0  # times the squares that the others leave: three times as far
 TOLD_SHARE = 0.25  # of a channel's squares, at most, that the others leave
 FAR_SHARE = 0.02  # of a channel's squares: less is no slip
-NEAR_SQUARES = 2.0  # times the squares that the others leave, with the slip mended
+NEAR_SQUARES = 2.0  # times the squares of the others, or of the best change: explained as well
 CURED = 1e3  # times less squares than with the slip: near, if not as near as others
-FREE = 1e-9  # precision of a run's own numbers
-TWIN_SQUARES = 2.0  # times what the best change leaves: another one explains as much
 LATEST = 0.25  # of a run: how far a clock may be off
 
 
@@ -103,7 +101,6 @@ def run_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
     """Runs whose record has a slip that the others do not have, whatever they are used for.
 
     Args:
-        study: Study with the description.
         setup: What the description made; where it cuts the runs, nothing is asked.
     """
     if setup.study is not None or study.faults is not None:
@@ -129,8 +126,6 @@ class _Others:
     """Runs beside a plain model that is fitted to all of them, each as noisy as what it leaves.
 
     Attributes:
-        study: Study with the description.
-        model: Plain model.
         runs: As the fit tells them.
         q: Standardized numbers of the fit, (num_base,).
         floor: Noise of each channel, (num_channels,) [unit of the channel].
@@ -224,7 +219,7 @@ class _Others:
         whole, pull = self.normal(without=k)
         at = np.linalg.solve(whole, pull)
         own = [i for i, p in enumerate(self.model.base) if p.name.endswith(f"@{seen.run.name}")]
-        whole[own, own] = FREE  # its start may be stated by the record that has the slip
+        whole[own, own] = 1e-9  # free: its start may be stated by the record that has the slip
         off = seen.off - seen.slopes @ (at - self.q)
         rows, left = _rows(seen.slopes, off, np.sqrt(level))
         by = np.linalg.solve(whole + rows.T @ rows, rows.T @ left)
@@ -251,7 +246,7 @@ class _Others:
             return None
         found.sort(key=lambda pair: pair[0])
         least, first = found[0]
-        twins = [c.says for a, c in found[1:] if a <= TWIN_SQUARES * least]
+        twins = [c.says for a, c in found[1:] if a <= NEAR_SQUARES * least]
         beside = f" (as well: {'; '.join(twins[:2])})" if twins else ""
         times = float(np.sqrt(np.nanmax(before)))
         return (

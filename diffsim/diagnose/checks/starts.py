@@ -17,6 +17,7 @@ from diffsim.data.shown import shown_step
 from diffsim.data.signal import scatter
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
+from diffsim.diagnose.checks.one_run import NUDGE
 from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
 
@@ -26,7 +27,6 @@ COMMAND_CHANGES = 3.0  # likewise: times what the run's commands, moved by their
 FAR_SHARES = np.array([[0.2], [0.5]])  # of the usual motion and of the usual speed
 SURE_SDS = 6.0  # sd of noise and priors together
 ALIKE_SHARE = 0.5  # of the largest difference, that all runs have alike
-NUDGE = 0.01  # sd of a number, for slopes
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,6 @@ class _Begin:
     """How a run begins: level and slope of each channel, (2, num_channels) each.
 
     Attributes:
-        run: The run.
         seen: As it was measured.
         told: As the model has it, at its priors.
         sd: Of their difference, by noise, priors and what may be wrong with commands.
@@ -51,7 +50,6 @@ def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
 
     Args:
         study: Study with the description; only ``ode`` is asked.
-        setup: What the description made.
     """
     model = study.model or {}
     states = model.get("states")

@@ -18,7 +18,7 @@ from diffsim.core.arrays import Array
 from diffsim.core.unit_slips import UNIT_SLIPS
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
-from diffsim.diagnose.checks.one_run import run_problems
+from diffsim.diagnose.checks.one_run import NUDGE, run_problems
 from diffsim.diagnose.checks.starts import start_problems
 from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
@@ -29,9 +29,6 @@ NEAR_SHARE = 0.02  # of them, that it leaves with the right unit: a gain of that
 NEAR_EXCHANGED = 0.15  # likewise with the right columns: two channels come near at once
 RUNS, ROWS = 2, 600  # that are simulated, of the beginning
 FAR_SDS = 3.0  # of numbers: how far they may move
-NUDGE = 0.01  # sd, for slopes
-STEPS = 3  # of their fit
-TWIN = 3.0  # times what the best leaves: others explain as much
 FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
 
 
@@ -59,10 +56,6 @@ class _Way:
 def model_problems(study: Study, setup: DiagnosisSetup) -> list[Problem]:
     """Faults of a record that only its model can tell: of columns, of single runs, of where they
     begin; the first kind that is found.
-
-    Args:
-        study: Study with the description.
-        setup: What the description made.
     """
     for ask in (column_problems, run_problems, start_problems):
         if found := [*ask(study, setup)]:
@@ -75,7 +68,6 @@ def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
 
     Args:
         study: Study with the description; only systems of formulas are asked.
-        setup: What the description made.
     """
     if (study.model or {}).get("system") not in FORMULAS:
         return
@@ -94,7 +86,8 @@ def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
         return
     found.sort(key=lambda pair: pair[0])
     best, first = found[0]
-    twins = [way for left, way in found[1:] if left <= TWIN * max(best, 1e-3)]
+    # what leaves at most three times as much explains as much
+    twins = [way for left, way in found[1:] if left <= 3.0 * max(best, 1e-3)]
     beside = f" (as well: {'; '.join(way.says for way in twins[:2])})" if twins else ""
     yield Problem("error", first.where, f"{first.says}{beside}: {first.remedy}", RULE)
 
@@ -128,12 +121,12 @@ class _PlainModel:
 
     def numbers_explain(self, q: torch.Tensor) -> bool:
         """Whether the numbers of the model, moved as far as they may, bring it to half the way:
-        a few steps of Gauss and Newton, each held within ``FAR_SDS``."""
+        three steps of Gauss and Newton, each held within ``FAR_SDS``."""
         at, which = q.clone(), range(min(len(q), 40))  # numbers that are moved
         measured = np.concatenate([run.measured for run in self.runs])
         weight = 1.0 / np.maximum(np.nanstd(measured, axis=0), 1e-300)
         seen = np.isfinite(measured)
-        for _ in range(STEPS if len(which) else 0):
+        for _ in range(3 if len(which) else 0):
             plain, ways = self._predict(at), []
             for k in which:
                 moved = at.clone()

@@ -30,13 +30,11 @@ from diffsim.diagnose.say.report import Report
 from diffsim.identify import Fit
 from diffsim.identify.law import VALUE, Law, Variable
 
-MOST_ROWS = 40  # of the table
 OF_NUMBERS = ("number", "value")  # kinds of entries that change a number of the model
 POSSIBLE = "possible"  # of one of several laws
 PRODUCT = "product"  # form of a line in one variable times another
 
 PERIODS_SHOWN = 3.0  # of a law that repeats: more are a grey wall
-TURN = 2.0 * np.pi
 #: the number that says how a hidden state remembers
 MEMORIES = {
     "": (),
@@ -55,7 +53,7 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     laws = tuple(_describe(report, by_name[row.name], row) for row in rows)
     answer = LawAnswer(
         laws,
-        tuple(_row(c) for c in found.screened[:MOST_ROWS]),
+        tuple(_row(c) for c in found.screened[:40]),
         tuple(_curve(f, laws) for f in found.fitted),
         found.num_tried,
     )
@@ -186,7 +184,7 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
         value, sd = fit.values[name], fit.sd[name] * report.interval_factor
         value_shown = abs(value) if short == "amplitude" and law.form == "periodic" else value
         if short == "swing_rate":
-            short, value_shown, sd, unit = "frequency", value / TURN, sd / TURN, "Hz"
+            short, value_shown, sd, unit = "frequency", value / math.tau, sd / math.tau, "Hz"
         short = {"lasting": "time", "slip_reach": "threshold"}.get(short, short)
         half = HALF_LEVEL * float(sd)
         numbers[short] = Number(value_shown, value_shown - half, value_shown + half, unit)

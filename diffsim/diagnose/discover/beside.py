@@ -30,7 +30,6 @@ class CauseAlong:
     """A cause of the library along the recordings.
 
     Attributes:
-        effect: The cause.
         columns: Whitened response to its scaled sizes, (num_valid, num_components).
     """
 
@@ -44,7 +43,6 @@ class Pair:
 
     Attributes:
         law: Without a form.
-        cause: Beside it.
         nats: Evidence of both over the better one alone.
     """
 
@@ -59,8 +57,6 @@ def causes_along(
     """Causes of the library along the recordings, a tangent for each size.
 
     Args:
-        followed: Simulations that lie on the recordings.
-        library: Causes.
         most_steps: Weighted steps after which no further cause is simulated.
     """
     tally = followed.fit.problem.model.simulations
@@ -83,7 +79,6 @@ def best_pairs(screen: Screen, causes: Sequence[CauseAlong]) -> tuple[list[Pair]
 
     Args:
         screen: Laws along the recordings.
-        causes: Causes there.
 
     Returns:
         The pairs, the best first, and how many were weighed.

@@ -31,7 +31,6 @@ from diffsim.identify.linearization import linearization_at
 from diffsim.identify.setup import LawPort
 
 MOST_KNOTS = 300  # of a run's course, over all its entries
-MAX_STEPS = 8
 COURSE = "course"  # family of what drives a simulation along a recording
 LAST_STEP_SHARE = 0.01  # of the misfit, that a last step takes away
 
@@ -54,11 +53,7 @@ class ReachInRun:
 
 @dataclass(frozen=True)
 class Reach:
-    """What terms at an entry do to the whitened record; nothing is simulated.
-
-    Attributes:
-        runs: By run.
-    """
+    """What terms at an entry do to the whitened record; nothing is simulated."""
 
     runs: tuple[ReachInRun, ...]
 
@@ -211,12 +206,11 @@ def _to_knots(problem: Problem) -> sparse.csr_array:
     return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(made.sum(1)).ravel()) @ made)
 
 
-def follow(fit: Fit, port: LawPort, max_steps: int = MAX_STEPS) -> FollowedRecord:
+def follow(fit: Fit, port: LawPort, max_steps: int = 8) -> FollowedRecord:
     """Simulations of a fit's runs that lie on the recordings.
 
     Args:
         fit: Fit of a set of causes.
-        port: What the system offers to laws.
         max_steps: Steps towards the recordings; 0: the simulations as fitted.
     """
     problems, points, missing, slopes, chi2 = [], [], [], [], 0.0

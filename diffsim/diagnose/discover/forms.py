@@ -15,7 +15,6 @@ from scipy import linalg, optimize
 
 from diffsim.core.arrays import Array
 
-NUM_STARTS = 7  # of each number of a form, over the range of its variable
 FORM_PRIOR_SD = 10.0  # of the prior of a form's number, in sd that the record leaves
 NUMBER_NATS = float(np.log(FORM_PRIOR_SD))  # what each number costs, by that prior
 SAME_NATS = 2.0  # between forms that no record of this kind tells apart
@@ -59,7 +58,8 @@ class Form:
 
 
 def _places(low: float, high: float) -> tuple[float, ...]:
-    return tuple(np.linspace(low, high, NUM_STARTS).tolist())
+    """Starts of a number of a form, over the range of its variable."""
+    return tuple(np.linspace(low, high, 7).tolist())
 
 
 def _reciprocal(beyond: str, away: Callable[[Array], Array], power: int) -> Form:
@@ -203,9 +203,7 @@ class FittedForm:
     """A form at its best beside what the record tells.
 
     Attributes:
-        form: The form.
         nats: What it leaves [nats], and the price of its numbers.
-        size: Its size.
         numbers: Its numbers in units of the variable, with their sd.
         term: Formula with the range put in.
         seen: What it does to the record, in noise sd.

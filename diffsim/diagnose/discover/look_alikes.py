@@ -45,12 +45,13 @@ class LookAlike:
 
 _RUNS = ("run_order",)
 _PUSH, _NUMBER, _READ = ("force", "rate"), ("number",), ("reading",)
-ONCE = (0.9, 1.1)  # a turn
 _ANGLE, _HEAT, _VOLT = ("rad",), ("K", "degC"), ("V",)
 TABLE: tuple[LookAlike, ...] = (
     LookAlike(("zero of the sensor that drifts from run to run",), _READ, of=_RUNS),
     LookAlike(("wear", "warming up from run to run"), of=_RUNS),
-    LookAlike(("unbalance", "bent axis"), _PUSH, "-", ("periodic",), _ANGLE, ONCE),
+    LookAlike(
+        ("unbalance", "bent axis"), _PUSH, "-", ("periodic",), _ANGLE, (0.9, 1.1)
+    ),  # once a turn
     LookAlike(("cogging", "eccentric gear"), _PUSH, "-", ("periodic",), _ANGLE),
     LookAlike(("ripple of the commutation", "gear"), _NUMBER, "-", ("periodic",), _ANGLE),
     LookAlike(("eccentric encoder or gear", "lead screw"), _READ, "-", ("periodic",), _ANGLE),
@@ -68,6 +69,7 @@ TABLE: tuple[LookAlike, ...] = (
     LookAlike(("cross-talk", "misaligned axes"), _READ, "-", ("line",)),
     LookAlike(("magnet", "ground effect", "wall"), _PUSH, "-", ("reciprocal",)),
     LookAlike(("stop", "valve that opens", "cable that catches"), _PUSH, "-", ("threshold",)),
+    LookAlike(("dry friction, if of a speed", "limit"), _PUSH, "-", ("saturation",)),
     LookAlike(("iron that saturates", "limit"), (), "-", ("saturation",)),
 )
 

@@ -32,16 +32,13 @@ FEWEST_PERIODS = 2.0  # over the range: fewer are no repetition, bumps follow th
 MOST_NUMBERS = 4000  # wave numbers that are tried
 MOST_WORK = 1e9  # wave numbers by samples, over all variables at all entries: some twenty seconds
 SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a period
-CHUNK = 200  # wave numbers at once
 PEAKS = 2  # wave numbers of a variable that are weighed
 ONE_TURN = 1.0  # wave number of what an angle brings back after a turn, as weight on a lever
-FLAT = 1e-9  # of its size, below which a variable rests
+ROUNDING = 1e-9  # of the size of a variable, or of what the record tells best: less is none
 NUM_POINTS = 81  # over the range of a variable, at which forms are held against the record
-TOLD = 1e-9  # of what the record tells best, below which it tells nothing
 MOST_AGAIN = 100  # laws that are weighed again beside one that stands
 MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
 SMALL = 0.01  # of the usual magnitude at an entry: a term at which slopes are taken
-COLUMNS = 400  # of several laws, that are weighed at once
 MOST_PAIRS = 8  # laws of two variables that are weighed by what was left out, too
 WITH_PAIRS = ("force", "rate", "input", "reading")  # a number multiplies as it is
 PARTS = 4  # of a recording of less runs, that are left out one after the other
@@ -141,7 +138,6 @@ class Screen:
     """Laws without a form that were weighed beside one model.
 
     Attributes:
-        followed: Simulations that lie on the recordings.
         weigher: Evidence beside the model, and beside laws that stand already.
         found: The laws, the best first.
         courses: Each variable along the recordings, by its words and numbers.
@@ -276,9 +272,6 @@ def screen_laws(
     """All laws without a form, by their evidence.
 
     Args:
-        followed: Simulations that lie on the recordings.
-        port: What the system offers to laws.
-        progress: Receives stage, share done and message.
         most_steps: Weighted steps after which no further terms are simulated.
     """
     out: list[Candidate] = []
@@ -336,7 +329,6 @@ def _weigh(
 
     Args:
         weigher: Evidence beside a model.
-        laws: Each with its basis.
         columns: Of all that each is weighed by, side by side, (num_valid, num_columns).
     """
     tried = [basis for _, law in laws for basis in law.tried]
@@ -349,13 +341,13 @@ def _weigh(
 
 
 def _in_batches(sizes: Sequence[int]) -> Iterator[slice]:
-    """Consecutive parts of about ``COLUMNS`` columns.
+    """Consecutive parts of about 400 columns.
 
     Args:
         sizes: Columns of each member.
     """
     edges = np.cumsum([0, *sizes])
-    number = max(int(np.ceil(edges[-1] / COLUMNS)), 1)
+    number = max(int(np.ceil(edges[-1] / 400)), 1)
     cuts = np.searchsorted(edges, np.linspace(0, edges[-1], number + 1)[1:-1])
     for first, end in pairwise([0, *cuts.tolist(), len(sizes)]):
         if end > first:
@@ -469,7 +461,7 @@ def _repeating(
     if len(numbers) < 3:
         return {}
     scores: dict[Entry, list[Array]] = {entry: [] for entry in seen}
-    for part in np.array_split(numbers, len(numbers) // CHUNK + 1):
+    for part in np.array_split(numbers, len(numbers) // 200 + 1):  # at once
         waves = _waves(u, part, spacing)
         for entry, (there, known) in seen.items():
             scores[entry].append(known.scores(there.coordinates(waves)))
@@ -501,7 +493,7 @@ def _range_of(u: Array) -> tuple[float, float] | None:
     """Least and largest value of a variable; None where it rests."""
     seen = u[np.isfinite(u)]
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 0.0)
-    is_flat = high - low <= FLAT * max(abs(low), abs(high), 1e-300)
+    is_flat = high - low <= ROUNDING * max(abs(low), abs(high), 1e-300)
     return None if is_flat or not np.isfinite(high - low) else (low, high)
 
 
@@ -593,7 +585,7 @@ class Weigher:
         """
         gram, right = self.reduced(columns)
         values, vectors = linalg.eigh(gram)
-        kept = values > TOLD * values[-1]
+        kept = values > ROUNDING * values[-1]
         size = np.sqrt(values[kept])
         return size[:, None] * vectors[:, kept].T, (vectors[:, kept].T @ right) / size
 

@@ -29,6 +29,7 @@ from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import has_left_prior
+from diffsim.diagnose.search.weak_slopes import SHARES
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
 from diffsim.identify.fitting import summary
@@ -37,7 +38,6 @@ from diffsim.identify.law import Entry, Law, Shape
 from diffsim.identify.linearization import linearization_at, records_at
 from diffsim.identify.setup import LawPort
 
-PARTS_OF_WAY = (1.0, 0.5, 0.25, 0.125)  # of a law's first step, the longest that holds is taken
 KEPT = 0.5  # of the nats that slopes promise: below, they hold nowhere near
 # simulations of all runs, by their weight, that a law's fit may take, or all that laws may cost: of
 # two tanks, a law beside the cause that leaves least had not come half its way in 200
@@ -55,7 +55,6 @@ FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
 NUM_POINTS = 101  # of a curve
 BEHIND_NATS = 30.0  # behind the best fitted law: formulas of others are not weighed
 MOST_LAWS = (6, 3)  # formulas of each round that the search weighs: so many laws act at once
-FITTED_SHARE = 0.5  # of the best law's nats, that a law needs to be fitted in the simulator
 TURN_SD = 0.02  # of a wave number that is one turn's: as well as scales of angles are known
 NEXT_SHARE = 0.1  # of the first law's nats, that one beside it must explain
 
@@ -142,9 +141,6 @@ class FoundLaws:
 def at_data_sheet(plain: Fit) -> list[Fit]:
     """The plain model at its data sheet, where its fit has left that: what is missing has bent the
     model's numbers, so that slopes there promise laws nothing. None where it cannot be simulated.
-
-    Args:
-        plain: Fit of the plain model.
     """
     problem = plain.problem
     if not has_left_prior(plain):
@@ -171,8 +167,6 @@ def find_laws(
     Args:
         fits: The plain model's fit, before it the model at its data sheet where the fit has left
             it, after it that of the best set of causes where there is one.
-        port: What the system offers to laws.
-        progress: Receives stage, share done and message.
         most_steps: Weighted steps after which no further law is fitted in the simulator.
         library: Causes that may act beside a law.
     """
@@ -331,7 +325,7 @@ def _rounds(
             # along the recordings nats are others than in the simulator: like is held against like
             best = max((min(f.nats, f.candidate.nats) for f in fitted), default=0.0)
             is_fitted = candidate is screened.candidate  # it costs nothing more
-            if candidate.nats < FITTED_SHARE * best or not (is_fitted or may_fit()):
+            if candidate.nats < KEPT * best or not (is_fitted or may_fit()):
                 continue
             law = screened.law
             if not is_fitted:
@@ -382,7 +376,6 @@ class Table:
     """Causes of the library that stand in one table with laws.
 
     Attributes:
-        library: The causes.
         most_steps: Weighted steps that laws may cost, their columns a share of it.
     """
 
@@ -513,7 +506,7 @@ def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
     fit without it, to where slopes ask it to go, that lowers the cost most."""
     stays = np.concatenate([before.x, np.zeros(len(asked) - len(before.x))])
     way = asked - problem.scaled(stays)
-    points = [problem.standardized(problem.scaled(stays) + part * way) for part in PARTS_OF_WAY]
+    points = [problem.standardized(problem.scaled(stays) + part * way) for part in SHARES]
     points = np.clip([*points, stays], *problem.bounds)
     costs = []
     with np.errstate(over="ignore", invalid="ignore"):

@@ -185,7 +185,6 @@ class Rows(Goals):
         """What an explanation does not trust, in words.
 
         Args:
-            choice: Its choice.
             names: Names of the channels.
         """
         out = []
@@ -257,7 +256,6 @@ def rows_at(problem: Problem, layout: Layout, point: Array, causes: Sequence[Eff
 
     Args:
         problem: Model, the runs of one group, noise, and effects.
-        layout: Where the base parameters belong.
         point: Scaled coordinates of the problem to linearize at, (n,).
         causes: Those of its effects that may act; each has one component.
     """

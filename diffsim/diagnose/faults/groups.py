@@ -48,7 +48,6 @@ def groups_of(study: Study, keys: FaultKeys) -> tuple[Group, ...]:
     """Groups of a study's runs, by their first run.
 
     Args:
-        study: Study with the recordings.
         keys: Its ``faults``.
 
     Raises:

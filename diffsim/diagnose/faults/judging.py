@@ -102,11 +102,9 @@ def judged_group(
 
     Args:
         group: The group; it is not among those that taught.
-        learned: What other groups say.
         keys: ``faults`` of the study.
         sets: Sets of causes that may act at once.
         seed: Of the draws of sizes.
-        channels: Channels of the study.
     """
     rng = np.random.default_rng(seed)
     effects = {e.name: e for e in learned.problem.effects}
@@ -136,7 +134,6 @@ class _View:
     """A group as it shows in one state.
 
     Attributes:
-        learned: What other groups say.
         problem: The group's runs alone.
         point: Scaled coordinates of that problem without a cause, (n,).
         rows: The group, linearized there.

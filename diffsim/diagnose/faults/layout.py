@@ -23,7 +23,6 @@ class Layout:
     """Where the base parameters belong.
 
     Attributes:
-        names: Base parameters.
         family: Family of each that scatters, ``COMMON`` for the others, (num_base,).
         is_daily: Whether it is one of a group, (num_base,).
         is_state: Whether it is one of a state that several groups share, (num_base,).

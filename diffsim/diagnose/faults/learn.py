@@ -32,8 +32,6 @@ FACTOR_SD = 1.0  # sd of the logarithm of a spread about the stated one: a facto
 KNOWN_PRECISION = 1.0 / 3.0**2  # of known sizes: up to about five typical sizes
 NUM_DRAWS = 32  # of the spreads
 NUM_TRIED = 128  # normal draws that they are chosen from, in pairs about the best ones
-NUM_SWEEPS = 4  # over the signs of known sizes, at the most probable spreads
-NUM_SWEEPS_OF_DRAW = 2  # and from there for each draw of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +39,6 @@ class GroupPosterior:
     """What groups with known faults say of all others.
 
     Attributes:
-        layout: Where the base parameters belong.
         problem: Model, all runs, noise and effects.
         tails: How far goals are missed.
         locals: Groups that taught, linearized, by label.
@@ -74,7 +71,6 @@ class GroupPosterior:
         """Prior precision of a group's scatter, (num_scatter,).
 
         Args:
-            local: The group.
             log_spread: Logarithms of spreads over stated ones.
             daily_factor: Factor on the spreads of groups, 1 for groups like those that taught.
         """
@@ -86,7 +82,6 @@ class GroupPosterior:
         """What is known of the shared parameters of a group for one draw: mean and covariance.
 
         Args:
-            local: The group.
             draw: Number of the draw.
             new_state: Whether the group is in a state that was never seen.
             factor: Factor on the spreads of such a state.
@@ -150,7 +145,6 @@ def learn(
 
     Args:
         problem: Model, all runs, noise and effects.
-        layout: Where the base parameters belong.
         groups: All groups; those that do not teach are left out.
         seed: Of the draws of spreads.
         state: Fact of the runs that says which state of the rig they share; None: none.
@@ -235,7 +229,7 @@ def _learn_posterior(
     one = {e.name for e in state.problem.effects if not e.signed}
     terms = {label: Terms.none(local) for label, local in locals_.items()}
     start = best_spread(layout, locals_, start)
-    terms = _terms(layout, locals_, start, terms, one, NUM_SWEEPS)
+    terms = _terms(layout, locals_, start, terms, one, sweeps=4)
     held = _with_terms(locals_, terms)
     best = best_spread(layout, held, start)
     covariance: Array = np.asarray(np.linalg.inv(_curvature(layout, held, best)))
@@ -271,7 +265,6 @@ def _terms(
     """Terms by which the known sizes of all groups keep their sign.
 
     Args:
-        layout: Where the base parameters belong.
         locals_: Groups that teach, linearized.
         log_spread: Logarithms of spreads over stated ones, (num_families,).
         terms: To start from.
@@ -301,7 +294,7 @@ def _common_above_zero(
     one: Collection[str],
 ) -> Gaussian:
     """What groups say together of the shared parameters, known sizes with their sign."""
-    own = _terms(layout, locals_, log_spread, terms, one, NUM_SWEEPS_OF_DRAW)
+    own = _terms(layout, locals_, log_spread, terms, one, sweeps=2)
     return common_information(layout, _with_terms(locals_, own), log_spread)
 
 
@@ -315,7 +308,6 @@ def _draws(
     """Draws of the logarithms of spreads from their posterior, (NUM_DRAWS, num_families).
 
     Args:
-        layout: Where the base parameters belong.
         locals_: Groups that teach, linearized.
         best: Most probable logarithms, (num_families,).
         covariance: Of the normal distribution that is tried, (num_families, num_families).

@@ -47,7 +47,6 @@ def without(
         slope: (n,).
         level: Log density at 0.
         gone: The m coordinates that are integrated out: the first or the last ones.
-        priors: Their priors.
 
     Returns:
         Information on the coordinates that stay, in their order, for each draw.

@@ -16,8 +16,6 @@ from diffsim.data.study import Run
 from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.faults.learn import GroupPosterior
 
-NEW_STATE_COUNT = 1.0  # groups that the probability of a new state is worth
-
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -39,7 +37,6 @@ def possible_states(group: Group, learned: GroupPosterior, keys: FaultKeys) -> t
 
     Args:
         group: The group to be judged.
-        learned: What other groups say.
         keys: ``faults`` of the study.
     """
     if keys.state is None:
@@ -54,12 +51,12 @@ def possible_states(group: Group, learned: GroupPosterior, keys: FaultKeys) -> t
         return (State(group, False, 0.0),)
     if not seen:
         return (State(group, True, 0.0),)
-    whole = sum(seen.values()) + NEW_STATE_COUNT
+    whole = sum(seen.values()) + 1.0  # the probability of a new state is worth one group
     known = [
         State(_in_state(group, label, keys), False, float(np.log(count / whole)))
         for label, count in seen.items()
     ]
-    new = State(known[0].group, True, float(np.log(NEW_STATE_COUNT / whole)))
+    new = State(known[0].group, True, float(np.log(1.0 / whole)))
     return (*known, new)
 
 

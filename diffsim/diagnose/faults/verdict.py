@@ -24,6 +24,7 @@ from diffsim.diagnose.faults.groups import Group
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY, UNTOLD, Interval
 from diffsim.diagnose.say.causes import PROBABLE
+from diffsim.diagnose.say.headline import MAX_WORDS
 from diffsim.diagnose.search.evidence import ALONE_NATS
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
 
@@ -32,7 +33,6 @@ SOUND = "nothing"
 VERDICTS = (SILENT, CERTAIN, LIKELY, UNTOLD, UNLISTED)
 SOUND_LIMIT = 0.1  # probability of "sound" below which a fault is named
 CERTAIN_LIMIT = 0.05  # and below which it may be certain
-MAX_WORDS = 25  # of the first sentence
 MOST_SETS = 8  # explanations of a group that its verdict holds
 ENDS = (0.05, 0.95)  # shares below the two ends of an interval
 
@@ -253,8 +253,6 @@ def verdict_of(
     """What may be said of a group.
 
     Args:
-        group: The group.
-        evidences: All candidates with their evidence.
         effects: Causes by name.
         smallest_visible: Smallest size of each cause that would be visible alone.
     """

@@ -91,7 +91,6 @@ def apart_in_fit(fit: Fit, ranges: Mapping[str, Range]) -> tuple[ApartRow, ...]:
     """Rows of a fit, with the intervals of an answer.
 
     Args:
-        fit: Fit of the extended model.
         ranges: 90 % intervals by name of parameter or component.
     """
     units = {p.name: p.unit for p in fit.problem.model.base}

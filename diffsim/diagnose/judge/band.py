@@ -53,7 +53,6 @@ OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated 
 LEAST_PARTS = 2  # one does not tell how parts differ
 GROWTH = np.polynomial.Polynomial((-1.0, 0.0, 2.0))  # of what is left, by times: Chebyshev's T2
 TINY = 1e-300  # added to sums of what is asked: their ratio is 1 where nothing is
-ROUNDS = 200  # of the variances: each multiplies them, three digits are settled after a hundred
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +143,6 @@ class Band:
         """Half of the width in a run, (num_samples, num_channels) [unit of the channel].
 
         Args:
-            at: The extended model.
             sd: Posterior standard deviation of its standardized coordinates, (n,).
             run: Run that was not fitted; its own values are fitted to it.
             times: How far outside of the fitted runs it lies; 1: inside.
@@ -192,7 +190,6 @@ def band_of(
     """The band of a fit, from parts of its runs that are left out and from select runs.
 
     Args:
-        fit: The extended model.
         channels: Columns of ``measured``.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
         select: Runs with use: select.
@@ -289,7 +286,6 @@ def noise_of(parts: Sequence[Part], noise: Array) -> Array:
     What stays of a misfit would hide in it, and not grow with the distance.
 
     Args:
-        parts: One or more.
         noise: Standard deviation as stated, (num_channels,) [unit of the channel].
     """
     calmest = np.fmin.reduce([_mean_measured(part.left**2) for part in parts])
@@ -308,7 +304,6 @@ def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
     leave it where it begins, at 1.
 
     Args:
-        parts: One or more.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
     """
     left = np.array([_mean_measured(part.left**2) for part in parts])
@@ -320,7 +315,7 @@ def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
     known = 1.0 / (1.0 + np.sum(weight * spread / noise**2, axis=1, keepdims=True))
     grown = GROWTH(np.array([[part.times] for part in parts])) ** 2
     rest, excess = np.sum(left / grown, axis=0) / np.maximum(seen.sum(axis=0), 1), 1.0
-    for _ in range(ROUNDS):
+    for _ in range(200):  # each multiplies the variances; a hundred settle three digits
         variance = noise**2 + spread + grown * (rest + excess * spread)
         told, asked = weight * grown * left / variance**2, weight * grown / variance
         ahead, back = (known * told).sum(axis=0) + TINY, (known * asked).sum(axis=0) + TINY
@@ -369,8 +364,6 @@ def _left_out_part(
     """A part of the fitted runs.
 
     Args:
-        fit: The extended model.
-        fold: The part.
         channels: Columns of ``measured``.
         residuals: Whitened, by run, of fits that have not seen them, (num_valid,) each.
     """
@@ -401,8 +394,6 @@ def _linear_variance(
     """Variance of a run's readings by a posterior near the fit, (num_samples, num_channels).
 
     Args:
-        fit: The extended model.
-        run: One of its runs.
         slopes: Whitened slopes of this run at the fit, (num_valid, n).
         covariance: Posterior of the coordinates, (n, n).
         own: Names of coordinates that are fitted to this run anyway.
@@ -455,7 +446,6 @@ def _posterior_variance(
     Args:
         names: Coordinates that runs share.
         correlation: Posterior correlation of these, (n, n).
-        at: The extended model.
         sd: Posterior standard deviation of its standardized coordinates.
         run: Run that was not fitted; its own values are fitted to it.
         unmet: Parameters that no fitted run has.

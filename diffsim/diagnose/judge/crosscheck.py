@@ -45,9 +45,7 @@ def swap_probability(problem: Problem, residual: Array, *, seed: int) -> float |
     """Share of swapped draws whose statistic reaches that of the mean residual.
 
     Args:
-        problem: Fitted problem that left the residual.
         residual: Whitened residual of the fit, (num_valid,).
-        seed: Seed of the draws.
 
     Returns:
         (hits + 1) / (draws + 1), or None where repeats are missing or too short for a test.

@@ -77,8 +77,6 @@ def base_rows(
 
     Args:
         fit: Fit of the best set.
-        runs: Runs that were fitted.
-        wider: Widening of intervals.
         judged: Whether findings may be stated: repeats and numerical settings are in order.
         wrong: Value and sd of parameters without the pull of a data sheet that is wrong, in its
             standard deviations, by name; None: none.
@@ -206,13 +204,7 @@ def _pulled_together(rows: Sequence[BaseRow]) -> tuple[BaseRow, ...]:
 def ranges_of_answer(
     fit: Fit, base: Sequence[BaseRow], causes: Sequence[CauseRow]
 ) -> dict[str, Range]:
-    """Intervals as an answer states them, by name of parameter or component, each in its unit.
-
-    Args:
-        fit: Fit of the extended model.
-        base: Its base parameters.
-        causes: All causes.
-    """
+    """Intervals as an answer states them, by name of parameter or component, each in its unit."""
     return _ranges(fit, base, {row.name: row.size for row in causes if row.origin == EFFECT})
 
 
@@ -237,7 +229,6 @@ def ranges_of_fit(fit: Fit, runs: Sequence[Run]) -> dict[str, Range]:
 
     Args:
         fit: Fit of the extended model, whose causes were chosen before.
-        runs: Runs that were fitted.
     """
     wider = widening(fit)
     rows = base_rows(fit, runs, wider, judged=False)

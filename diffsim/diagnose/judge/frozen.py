@@ -75,7 +75,6 @@ def judge_saved(inputs: Inputs, saved: SavedModel, names: Sequence[str] = ()) ->
 
     Args:
         inputs: Study and setup of the same system.
-        saved: Content of the model's file.
         names: Runs to judge; empty: all with use: test.
 
     Raises:
@@ -187,7 +186,6 @@ def noise_of(saved: SavedModel, study: Study) -> ArWhitener:
     """The noise floor under which a saved model was fitted.
 
     Args:
-        saved: Content of the model's file.
         study: Study whose channels are asked for.
 
     Raises:

@@ -25,13 +25,13 @@ from diffsim.diagnose.judge.left_out import (
     left_out_residual,
     time_of_rows,
 )
-from diffsim.diagnose.judge.own_values import FAR_OFF, Frozen, held_out_point
+from diffsim.diagnose.judge.own_values import Frozen, held_out_point
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Fit, Problem
 from diffsim.identify.problem import PredictionError
 
 MIN_BLOCKS = 4  # fewer say nothing: three agree by chance
 MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
-DRAWS = 1000  # resamples of the bootstrap
 MOST = 1.2  # share that can be removed, and stated over left noise, where the noise is known
 NEAR_ZERO = 0.01  # noise variances per sample: a change of the error that is none
 RAN_AWAY = 10.0  # times the plain model's error: a fit without these samples says nothing of them
@@ -167,7 +167,6 @@ def compared(
     ones are not independent of each other, longer ones say no more.
 
     Args:
-        runs: Runs that no fit has seen.
         null: A fit whose noise floor whitened the residuals.
         before: Residuals without the effects, (num_valid,) by run.
         after: Residuals with the effects, (num_valid,) by run.
@@ -203,10 +202,9 @@ def share_removed(blocks: Array, *, seed: int) -> Gain:
     Args:
         blocks: Samples, sum of squares of the null model, and of the extended one, (num_blocks, 3)
             [noise variances].
-        seed: Seed of the bootstrap.
     """
     rng, num_blocks = np.random.default_rng(seed), len(blocks)
-    picks = rng.integers(num_blocks, size=(DRAWS, num_blocks))
+    picks = rng.integers(num_blocks, size=(1000, num_blocks))
     drawn, total = blocks[picks].sum(axis=1), blocks.sum(axis=0)
     excess = total[1] - total[0]
     # a resample whose null error is below the noise has nothing to remove, but may get worse
@@ -310,7 +308,6 @@ class LeftOut:
 
     Args:
         problem: Problem with the runs that are fitted.
-        folds: Parts that are left out.
     """
 
     problem: Problem
@@ -339,7 +336,6 @@ def validation_of(plain: Fit, select: Sequence[Run]) -> Validation | None:
     """Select runs if there are any, else fit runs left out; None where they are too few.
 
     Args:
-        plain: Fit of the plain model.
         select: Runs with use: select.
     """
     if select:

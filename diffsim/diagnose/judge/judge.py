@@ -13,6 +13,7 @@ import numpy as np
 from diffsim.diagnose.checks.gates import GateResult, contradiction_gate
 from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.gain import Gain, SelectRuns, Validation, gain_over
+from diffsim.diagnose.judge.left_out import run_apart
 from diffsim.diagnose.judge.records import LEVEL
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
 from diffsim.diagnose.search.fitted_sets import Search
@@ -140,7 +141,6 @@ def fits_as_well(
         cost: Misfit with pulls of each hypothesis without unknown cause.
         free: Components of its sizes; one more than the best set has is allowed. What has many
             fits anything.
-        best: Set with the best evidence.
     """
     return frozenset(
         h
@@ -169,7 +169,6 @@ class Judgment:
     """Decision after the checks by the validation and on repeats.
 
     Attributes:
-        decision: Decision after all checks.
         search: Behind it, with what was refitted for the checks; None if nothing was searched.
         gain: Gain of the best set on the validation; None without one, or without a name.
         gains: Gain on the validation of each member of the sets that were considered, by index of
@@ -222,6 +221,9 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             gates = (*gates, *against)
             if withdrawn or against:
                 decision = replace(decision, verdict="unknown")
+        elif decision.verdict == "unknown":
+            apart = contradiction_gate(run_apart(search.fit_of(frozenset())))
+            gates = (*gates, *(g for g in apart if g not in gates))
         judgment = Judgment(decision, search, None, gains, withdrawn, gates, refuted)
         if validation is None:
             return judgment

@@ -19,6 +19,7 @@ from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.errors import DiffsimError
 from diffsim.core.figures import figure
 from diffsim.data.study import TIMELESS, Run
+from diffsim.diagnose.checks.gates import SURE_SD
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.own_values import own_point, unmet_by
 from diffsim.diagnose.search.evidence import ALONE_NATS
@@ -32,6 +33,7 @@ from diffsim.identify.whitening import gram_of
 MAX_FOLDS = 8
 MEMORY = 10.0  # a block over the time in which the noise forgets
 MIN_FOLDS = 3  # blocks of one recording; fewer leave too little to fit
+LEAST_RUNS = 3  # of which one can be unlike the others
 DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determine a parameter
 
 
@@ -227,6 +229,33 @@ def _refit_without(fit: Fit, fold: Fold, x: Array) -> Array | None:
         return _simulate_part(fit, fold, rest.x)
     except DiffsimError:
         return None
+
+
+def run_apart(fit: Fit) -> dict[str, float]:
+    """The run that a fit misses most, where a fit to the others leaves noise alone.
+
+    Args:
+        fit: Plain model, fitted to all of them.
+
+    Returns:
+        How far that run then is off, over its noise, by its name; empty where the others leave more
+        than noise, or where they are too few.
+    """
+    problem = fit.problem
+    missed = [float(np.mean(r**2)) if len(r) else 0.0 for r in problem.by_run(fit.residual)]
+    if len(missed) < LEAST_RUNS:
+        return {}
+    worst = int(np.argmax(missed))
+    rows = _run_of_rows(problem) == worst
+    fold = Fold(problem.runs[worst].name, (worst,), rows, is_whole=True)
+    others = replace(problem, runs=kept_runs(problem, fold))
+    try:
+        rest, _ = gauss_newton(others, linearization_at(others, moved(fit, ~rows)))
+        off = _simulate_part(fit, fold, rest.x)
+    except DiffsimError:  # where they end nothing can be simulated
+        return {}
+    above = (rest.chi2 - rest.num_samples) / np.sqrt(2.0 * rest.num_samples)
+    return {} if above > SURE_SD else {fold.name: float(np.sqrt(np.mean(off**2)))}
 
 
 def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:

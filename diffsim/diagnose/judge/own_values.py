@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -14,22 +15,30 @@ from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
 from diffsim.data.study import Run
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.effort import FIT_RTOL
 
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
-FAR_OFF = 3.0  # prior sd from which on a value that was fitted to a run is no usual one
+
+
+#: A cause at a place whose name holds a capital letter: no word, but a name of the user's file.
+_AT_NAMED = re.compile(r"([a-z\d_ ]+)[_ ](at|of|from)[_ ]((?!all_|every_)[a-z\d_]*[A-Z][\w.]*)")
 
 
 def words_of(name: str) -> str:
     """A code name in plain words: "drag[frame=A]" is "drag (frame A)", "joint.J2.damping" of an
-    MJCF is "damping of J2", the part as its file names it."""
+    MJCF is "damping of J2", "friction_at_FR_calf" is "friction at FR_calf": a part as its file
+    names it."""
     stem, _, run = name.partition("@")
     stem, _, fact = stem.partition("[")
     part, _, quantity = stem.partition(".")[2].rpartition(".")
     words = (quantity if part else stem).replace("_", " ").replace(".", " ")
-    if part:
+    if named := _AT_NAMED.fullmatch(stem):
+        place = named[3].replace(".", " ").replace("_and_", " and ")
+        words = f"{named[1].replace('_', ' ')} {named[2]} {place}"
+    elif part:
         words += f" of {part}"
     if fact:
         words += f" ({fact.rstrip(']').replace('=', ' ')})"
@@ -75,15 +84,19 @@ class OwnRow:
     @property
     def words(self) -> str:
         """The row in a clause."""
-        values = (self.value, self.prior_value, self.prior_sd)
-        shown, times = small_scale(self.unit, values)
-        value, prior, sd = (times * v for v in values)
-        unit = after_number(shown)
-        stated = f"{figure(prior, 4)} +- {figure(sd, 2)}{unit}"
+        read = self.as_read()
+        unit = after_number(read.unit)
+        stated = f"{figure(read.prior_value, 4)} +- {figure(read.prior_sd, 2)}{unit}"
         return (
-            f"{self.plain_name} {figure(value, 4)}{unit}, stated {stated}: "
+            f"{self.plain_name} {figure(read.value, 4)}{unit}, stated {stated}: "
             f"{figure(abs(self.pull), 2)} sd off"
         )
+
+    def as_read(self) -> OwnRow:
+        """The same in the unit in which it is read."""
+        unit, times = small_scale(self.unit, (self.value, self.prior_value, self.prior_sd))
+        value, prior, sd = (times * v for v in (self.value, self.prior_value, self.prior_sd))
+        return replace(self, unit=unit, value=value, prior_value=prior, prior_sd=sd)
 
 
 class Frozen(Protocol):
@@ -130,7 +143,6 @@ def own_names(names: Sequence[str], run: Run, unmet: Collection[str] = ()) -> tu
 
     Args:
         names: Names of all coordinates.
-        run: Run that they belong to.
         unmet: Parameters that no fitted run has; those of this run's facts are its own.
     """
     at_run = f"@{run.name}"
@@ -143,7 +155,6 @@ def own_rows(problem: Problem, x: Array, run: Run, names: Collection[str]) -> tu
     Args:
         problem: Model and noise.
         x: Standardized coordinates with the run's own values, (n,).
-        run: The run.
         names: Its own names, as of ``own_names``.
     """
     rows = []
@@ -173,7 +184,6 @@ def own_point(
     Args:
         problem: Model and noise, with this run only.
         x: Standardized coordinates, (n,); the run's own are fitted from the middle of their prior.
-        run: Run that they belong to.
         slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated at every step.
         unmet: Parameters that no fitted run has, as of ``own_names``.
     """

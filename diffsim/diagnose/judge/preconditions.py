@@ -19,15 +19,16 @@ from functools import cached_property
 
 import numpy as np
 
+from diffsim.causes.readings import usual_sample
 from diffsim.core.arrays import Array
 from diffsim.core.figures import figure, percent
-from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult
+from diffsim.diagnose.checks.gates import MUCH_UNSEEN, SURE_SD, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import NAMES, Judgment
-from diffsim.diagnose.judge.own_values import FAR_OFF, words_of
+from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import SURE, BaseRow, ErrorRow
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
@@ -38,14 +39,17 @@ from diffsim.diagnose.search.evidence import (
 )
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.gauss_newton import has_exact_slopes
+from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
-SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 UNDONE = 3.0  # times as far as all causes together, that one moves the record
+TIMING = "timing"  # family of what is late
+TIMED = 0.5  # of a sample: stamps need not tell when between two of them something was read or set
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
+STAMPED = "it may be the record's stamps, as it is less than half a sample"
 OTHERS_UNDO_IT = "it and others undo each other: one law may act in place of all"
 FIT_AS_WELL = "other causes fit about as well"
 UNCONTRADICTED = "no other recording could contradict it"
@@ -64,7 +68,6 @@ class Grounds:
         judgment: The verdict and the search behind it.
         about: Probabilities and sizes over all sets.
         members: Effects that the extended model holds, by index.
-        fit: Its fit.
         gates: All checks, those of numerical settings at that fit.
         base: Base parameters there, findings among them.
         chosen_by: What names were held against; empty: nothing.
@@ -209,7 +212,10 @@ def _stands_in_for_what_was_refused(g: Grounds, i: int) -> str:
 
 def _may_be_zero(g: Grounds, i: int) -> str:
     """Its size, or what it and others do together: a root, a line and a level are a weir. Where
-    each moves the record several times as far as all of them, what acts may be one law."""
+    each moves the record several times as far as all of them, what acts may be one law.
+
+    Of what is late, less than half a sample is as good as zero: a record says that something was
+    read between two stamps, or that a command was set then, and not when."""
     problem, own = g.fit.problem, dict[str, Array]()
     for effect in problem.effects:
         columns = problem.columns_of(effect)
@@ -217,7 +223,14 @@ def _may_be_zero(g: Grounds, i: int) -> str:
     moved = own.get(g.search.wide.effects[i].name)
     if moved is not None and np.linalg.norm(moved) > UNDONE * np.linalg.norm(sum(own.values())):
         return OTHERS_UNDO_IT
-    return MAY_BE_ZERO if g.about.may_be_zero(i) else ""
+    if g.about.may_be_zero(i):
+        return MAY_BE_ZERO
+    effect = g.search.wide.effects[i]
+    if (effect.family, effect.unit) != (TIMING, "s"):
+        return ""
+    untold = TIMED * usual_sample(g.fit.problem.runs)
+    is_told = any(max(abs(s.low), abs(s.high)) >= untold for s in g.about.size(i).values())
+    return "" if is_told else STAMPED
 
 
 def _helps_nothing(g: Grounds, i: int) -> str:
@@ -276,7 +289,6 @@ def said_gradient(gate: GateResult, whose: str = "its derivative") -> str:
     """What a failed gradient check means for sizes.
 
     Args:
-        gate: The check.
         whose: The derivative of what.
     """
     if gate.value < USEFUL:

@@ -30,7 +30,9 @@ SIGNALS = (*RATIOS, "level of", "frequency of")  # quantities of commands and ch
 SURE = 0.99  # probability from which a cause is certain; that no right data sheet passes for wrong
 LEVEL = ranges.LEVEL  # of every interval, and share of readings in the band of an unseen run
 HALF_LEVEL = ranges.HALF_LEVEL  # half of a normal interval [sd]
-SKILL = 0.99  # of the model's error: what leaves less without any skill is better, not alike
+#: Errors of a row, and half of its band
+ERRORS = ("before", "after", "noise", "band", "constant", "held", "without", "command")
+SKILL = 0.99  # of an error: what leaves more is alike, and no better
 UNTOLD_SHARE = 0.99  # of the prior sd: a parameter that is where its prior is
 
 
@@ -106,13 +108,14 @@ class CauseRow:
 
     @property
     def read_unit(self) -> str:
-        """Unit in which its size is read: ``shown_unit``, else small lengths in mm and so on; one
-        over a size that may be zero has no bound, and is read as it is."""
+        """Unit in which its size is read: ``shown_unit`` where that is another one, else small
+        lengths in mm and so on; one over a size that may be zero has no bound, and is read as it
+        is."""
         ends = [end for size in self.size.values() for end in (size.low, size.high)]
         if self.shown_power < 0 and not (ends and min(ends) > 0.0):
             return self.unit
-        if self.shown_unit is not None:
-            return self.shown_unit
+        if self.shown_unit not in (None, self.unit) or self.shown_times is not None:
+            return self.shown_unit or self.unit
         return small_scale(self.unit, ends or self.smallest_visible.values())[0]
 
     @property
@@ -228,12 +231,27 @@ class ErrorRow:
     command: float | None = None
 
 
-def pooled_by_kind(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
-    """All runs together, a row for each kind of channel.
+def in_small_units(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
+    """Rows in the unit in which they are read, one for each kind of channel.
 
     Args:
         errors: Of the runs.
     """
+    scales = {
+        (row.kind, row.unit): small_scale(row.unit, (row.after, row.noise))
+        for row in pooled_by_kind(errors)
+    }
+    out = []
+    for row in errors:
+        unit, times = scales[row.kind, row.unit]
+        values = {name: getattr(row, name) for name in ERRORS}
+        read = {name: times * v for name, v in values.items() if v is not None}
+        out.append(replace(row, unit=unit, **read))
+    return out
+
+
+def pooled_by_kind(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
+    """All runs together, a row for each kind of channel."""
     kinds: dict[tuple[str, str], list[ErrorRow]] = {}
     for row in errors:
         kinds.setdefault((row.kind, row.unit), []).append(row)

@@ -23,12 +23,7 @@ from diffsim.identify.model_file import SavedModel
 
 
 def without_each(saved: SavedModel, effects: Sequence[Effect]) -> dict[str, SavedModel]:
-    """The saved model without each of its causes, all else as it is, by name of the cause.
-
-    Args:
-        saved: Content of the file.
-        effects: Its effects.
-    """
+    """The saved model without each of its causes, all else as it is, by name of the cause."""
     out = {}
     for effect in effects:
         own = set(effect_coordinates([effect]))

@@ -60,7 +60,6 @@ def without_forms(
     """The decision with the set that leaves out what may be another cause's form as a rival.
 
     Args:
-        decision: What the evidence and the checks allow.
         fit: Fit of its best set; its effects are those of the set, by ascending index.
         unrefined: Change of the record by refining numerical settings for which the gate failed at
             that fit, (N,) each by its name.
@@ -122,9 +121,7 @@ def form_of(
     and gains, and the record stays the same, but no motor is left.
 
     Args:
-        fit: Fit of a set of effects.
         changes: Whitened changes by refining numerical settings that the answer leaves too coarse.
-        without: Fits without an effect, by its place.
     """
     effects = fit.problem.effects
     base = fit.jacobian[:, : fit.problem.num_base]
@@ -172,7 +169,6 @@ def without_wrong_data_sheets(decision: Decision, search: Search) -> Decision:
     explains the records better: priors alone say which is likelier, not which it is.
 
     Args:
-        decision: What the evidence and the checks allow.
         search: Sets that were weighed; those without one member of the best are fitted.
     """
     if decision.verdict not in NAMES or decision.beside is not None or decision.unknown is not None:

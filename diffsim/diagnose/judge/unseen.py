@@ -46,7 +46,6 @@ class Span:
     Attributes:
         low, high: Smallest and largest value; None for labels.
         labels: Labels that occurred; empty for numbers.
-        unit: Unit of the quantity.
     """
 
     low: float | None
@@ -59,7 +58,6 @@ def constants_of(runs: Sequence[Run], channels: Sequence[Channel]) -> dict[str, 
     """The best constant of each channel, by its name: the mean over all samples of runs.
 
     Args:
-        runs: Runs that were fitted.
         channels: Columns of their ``measured``.
     """
     measured = np.concatenate([run.measured for run in runs])
@@ -74,7 +72,6 @@ def spans_of(
     """Range of every quantity over runs, by name of the quantity.
 
     Args:
-        runs: Runs that were fitted.
         channels: Columns of their ``measured``.
         commands: What is known of commands: their units.
     """
@@ -309,7 +306,6 @@ def on_unseen(
     Args:
         plain: Plain model at its own fit.
         extended: Extended model at its fit; the plain one where nothing was named.
-        runs: Runs that no fit has seen.
         channels: Columns of their ``measured``.
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
         spans: What the fitted runs covered, as ``spans_of`` returns it.

@@ -122,12 +122,10 @@ def report_of(
     """The answer of a diagnosis, before any test run is looked at.
 
     Args:
-        null: The plain model under its noise floor.
         checks: Gates, and what they simulated.
         judgment: The verdict and the search behind it.
         screened: Scores of all candidates at the plain model.
         seed: Seed of the bootstraps.
-        bank: Runs that could be recorded next.
         validation: What names were held against.
     """
     judgment, checks, members = _settle_best_set(judgment, checks)
@@ -263,7 +261,6 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
 
     Args:
         frozen: Report whose answer does not change any more but by what is taken back.
-        study: Study with its test runs.
         seed: Seed of the bootstrap.
         laws: Names of the causes that no library holds.
     """

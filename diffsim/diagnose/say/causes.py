@@ -67,7 +67,6 @@ class CauseEvidence:
     Attributes:
         judgment: The verdict and the search behind it.
         about: Probabilities and sizes over all sets; None: nothing was searched.
-        screened: Scores at the plain model.
         effects: Candidates, in the order of their indices.
         members: Effects that the extended model holds, by index.
         unmet: What the study lacks for candidates that were left out, by name.

@@ -46,7 +46,6 @@ MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
 NOT_CERTAIN = "Not certain:"
 TOGETHER = 0.5  # of the misfit, all that causes remove one by one: below it they act as one
-STAYS = 0.99  # of the error before: what is left is none the smaller
 SMALL = 0.05  # of what all remove: causes that the first sentence leaves to the page
 UNKNOWN_CAUSE, UNNAMED = "unknown ", "something without a name"
 SURELY, PROBABLY, PERHAPS = "certainly", "probably", "perhaps"
@@ -75,7 +74,6 @@ def headline(
     A second sentence says why that is not certain, a third one that the noise is not as stated.
 
     Args:
-        answer: What is put into words.
         errors: Errors on runs that were not fitted; none without such runs.
         failed: Runs that could not be simulated; errors are not quoted then.
         gained: Gain over all these errors; None: not known.
@@ -84,7 +82,7 @@ def headline(
     is_denied = False  # nothing is certain, and what is named leaves the unseen error as it was
     if errors and not failed and all(row.status != CERTAIN for row in effects_of(answer)):
         row = _quoted_kind(errors, True, gained)
-        is_denied = row.after > STAYS * row.before
+        is_denied = row.after > SKILL * row.before
     found = _say_findings(answer, laws, is_denied=is_denied)
     endings = _endings(answer, errors, failed, gained)
     # the longest words that fit with an ending: the error comes before details of the cause
@@ -113,7 +111,6 @@ def judged_headline(
         errors: Errors on the runs; none where no run could be simulated.
         gained: Gain over all of them; None: not known.
         extended: Whether the model names a cause.
-        gains: Gain by run.
     """
     if not errors:
         return "No run could be simulated."
@@ -230,7 +227,6 @@ def _say_findings(answer: Answer, laws: Collection[str], *, is_denied: bool = Fa
     """What is wrong, without a full stop; shorter ones later.
 
     Args:
-        answer: What is put into words.
         laws: Names of the causes that no library holds.
         is_denied: Whether unseen runs speak against what is named.
     """
@@ -290,7 +286,6 @@ def _open(answer: Answer, verb: str) -> list[str]:
     What is missing may be in none of them: something like them is.
 
     Args:
-        answer: What is put into words.
         verb: Before "missing".
     """
     if pieces := [row for row in effects_of(answer) if ONE_LAW in row.rivals]:
@@ -399,7 +394,6 @@ def _missing(
     """Sentences on causes that are named, the longest first.
 
     Args:
-        answer: What is put into words.
         named: Causes, data sheets among them.
         laws: Names of the causes that no library holds.
         is_open: Whether none of them is surer than perhaps.
@@ -575,7 +569,7 @@ def _on_unseen(
     besides = f", noise {noise}" if noise else ""
     if not changed:
         return [f"; the {where} is {before}{unit}{besides}", f"; {short} {before}{unit}{besides}"]
-    if row.after > STAYS * row.before:
+    if row.after > SKILL * row.before:
         verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
         return [
             f"{objects} the {where} {verb} {after}{unit}{besides}",

@@ -22,7 +22,6 @@ class ScreenRow:
     """What a law of a variable at an entry would explain.
 
     Attributes:
-        kind, target: The entry.
         variable: The variable in words.
         nats: Evidence over none.
         share: Share of the misfit of runs that were left out.
@@ -58,7 +57,6 @@ class LawCurve:
         law: Name of the law that it became; "": of none.
         u: Values of the variable.
         value, sd: The term there, with its standard deviation.
-        unit: Unit of the term.
         runs: What each run alone says, where it went.
     """
 
@@ -80,7 +78,6 @@ class DescribedLaw:
         variables: What it depends on.
         memory: Kind of its hidden state, or None.
         form: Kind of its formula.
-        formula: The formula.
         numbers: Size and further numbers.
         sentence: The law in words.
         looks_like: What it may be.

@@ -15,6 +15,7 @@ from diffsim.diagnose.judge.averaging import MODEL_FORM
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.judge.own_values import words_of
+from diffsim.diagnose.say.wording import MOST_LISTED
 from diffsim.diagnose.search.evidence import TIE_DIGITS, VISIBLE, Hypothesis, Screen, SetPosterior
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit
@@ -24,7 +25,6 @@ from diffsim.identify.unknown import Unknown
 BLIND = 3.0  # smallest visible size over the typical one
 TWINS = 0.995  # confounding from which two effects are the same to these data
 FIRST_LOOK = "first look"  # stage of a diagnosis that says what stands out before any set is fitted
-FIRST_NAMES = 3  # causes that it says
 
 
 def first_look(screened: Screen, effects: Sequence[Effect], chi2: float) -> str:
@@ -37,7 +37,7 @@ def first_look(screened: Screen, effects: Sequence[Effect], chi2: float) -> str:
     """
     share = screened.block_z**2 / chi2
     first = [i for i in np.argsort(-share, kind="stable") if screened.block_z[i] >= VISIBLE]
-    said = [f"{words_of(effects[i].name)} {percent(share[i])}" for i in first[:FIRST_NAMES]]
+    said = [f"{words_of(effects[i].name)} {percent(share[i])}" for i in first[:MOST_LISTED]]
     found = "no cause alone stands out of the noise"
     if said:
         found = f"each alone would take of the misfit: {', '.join(said)}"
@@ -120,9 +120,7 @@ def effect_rows(
     """One row per effect, by evidence.
 
     Args:
-        effects: Candidates that were judged.
         judgment: The verdict and the search behind it; no search: effects were only screened.
-        screened: Scores at the plain model.
         changes: Change of the record by refining each numerical setting, (N,) each; it widens the
             intervals.
         saved: The extended model: sizes of its effects are those that it holds.
@@ -224,8 +222,6 @@ def cannot_see(
     """Effects that these data could not show, and why.
 
     Args:
-        effects: Candidates that were judged.
-        screened: Scores at the plain model.
         unmet: What the study lacks for candidates that were left out, by name.
         rows: Candidates by evidence; those that were considered with a size have been seen.
     """

@@ -67,7 +67,6 @@ class BeforeTest:
     """What an answer was before the test runs took something back.
 
     Attributes:
-        verdict: The verdict.
         statuses: Status of the causes that have another one now, by name.
     """
 
@@ -195,8 +194,10 @@ def _sizes_of_groups(row: CauseRow) -> dict[str, float]:
 
 
 def component_words(component: str) -> str:
-    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"."""
-    return component.strip("[]").replace("=", " ").replace("_", " ")
+    """A component of a size as it is read: "[propeller=10in]" is "propeller 10in"; a name with a
+    capital letter stays."""
+    names = component.strip("[]").split("=")
+    return " ".join(n if any(map(str.isupper, n)) else n.replace("_", " ") for n in names)
 
 
 def ends(size: Interval, unit: str = "") -> str:
@@ -204,7 +205,6 @@ def ends(size: Interval, unit: str = "") -> str:
     said to be none.
 
     Args:
-        size: Interval.
         unit: As it follows a number, with its space.
     """
     width = size.high - size.low
@@ -234,7 +234,6 @@ def sentences(
     """Two to seven sentences with numbers and units.
 
     Args:
-        answer: What is put into words.
         gained: Gain on test runs; None without such runs or without a name.
         unseen: Errors on test runs.
         failed: Runs that could not be simulated, by name, with why.
@@ -281,7 +280,7 @@ def _failed_check(gate: GateResult) -> str:
         moved = f"moves records and fit by {figure(gate.value)} standard deviations in all"
         wanted = f"{gate.limit:g} at most were wanted"
         return f"A check failed: a finer {words_of(kind)} {moved}, {wanted}."
-    name = gate.name.replace(":", " of ").replace("_", " ")
+    name = f"{words_of(kind)} of {words_of(of)}" if of else words_of(kind)
     if (gate.value, gate.limit) == (0.0, 1.0):
         return f"A check failed: {name} ({gate.note})."
     return f"A check failed: {name} {figure(gate.value)}, wanted {gate.limit:g} ({gate.note})."

@@ -30,7 +30,6 @@ from diffsim.identify.numerics import REFINEMENTS, Numerics
 
 Array = NDArray[np.float64]
 MAX_LEVELS = 4  # refinements of one setting
-SHIFTS = 2  # steps to the parameters that make coarse records like finer ones
 SECOND_ORDER, SLOWEST = 0.25, 0.7  # ratio of a change to the one before, as far as it is taken
 NEGLIGIBLE = 0.1  # noise and prior sd that a setting moves: no correction is needed
 CHEAP = 2.0  # times the first simulation: to refine more than is needed
@@ -84,7 +83,6 @@ class _RefinedSetting:
     """One setting, refined step by step at the plain fit.
 
     Attributes:
-        name: Of the setting.
         numerics: The finest that was simulated.
         shift: Base parameters that make coarse records most like those, standardized.
         added: What is left of the change then, (N,) [unit of the channel].
@@ -141,7 +139,7 @@ def _fit_shift(fit: Fit, record: Array, shift: Array) -> tuple[Array, Array]:
     """
     problem = replace(fit.problem, correction=None)
     left = record - problem.record(_point_shifted(fit.x, shift))
-    for _ in range(SHIFTS):
+    for _ in range(2):
         moved = shift + _shift(fit, left)
         after = record - problem.record(_point_shifted(fit.x, moved))
         if np.linalg.norm(problem.whiten_all(after)) >= np.linalg.norm(problem.whiten_all(left)):

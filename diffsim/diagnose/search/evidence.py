@@ -313,10 +313,6 @@ def unrealized(fit: Fit, posterior: SetPosterior) -> float:
 
     The evidence from a linearization holds at its optimum; a fit that stopped elsewhere (a kink, a
     fold, too few steps) must not be credited with an optimum that was not simulated.
-
-    Args:
-        fit: Fit that was linearized.
-        posterior: Evidence from that linearization.
     """
     return 0.5 * (fit.chi2 + fit.prior - posterior.chi2 - float(posterior.x @ posterior.x))
 

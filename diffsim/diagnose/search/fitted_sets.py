@@ -45,6 +45,8 @@ class Search:
         borrowed: Why slopes of an earlier center serve at a set.
         num_late: Sets that keep their linear evidence, or none, as a budget was spent.
         numerics: Numerical settings at sets where they were checked.
+        ends: Count of weighted steps at which what follows the last set ends: repairs, unknown
+            causes and exact ends share one more budget; infinite while sets are sought.
     """
 
     null: Null
@@ -56,6 +58,7 @@ class Search:
     borrowed: Mapping[Members, str] = field(default_factory=dict)
     num_late: int = 0
     numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
+    ends: float = np.inf
 
     @property
     def is_cut_short(self) -> bool:
@@ -113,12 +116,10 @@ class Search:
         swapped = [(members - {i}) | {j} for i in members for j in others]
         room = self.settings.max_effects - len(members)
         pairs = [members | pair for pair in masking_pairs(self.wide.effects, members, room)]
-        return [s for s in (*more, *pairs, *less, *swapped) if self._lies_once(s)]
-
-    def _lies_once(self, members: Members) -> bool:
-        """Whether no two effects of a set share one place in time."""
-        families = [e.family for i in members if (e := self.wide.effects[i]).locate is not None]
-        return len(set(families)) == len(families)
+        # no two effects of a set share one place in time
+        located = {i: e.family for i, e in enumerate(self.wide.effects) if e.locate is not None}
+        every, placed = (*more, *pairs, *less, *swapped), located.keys()
+        return [s for s in every if len({located[i] for i in s & placed}) == len(s & placed)]
 
     def linear_slack(self, members: Members) -> float:
         """Largest error of linear evidence at a set [nats]."""
@@ -177,6 +178,9 @@ def weigh_unknowns(search: Search, center: Center) -> Search:
         search = replace(search, simulations=made, posteriors={**search.posteriors, **posteriors})
     for key in sorted(lies, key=lambda h: -search.nats(h)):
         place, evidence = lies[key]
+        if search.steps >= search.ends and _could_decide(search, key, center.members):
+            search = search.with_late()
+            continue
         if _could_decide(search, key, center.members):
             search = _simulated_beside(search, key, place, center.members)
         if _could_decide(search, key, center.members):
@@ -216,9 +220,6 @@ def _simulated_beside(search: Search, key: Hypothesis, place: Center, best: Memb
 
     Args:
         search: Sets that were weighed so far.
-        key: The set and the unknown cause.
-        place: Where it has linear evidence.
-        best: Members of the best set.
     """
     if not slopes_are_simulated(search.wide.model) or key.effects >= best:
         return search
@@ -249,7 +250,8 @@ def relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> 
     posterior, x0, last = search.posteriors[key], evidence.x0[own], None
     try:
         for _ in range(search.settings.unknown_steps - 1):
-            if np.abs(posterior.x[own] - x0).max(initial=0.0) < STEP_ATOL:
+            is_there = np.abs(posterior.x[own] - x0).max(initial=0.0) < STEP_ATOL
+            if is_there or search.steps >= search.ends:
                 break
             at, search = _linearize_set(search, key.effects, posterior.x[own])
             last = at, cause.responses(problem, at.x)

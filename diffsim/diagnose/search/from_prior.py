@@ -21,7 +21,7 @@ from diffsim.data.study import Run
 from diffsim.diagnose.search.evidence import TIE_DIGITS, SetPosterior
 from diffsim.diagnose.search.fit import HARD_START_CHI2
 from diffsim.diagnose.search.gauss_newton import LEAST_RECORDS, iterated
-from diffsim.diagnose.search.scan import groups, num_points
+from diffsim.diagnose.search.scan import can_scan_one_run, groups, num_points
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Problem, Whitener
 from diffsim.identify.effort import SearchSettings
@@ -56,7 +56,10 @@ def is_prior_too_dear(
     if most_scanned:
         together = min(most_scanned, 2)
         is_made = any(len(group) >= together for _, group in simulations.prior_scans)
-    return not is_made and wide.cost_of_table(points) > left
+    cost = wide.cost_of_table(points)
+    if can_scan_one_run(wide):
+        cost = wide.cost_of_table() + points * wide.cost() / len(wide.runs)
+    return not is_made and cost > left
 
 
 def center_at_prior(

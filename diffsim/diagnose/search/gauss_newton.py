@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 # relative error up to which the linear prediction counts as exact, and so does the distance in
 # nats from the best set
 SLOPE_RTOL = 0.05
+# of what a set is far behind, that slopes of its shapes promise: 0.6 to 1.4 of a warming sensor and
+# an elastic coupling that then lead, 0.5 and less of three others
+MOST_OF_WAY = 0.55
 SLOPE_ATOL = 0.5  # the same in noise standard deviations of the misfit
 REFRESH_RTOL = 0.3  # relative error from which slopes are simulated again
 # where each slope takes simulations of its own: of a step that kept its promise
@@ -40,7 +43,6 @@ MAX_RADIUS, MIN_RADIUS = 4.0, 1e-3  # of the trust region, in scaled coordinates
 LEAST_RECORDS = 60.0  # simulations of all runs, by their weight, that any fit may take
 LEAST_SLOPES = 2.0  # times all slopes, that a fit of a set may take where they are simulations
 OVERSPENT = "its share of the budget was spent"
-TINY = np.finfo(float).tiny
 MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at its end
 
 
@@ -152,7 +154,9 @@ class _Iterate:
             for run in self.problem.runs:
                 rows = slice(first, first := first + run.measured.size)
                 along = np.where(columns[rows].any(0), step, 0.0)
-                columns[rows] += np.outer(off[rows], along / max(float(along @ along), TINY))
+                columns[rows] += np.outer(
+                    off[rows], along / max(float(along @ along), np.finfo(float).tiny)
+                )
             jacobian = self.problem.whiten_all(columns)
         at = Linearization(x, record, here.idx, columns, error)
         return replace(self, at=at, residual=residual, jacobian=jacobian)
@@ -178,7 +182,8 @@ def gauss_newton(
     """The minimum of |W (y - S(x))|^2 + |x|^2 within the bounds.
 
     Shapes of effects that were never fitted keep their values until the sizes are known. They are
-    fitted then, if their slopes promise more than a small share of the misfit.
+    fitted then, if their slopes promise more than a small share of the misfit, and, far
+    behind the best set, half of the way to it.
 
     Args:
         problem: Model, runs, noise and effects that are fitted.
@@ -197,18 +202,21 @@ def gauss_newton(
     jacobian = s.jacobian
     held = np.flatnonzero(unfitted_shapes(problem, s.at.x))
     behind = 0.0 if best_cost is None else max(0.5 * s.cost - best_cost, 0.0)
-    is_wanted = len(held) > 0 and SLOPE_RTOL * behind < ALONE_NATS
+    is_outranked = SLOPE_RTOL * behind > ALONE_NATS
     is_late = problem.model.simulations.steps > until
-    if is_wanted and is_late and ended == "converged":  # in the sizes alone
+    if len(held) and is_late and ended == "converged" and not is_outranked:  # in the sizes alone
         ended, message = "budget", OVERSPENT
-    elif is_wanted and not is_late:
+    elif len(held) and not is_late:
         columns = s.at.columns.copy()
         columns[:, held] = linearization_at(problem, s.at.x, held.tolist()).columns
         sloped = _first(problem, replace(s.at, columns=columns), with_shapes=True)
         gained = sloped.promised(_step(sloped, *problem.bounds))
         jacobian = sloped.jacobian  # the sd of a shape is told by its slopes, fitted or not
-        # less of a large misfit is of something else, and shapes would be bent to stand in for it
-        if gained > max(FIT_NATS, 0.5 * SLOPE_RTOL * s.misfit):
+        # less of a large misfit is of something else, and shapes would be bent to stand in for it;
+        # far behind another set they must lead near to where that one is: a spring between masses
+        # of another share than half is nowhere near at first
+        enough = MOST_OF_WAY * behind if is_outranked else 0.0
+        if gained > max(FIT_NATS, 0.5 * SLOPE_RTOL * s.misfit, enough):
             at = linearization_at(problem, s.at.x)
             s, ended, message, more = iterated(problem, at, best_cost, until, with_shapes=True)
             evaluations, jacobian = evaluations + more, s.jacobian

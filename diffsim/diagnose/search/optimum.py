@@ -16,8 +16,6 @@ from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.whitening import MIN_SPARSE
 
 Array = NDArray[np.float64]
-MAX_REWEIGHTS = 60
-SAFE_STEPS = 2  # before Newton's
 REWEIGHT_TOLERANCE = 1e-7  # of a coordinate, relative above one
 FREE = 1e-6  # precision of a size that is nearly without a prior
 ROUNDING = 1e-13
@@ -91,9 +89,9 @@ def _reweight_sizes(
     weights = weights.copy()
 
     v, here = np.full(len(b), np.nan), np.inf
-    for step in range(MAX_REWEIGHTS):
+    for step in range(60):
         after, there = v, np.inf
-        if step >= SAFE_STEPS:
+        if step >= 2:  # safe ones come before Newton's
             curvature, push = np.ones(len(b)), np.zeros(len(b))
             curvature[sizes], push[sizes] = _newton(v[sizes], weights[sizes])
             after = quadratic_optimum(gram + np.diag(curvature), b + push, low, high, v)

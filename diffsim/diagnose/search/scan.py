@@ -7,7 +7,7 @@ typical one, all else refitted linearly; the best is linearized and serves as a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, permutations, product
 
@@ -19,15 +19,16 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose.search.optimum import optimum
 from diffsim.identify import Problem
-from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
+from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of, touches
 from diffsim.identify.linearization import Linearization, linearization_at, records_at
+from diffsim.identify.model import slopes_are_simulated
 from diffsim.identify.numerics import NumericalEffect
 from diffsim.identify.whitening import gram_of
 
 Array = NDArray[np.float64]
 Members = frozenset[int]
 TIMES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)  # of the typical size
-COARSE_TIMES = (0.3, 1.0, 3.0, 10.0, 30.0)  # in pairs, and for effects of several components
+COARSE_TIMES = TIMES[1:]  # in pairs, and for effects of several components
 CLOSE = 30  # sizes from which the best are sought in one run
 BEST = 3  # of them, that are looked around and then tried in all runs
 ROUNDS = 3  # of looking around, each a third as far as the one before
@@ -105,7 +106,43 @@ def num_points(effects: Sequence[Effect], num_runs: int = 1) -> int:
     return SHOWING_SIZES + BEST + -(-(count + 2 * BEST * ROUNDS) // num_runs)
 
 
-def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequence[int]) -> Scan:
+def run_for_scans(
+    wide: Problem, center: Linearization, tried: Iterable[Members], most: tuple[float, float]
+) -> int | None:
+    """Index of the run that sizes are tried in, the worst one; None: all of them can be paid.
+
+    A scan finds where fits start, and these have all runs.
+
+    Args:
+        wide: Problem with all candidate effects.
+        center: Linearization with all slopes.
+        tried: Groups of effects whose sizes are tried; those that are located have none.
+        most: Sizes, and weighted steps that they may take.
+    """
+    sizes = [[wide.effects[i] for i in group] for group in tried]
+    points = sum(
+        num_points(effects, len(first_runs(wide.runs)))
+        for effects in sizes
+        if effects[0].locate is None
+    )
+    if min(points, most[0]) * wide.cost() <= most[1] or not can_scan_one_run(wide):
+        return None
+    misfits = [float(r @ r) for r in wide.by_run(wide.residual_of(center.record))]
+    return int(np.argmax(misfits))
+
+
+def can_scan_one_run(wide: Problem) -> bool:
+    """Whether sizes may be tried in one run alone: each is a simulation of its own."""
+    return len(first_runs(wide.runs)) > 1 and slopes_are_simulated(wide.model)
+
+
+def scan(
+    wide: Problem,
+    own: Sequence[int],
+    center: Linearization,
+    group: Sequence[int],
+    run: int | None = None,
+) -> Scan:
     """Try sizes of a group of effects at a center.
 
     Args:
@@ -113,6 +150,7 @@ def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequen
         own: Wide coordinates of base parameters and of the set at the center.
         center: Linearization there, with all slopes.
         group: Indices of the effects whose sizes are tried, ascending.
+        run: Index of the run that they are tried in; None, or none that they move: all.
     """
     effects = [wide.effects[i] for i in group]
     columns = [c for e in effects for c in wide.columns_of(e)]
@@ -120,8 +158,11 @@ def scan(wide: Problem, own: Sequence[int], center: Linearization, group: Sequen
     count, tried = num_points(effects, len(first_runs(wide.runs))), _combine_tries(effects)
     if _is_close(effects):
         tried = _best_of_one_run(wide, own, center, columns, tried)
-    costs = _costs_at(wide, own, center, columns, tried)
-    here = costs_of(wide, center, rest, center.record[None], np.zeros((1, len(columns))))[0]
+    seen, there = wide, center
+    if run is not None and all(touches(wide.names[c], wide.runs[run]) for c in columns):
+        seen, there = _in_run(wide, center, run)
+    costs = _costs_at(seen, own, there, columns, tried)
+    here = costs_of(seen, there, rest, there.record[None], np.zeros((1, len(columns))))[0]
     best = int(np.argmin(costs))
     if not costs[best] < here - 2.0:  # within a nat of what no size of theirs does
         return Scan(None, count)
@@ -168,9 +209,7 @@ def _best_of_one_run(
     """
     tried = tried[np.argsort(tried[:, 0])]
     chosen = _most_moved(wide, own, center, columns, tried[:: len(tried) // SHOWING_SIZES])
-    rows = _rows_of(wide.runs)[chosen]
-    one = replace(wide, runs=(wide.runs[chosen],))
-    there = Linearization(center.x, center.record[rows], center.idx, center.columns[rows])
+    one, there = _in_run(wide, center, chosen)
     costs = _costs_at(one, own, there, columns, tried)
     best = _valleys(costs)[:BEST]
     points, least = tried[best], costs[best]
@@ -184,6 +223,13 @@ def _best_of_one_run(
         now = np.argmin(found, 0), np.arange(len(points))
         points, least = places[now][:, None], found[now]
     return points
+
+
+def _in_run(wide: Problem, center: Linearization, run: int) -> tuple[Problem, Linearization]:
+    """One run alone, and its part of a linearization."""
+    rows = _rows_of(wide.runs)[run]
+    part = Linearization(center.x, center.record[rows], center.idx, center.columns[rows])
+    return replace(wide, runs=(wide.runs[run],)), part
 
 
 def _valleys(costs: Array) -> NDArray[np.intp]:

@@ -56,7 +56,7 @@ MAX_MENDED = 3  # fits of the best set, each with better slopes along weak direc
 MOST_OF_PLAIN = 0.5
 MAX_ALONE = 8  # of these
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
-FINDING_SD = 3.0  # the same, from which it may be a finding that a data sheet is wrong
+FAR_OFF = 3.0  # the same, from which a value is no usual one, or a data sheet may be wrong
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -111,9 +111,6 @@ def search_sets(search: Search) -> Search:
         ranked = sorted((s for s in nats if nats[s] > enough), key=lambda s: -nats[s])
         search = repaired(_refit_promising(search, center, ranked, until))
         best = _best_of(search)
-        if best == center.members and len(best) > 1:
-            search = _refit_alone(search, until)
-            best = _best_of(search)
         if best == center.members:
             break
         center, search = _center(search, best, center)
@@ -122,7 +119,10 @@ def search_sets(search: Search) -> Search:
             break
     else:  # nor are they where moves to a better set are used up
         search = search.with_late()
-    search = repaired(_refit_rivals(search, center, until))
+    search = _refit_rivals(search, center, until)
+    most = max(search.null.case.settings.plain_steps, search.settings.refit_steps)
+    search = replace(search, ends=search.steps + most)
+    search = repaired(search)
     return search if search.null.case.correction is not None else weigh_unknowns(search, center)
 
 
@@ -153,21 +153,6 @@ def has_left_prior(fit: Fit) -> bool:
 def _best_of(search: Search) -> Members:
     """The set with the most evidence, without an unknown cause."""
     return max((h for h in search.posteriors if h.unknown is None), key=search.nats).effects
-
-
-def _refit_alone(search: Search, until: float) -> Search:
-    """Refit single causes that take most of the misfit by the plain model's slopes, before a set of
-    several is the best one. Several find their size step by step, each a little: where the misfit
-    is large, slopes rank one that does it all behind them, though its own fit would lead there."""
-    fit = search.fit_of(NONE)
-    enough = search.nats(Hypothesis()) + MOST_OF_PLAIN * 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
-    alone = [frozenset({i}) for i in range(len(search.wide.effects))]
-    nats = {s: round(search.plain.weigh(s).nats, TIE_DIGITS) for s in alone}
-    ranked = sorted((s for s in alone if nats[s] > enough), key=lambda s: -nats[s])
-    for members in ranked[:MAX_ALONE]:
-        if search.steps < until:
-            search = refit(search, members)
-    return search
 
 
 def _fit_from_prior(search: Search) -> Search:
@@ -251,12 +236,13 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     not along weak directions."""
     made, fit = search.simulations, search.fit_of(members)
     # all of its fits share one budget: of a servo's 13 runs three had taken 47 million steps of 16
-    at, until = made.fitted[members], search.steps + search.settings.refit_steps
+    left = min(search.settings.refit_steps, search.ends - search.steps)
+    at, until = made.fitted[members], search.steps + left
     is_exact = fit.ended != "budget"
     is_exact &= has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
     model = search.wide.model
     by_differences = bool(at.idx) and model.moves and not has_tangents(model)
-    for k in range(MAX_MENDED):
+    for k in range(MAX_MENDED if left > 0.0 else 0):
         if not is_exact:
             after, end = made.fitted_from(members, at, np.inf, most=max(until - search.steps, 0.0))
             gained = 0.5 * (fit.chi2 + fit.prior - after.chi2 - after.prior)
@@ -264,7 +250,8 @@ def fitted_exactly(search: Search, members: Members) -> Search:
                 break  # what these slopes promise is not there: they are no better
             fit, made = after, made.kept(members, end)
             at = made.fitted[members]
-        better = made.with_weak_slopes(members) if by_differences else at
+        has_time = search.wide.model.simulations.steps < until
+        better = made.with_weak_slopes(members) if by_differences and has_time else at
         if better is at:
             break
         at, is_exact = better, False
@@ -278,7 +265,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
 def _leaves_sheets(fit: Fit) -> bool:
     """Whether a fit would say that a data sheet is wrong."""
     base = zip(fit.problem.model.base, fit.x, strict=False)
-    return any("@" not in p.name and abs(x) > FINDING_SD for p, x in base)
+    return any("@" not in p.name and abs(x) > FAR_OFF for p, x in base)
 
 
 def _fitted_along_weak(
@@ -290,7 +277,6 @@ def _fitted_along_weak(
     Args:
         made: Simulations made so far, the set's fit among them.
         members: Effects of the set, by index.
-        fit: Its fit.
         until: Count of weighted steps after which no further step is tried.
     """
     tally = made.wide.model.simulations
@@ -316,11 +302,10 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
 
     Args:
         search: Search that has fitted all of them.
-        sets: Members of each.
         whole: Set whose parts they are; one that ended far above what slopes promise at the whole's
             end is fitted once more from there.
     """
-    until = search.steps + search.null.case.settings.plain_steps
+    until = min(search.steps + search.null.case.settings.plain_steps, search.ends)
     made, near = search.simulations, None
     if whole:
         at = made.fitted[whole].joined(search.plain.at)
@@ -373,11 +358,14 @@ def repaired(search: Search) -> Search:
         subset = _better_subset(search, members)
         if subset is None:
             continue
+        if search.steps >= search.ends:
+            search = search.with_late()
+            continue
         made = search.simulations
         try:
             slopes = made.screened.get(subset, search.plain.at)
             start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
-            most = search.null.case.settings.plain_steps
+            most = min(search.null.case.settings.plain_steps, search.ends - search.steps)
             fit, at = made.fitted_from(members, start, search.best_cost(), most=most)
         except DiffsimError as error:  # that end cannot be moved: what it is must be said
             failed = {**search.failed, Hypothesis(members): str(error)}
@@ -442,7 +430,13 @@ def _with_linear(
 def _refit_promising(
     search: Search, center: Center, ranked: Sequence[Members], until: float
 ) -> Search:
-    """Refit the first of the ranked neighbors, and as many more as are asked for.
+    """Refit the first of the ranked neighbors, and as many more as are asked for; where they leave
+    more than noise, single causes that take most of the misfit by the plain model's slopes, before
+    sets grow from the first of them.
+
+    Several find their size step by step, each a little: where the misfit is large, slopes rank one
+    that does it all behind them, though its own fit would lead there: a spring between two masses
+    behind four that are late.
 
     Args:
         search: Sets that were weighed so far.
@@ -458,6 +452,17 @@ def _refit_promising(
         if not is_within and any(_is_near_prior(search, tried) for tried in ranked[:k]):
             break
         search = refit(search, members, center)
+    plain, best = search.fit_of(NONE), search.fit_of(_best_of(search))
+    if 0.5 * (best.chi2 - best.num_samples) < KEEP_NATS:
+        return search
+    enough = MOST_OF_PLAIN * 0.5 * max(plain.chi2 - plain.num_samples, 0.0)
+    enough += search.nats(Hypothesis())
+    alone = [frozenset({i}) for i in range(len(search.wide.effects))]
+    nats = {s: round(search.plain.weigh(s).nats, TIE_DIGITS) for s in alone}
+    leading = sorted((s for s in alone if nats[s] > enough), key=lambda s: -nats[s])
+    for members in leading[:MAX_ALONE]:
+        if search.steps < until:
+            search = refit(search, members)
     return search
 
 
@@ -472,7 +477,6 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
 
     Args:
         search: Sets that were weighed so far.
-        center: The best set.
         until: Weighted steps after which the rest keeps its linear evidence, subsets apart, and the
             first that promise to be better than the best set.
     """

@@ -22,7 +22,7 @@ from diffsim.diagnose.search.evidence import Hypothesis, LaplaceEvidence, SetPos
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton, unfitted_shapes
 from diffsim.diagnose.search.located import course_at, scan_located
-from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, scan
+from diffsim.diagnose.search.scan import Scan, first_runs, groups, num_points, run_for_scans, scan
 from diffsim.diagnose.search.store import Arrays, Store, gauss_newton_kept, packed, unpacked
 from diffsim.diagnose.search.weak_slopes import descended, mended, stepped
 from diffsim.identify import Fit, Problem
@@ -305,7 +305,12 @@ class Simulations:
         made, found = self, {}
         courses: dict[Effect, Course] = {}
         room = settings.max_effects - len(center.members)
-        for group in groups(self.wide.effects, center.members, room):
+        every = list(groups(self.wide.effects, center.members, room))
+        new = [group for group in every if (center.members, group) not in self.scans]
+        before = sum(scan.num_points for scan in self.scans.values())
+        most = settings.scan_points - before, settings.scan_steps - self.scan_steps
+        run = run_for_scans(self.wide, center.at, new, most)
+        for group in every:
             key, members = (center.members, group), sorted(group)
             if key not in made.scans:
                 points = 0  # of what is located by its course none are tried
@@ -316,7 +321,7 @@ class Simulations:
                 if points > settings.scan_points or made.scan_steps > settings.scan_steps:
                     made = replace(made, scans_late=made.scans_late | {(made.place, *key)})
                     continue
-                result = self._scan(center, members, courses)
+                result = self._scan(center, members, courses, run)
                 spent = made.scan_steps + result.steps
                 made = replace(made, scans={**made.scans, key: result}, scan_steps=spent)
                 made = replace(made, scans_late=made.scans_late - {(made.place, *key)})
@@ -324,18 +329,25 @@ class Simulations:
                 found[group] = made.center(center.members, at, num_families)
         return replace(center, scanned=found), made
 
-    def _scan(self, center: Center, group: Sequence[int], courses: dict[Effect, Course]) -> Scan:
+    def _scan(
+        self,
+        center: Center,
+        group: Sequence[int],
+        courses: dict[Effect, Course],
+        run: int | None,
+    ) -> Scan:
         """Sizes of a group at a center, from this process or an earlier one.
 
         Args:
             center: A fitted set.
             group: Indices of effects that are tried together.
             courses: Courses at this center that are known, which grow.
+            run: Index of the run that sizes are tried in; None: all.
         """
         label = f"scan of {self._label(frozenset(group))} at {self._label(center.members)}"
         own, effect = self.coordinates(center.members), self.wide.effects[group[0]]
         tally = self.wide.model.simulations
-        before, make = tally.work, partial(scan, self.wide, own, center.at, group)
+        before, make = tally.work, partial(scan, self.wide, own, center.at, group, run)
         if (locate := effect.locate) is not None:
             course = courses.get(locate.course)
             if course is None:  # apart from the scan: others share it

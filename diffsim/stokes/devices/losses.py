@@ -28,7 +28,6 @@ def integral(field: FlowField, face: str, values: Tensor) -> Tensor:
     """Integral over the fluid part of a face.
 
     Args:
-        field: The flow.
         face: "x-", "x+", ...
         values: Values at the face's nodes, (cases, *face_node_shape); multilinear between them.
 
@@ -76,7 +75,6 @@ def squared_difference(field: FlowField, faces: Sequence[str], target: Tensor) -
     """Average of |v - target|^2 over the outlets and cases, scalar [m^2/s^2].
 
     Args:
-        field: The flow.
         faces: Faces of the box that are outlets.
         target: Wanted velocity [m/s], broadcast against (cases, *node_shape, dim).
     """

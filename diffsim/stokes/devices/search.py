@@ -56,7 +56,6 @@ def descend(
     """Improve a design; what the log's list ``name`` holds is replayed, not computed again.
 
     Args:
-        device: The device.
         start: Design to start from, (num_parameters,).
         log: Log of the search, in which every evaluation is kept.
         name: Name of the list of evaluations in the log.

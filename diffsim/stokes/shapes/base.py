@@ -203,7 +203,6 @@ def require_weights(weights: Tensor, shape: Sequence[int], most: float) -> Tenso
     Where one outweighs the others, most of the shape lies within a tiny piece of the parameter.
 
     Args:
-        weights: The weights.
         shape: Shape that they must have.
         most: Largest weight per smallest.
     """

@@ -238,7 +238,6 @@ class Chain:
         """Points closest to p (N, 2), without gradient.
 
         Args:
-            p: Points.
             rays: Unit directions in which the chain goes on straight before its start and after
                 its end, (2, 2); None if it does not.
 

@@ -24,7 +24,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.law import LAWS
 from diffsim.identify.setup import DiagnosisSetup
-from diffsim.systems.description import chosen_effects, settings_with
+from diffsim.systems.description import MAX_EFFECTS, chosen_effects, settings_with
 from diffsim.systems.ode.applying import LABELS, labels_of_blocks
 from diffsim.systems.ode.described import DescribedMotion, FormulaSystem
 from diffsim.systems.ode.keys import FormulaKeys, Input, Inputs
@@ -36,7 +36,6 @@ from diffsim.systems.ode.reading import read_system
 from diffsim.systems.ode.scene import OdeScene
 
 MIN_FIT_RUNS = 3  # runs to fit: of two, one zero for both and their difference are alike
-MAX_EFFECTS = 6  # several quantities, each with causes of its own
 
 
 class BenchDescription(FormulaKeys):

@@ -13,6 +13,8 @@ from torch import Tensor
 from diffsim.stokes import Grid
 from diffsim.systems.flow_network.grid_fits import MovingFit
 
+MAX_SWEEPS = 60  # of linear flow under loads of the flow before
+
 
 class FlowDerivatives:
     """Derivatives of grid flows, at cells and nodes of the fluid.

@@ -77,9 +77,7 @@ def integrate_face(grid: Grid, phi: Tensor, along_x: Tensor, face: str) -> Tenso
     """Integral of nodal values (cases, *node_shape) over the fluid part of a face, (cases,).
 
     Args:
-        grid: Grid of the values.
         phi: Level set at the nodes, positive in the fluid.
-        along_x: The values.
         face: Face of the box, such as "x-".
     """
     empty = phi.new_zeros(0)

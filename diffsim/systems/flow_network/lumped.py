@@ -56,7 +56,6 @@ class TubeLayout:
         starts, ends: Index of the node at either end of each channel.
         shapes: "slit", "rectangle", "round" or "resistance", one per channel.
         free: Nodes whose pressure is unknown.
-        pumps: Node of each pump.
         held: Node of each pressure source.
         branches: Channels that end at a pressure source: what leaves the network.
         readings: Of the study's channels, in order.

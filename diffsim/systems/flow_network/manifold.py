@@ -16,7 +16,7 @@ from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.stokes import FlowField
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.flow_network.corrections import shear_rate_squared
+from diffsim.systems.flow_network.corrections import MAX_SWEEPS, shear_rate_squared
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
 from diffsim.systems.flow_network.keys import FlowDeviceKeys, ManifoldKeys
 from diffsim.systems.flow_network.rig import FlowRig
@@ -29,8 +29,6 @@ from diffsim.systems.flow_network.steady import (
     numbered,
 )
 
-SWEEP_RTOL = 1e-8
-MAX_SWEEPS = 60
 WALL_SWEEPS = 3
 """Walls follow the pressure so often, each time ten times closer. Not to the last digit: the flow
 jumps by some 1e-4 where a wall passes nodes, and such a map may have no fixed point."""
@@ -201,7 +199,6 @@ class Manifold:
 
     Args:
         given: Description.
-        keys: Its manifold.
     """
 
     kind = "manifold"
@@ -258,7 +255,6 @@ class Manifold:
         """The device as a model: ``Numerics.mesh`` scales the cells, ``tolerance`` the sweeps.
 
         Args:
-            parameters: Quantities of the description.
             columns: Which of the readings are channels of the study.
         """
 
@@ -276,7 +272,7 @@ class Manifold:
                 commands=drive_commands(run, self.given.drives, gains),
                 num_drives=self.num_inlets,
                 is_in_time=self.given.is_in_time,
-                rtol=SWEEP_RTOL * numerics.tolerance,
+                rtol=1e-8 * numerics.tolerance,
                 rig=rig(numerics.mesh),
                 columns=tuple(columns),
             )

@@ -12,19 +12,11 @@ from torch import Tensor
 
 from diffsim.core.errors import ConvergenceError, DiffsimError
 from diffsim.stokes import FlowField, Grid, Inlet, Open, StokesFlow
-from diffsim.systems.flow_network.corrections import FlowDerivatives
+from diffsim.systems.flow_network.corrections import MAX_SWEEPS, FlowDerivatives
 from diffsim.systems.flow_network.grid_fits import DEEP, MovingFit, average_corners, integrate_face
 from diffsim.systems.flow_network.network import NetworkDevice
 
-BULK_RATIO = 1e7
-"""Less, and slender channels lose some per mille of the flow; rounding errors grow with it."""
-
-PENALTY = 200.0
-"""Of the walls, ten times the usual one: they let less of the flow through, and so a wall that
-moves changes resistances more smoothly."""
-
 SLIP_RTOL = 1e-9
-MAX_SLIP_SWEEPS = 60
 
 
 class NetworkFlow:
@@ -53,8 +45,11 @@ class NetworkFlow:
             self.grid,
             [Inlet("x-", "in", lambda x: (x[:, 1] - height).abs() < reach), Open("x+")],
             viscosity=device.viscosity,
-            bulk_ratio=BULK_RATIO,
-            penalty=PENALTY,
+            # of less, slender channels lose some per mille; rounding errors grow with it
+            bulk_ratio=1e7,
+            # of the walls, ten times the usual one: they let less of the flow through, and a wall
+            # that moves changes resistances more smoothly
+            penalty=200.0,
         )
         phi = self._level_set(0.0, (0.0,) * len(device.outlets))
         centers = self.grid.centers.reshape(-1, 2)
@@ -130,7 +125,7 @@ class NetworkFlow:
         derivatives = FlowDerivatives(self.grid, phi, level > 0.0, level > DEEP)
         inside, wall = phi > spacing, torch.zeros(())
         share = 1.0 / (1.0 + 1.5 * abs(slip) / spacing)  # as in ``StokesScene``
-        for _ in range(MAX_SLIP_SWEEPS):
+        for _ in range(MAX_SWEEPS):
             gradient = derivatives.gradient(flow.velocity)
             asked = slip * derivatives.slip_velocity(gradient, phi)
             wall = share * asked + (1.0 - share) * wall
@@ -141,10 +136,10 @@ class NetworkFlow:
                 return flow
         raise ConvergenceError(
             f"the flow with slip length {slip:g} m changed by {change:.1e} of its largest speed in "
-            f"sweep {MAX_SLIP_SWEEPS}, needed {SLIP_RTOL:.1e}; narrow the bounds of the slip",
+            f"sweep {MAX_SWEEPS}, needed {SLIP_RTOL:.1e}; narrow the bounds of the slip",
             residual_norm=change,
             tolerance=SLIP_RTOL,
-            num_iters=MAX_SLIP_SWEEPS,
+            num_iters=MAX_SWEEPS,
         )
 
     def _level_set(self, offset: float, narrowing: tuple[float, ...]) -> Tensor:

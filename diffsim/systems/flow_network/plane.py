@@ -37,7 +37,6 @@ class PlaneNetwork:
 
     Args:
         given: Description.
-        plane: Its network.
     """
 
     kind = "flow_device"
@@ -101,7 +100,6 @@ class PlaneNetwork:
         ``Numerics.mesh`` scales the cells, ``tolerance`` the balance.
 
         Args:
-            parameters: Quantities of the description.
             columns: Which of the readings are channels of the study.
         """
         given, one = self.given, torch.ones((), dtype=torch.float64)

@@ -16,10 +16,6 @@ from diffsim.systems.flow_network.corrections import FlowDerivatives
 from diffsim.systems.flow_network.device import ChannelDevice, Opening
 from diffsim.systems.flow_network.grid_fits import DEEP, MovingFit, average_corners, integrate_face
 
-BULK_RATIO = 1e6
-"""Long channels raise much pressure: the usual 1e5 would lose 0.3 % of the flow on its way; above,
-rounding errors grow in proportion."""
-
 
 class FlowRig:
     """Device on its grid; scenes of all runs share it.
@@ -40,9 +36,9 @@ class FlowRig:
             faces: list[Inlet | Open] = [*inlets, Open("x+")]
         else:
             faces = [Open("x-"), Open("x+")]
-        self.solver = StokesFlow(
-            self.grid, faces, viscosity=device.viscosity, bulk_ratio=BULK_RATIO
-        )
+        # long channels raise much pressure: the usual 1e5 would lose 0.3 % of the flow on its way;
+        # above, rounding errors grow in proportion
+        self.solver = StokesFlow(self.grid, faces, viscosity=device.viscosity, bulk_ratio=1e6)
         self.phi = device.level_set(self.grid.nodes)
         self.width = device.local_width(self.grid.nodes)
         heights = self.grid.nodes[0, :, 1]

@@ -116,9 +116,7 @@ def drive_commands(
     A drive is also known as ``inlet_1``, ``inlet_2`` and so on, by its place.
 
     Args:
-        run: Run that is simulated.
         drives: Command of each pump or regulator.
-        gains: Gain of each drive.
         held: Command or constant of each pressure [Pa]; None, or a command that the run does not
             have: zero.
 
@@ -157,7 +155,6 @@ def plant_of(
     study names causes.
 
     Args:
-        study: Study with the recordings.
         kind: Kind of system.
         samples: What the samples of a run are.
         pumps, pressures: Names of the commands.
@@ -225,8 +222,6 @@ def numbered(count: int, before: str = "", start: int = 1) -> dict[str, str]:
     """Parts that are counted: "1" and what stands for it, "BEFORE1", in names of numbers.
 
     Args:
-        count: Number of parts.
-        before: What stands before the count.
         start: What the first one is counted as.
     """
     return {str(i): f"{before}{i}" for i in range(start, start + count)}

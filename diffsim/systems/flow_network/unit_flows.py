@@ -75,7 +75,6 @@ class UnitFlowTable:
     """Unit flows of any shape: simulated on a lattice of shapes, interpolated smoothly between.
 
     Args:
-        device: Network to be simulated.
         refine: Factor on the cell size [-].
         corrected: Multiply resistances by what halving the cells once changes them in the nominal
             shape, extrapolated to second order (Richardson).

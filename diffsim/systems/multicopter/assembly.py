@@ -91,12 +91,7 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
 
 
 def usual_magnitudes(flights: DescribedFlights, study: Study) -> Scales:
-    """Magnitudes of thrusts, channels and vehicle; of a saved model those that it was fitted with.
-
-    Args:
-        flights: Recipe of the scenes, as assembled.
-        study: Study with the recordings.
-    """
+    """Magnitudes of thrusts, channels and vehicle; of a saved model those of its fit."""
     if (kept := Scales.kept_in(study)) is not None:
         return kept
     nominal, fleet = flights.nominal(), flights.nominal_fleet()
@@ -137,8 +132,6 @@ def with_gust(flights: DescribedFlights, study: Study, scales: Scales) -> Scales
     """Magnitudes with the frequency of a gust and its spread [Hz], as the records suggest.
 
     Args:
-        flights: Recipe of the scenes, as assembled.
-        study: Study with the runs to be fitted.
         scales: Magnitudes; new runs of a saved model have its frequency.
     """
     if GUST in scales.plain:
@@ -158,8 +151,6 @@ def with_shapes(
 
     Args:
         of: Description of the multicopter.
-        flights: The same, assembled.
-        study: Study with the runs to be fitted.
         causes: Names of the candidate causes.
         scales: Magnitudes, with those of a gust if that is a cause and its frequency not stated.
     """
@@ -300,7 +291,6 @@ def strongest_frequency(flights: DescribedFlights, runs: Sequence[Run]) -> tuple
 
     Args:
         flights: Recipe of the scenes, whose nominal vehicle the forces are left over by.
-        runs: Runs that are fitted.
     """
     records = [_find_residuals(flights, run) for run in runs]
     longest = max(float(t[-1] - t[0]) for t, _, _ in records)

@@ -21,8 +21,6 @@ from diffsim.systems.multicopter.readings import RecordedScene, SensedRecord, re
 from diffsim.systems.multicopter.scene import flight_grid
 from diffsim.systems.multicopter.shooting import RIGID, Windows
 
-_SECONDS, _RATE_HZ = 4.0, 100.0
-
 
 def flights_to_record(flights: DescribedFlights, runs: Sequence[Run]) -> tuple[Run, ...]:
     """Hover high and low, with a payload, fast forward, climb, weave and turn, without noise.
@@ -64,7 +62,7 @@ def _fly_path(
     like: Run,
     payload: float,
 ) -> Run:
-    count, dt = round(_SECONDS * _RATE_HZ), 1.0 / _RATE_HZ
+    count, dt = 400, 0.01  # four seconds
     time = dt * torch.arange(count, dtype=torch.float64)
     aim, n = path(time), vehicle.num_rotors
     hover = torch.full((n,), float(vehicle.mass) * GRAVITY / n, dtype=torch.float64)

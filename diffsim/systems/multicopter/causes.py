@@ -32,7 +32,6 @@ from diffsim.systems.multicopter.scene import NUMBERS, CopterScene, rotor_names
 
 SYSTEM = "multicopter"  # the kind of system, and its table
 _TURNS = {"attitude", "quaternion"}  # what has no scale, no zero and no lag by itself
-_WIDE = 5.0  # [%]: a mass no better known needs no cause that adds to it
 _ALREADY = {  # causes of whole groups that every vehicle has
     "sensor_scale": ("position", "accelerometer"),
     "sensor_offset": ("position", "body_rates", "accelerometer", "acceleration"),
@@ -126,8 +125,6 @@ def plant_of(
 
     Args:
         given: Description of the multicopter.
-        flights: The same, assembled.
-        study: Study with the recordings.
         scales: Usual magnitudes.
     """
     functions = dict(FUNCTIONS)
@@ -163,7 +160,8 @@ def _list_facts(given: MulticopterKeys, flights: DescribedFlights) -> dict[str, 
         "center_is_fitted": everywhere and any(q[f"center_of_mass_{a}"].is_fitted for a in "xy"),
         "mass_is_fitted": everywhere
         and q["mass"].is_fitted
-        and (q["mass"].percent or 0.0) >= _WIDE,
+        # a mass no better known needs no cause that adds to it
+        and (q["mass"].percent or 0.0) >= 5.0,
         "battery": given.battery is not None,
         "estimator": given.estimator is not None,
         "down": flights.cutter.frames.world == "NED",
@@ -217,7 +215,6 @@ def acting_in(effect: Effect, facts: Mapping[str, str | float]) -> Effect:
     """The effect in those runs only whose set-up states some facts.
 
     Args:
-        effect: Candidate cause.
         facts: Values by name of the fact, such as {"propeller": "cut"}.
     """
     return replace(effect, apply=partial(_apply_there, inner=effect.apply, facts=dict(facts)))

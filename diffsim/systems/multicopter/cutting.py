@@ -119,7 +119,6 @@ class Cutter:
         """Windows of a run; searches start from the states of the model with its prior.
 
         Args:
-            run: Recorded run.
             past: Guess of the thrusts before the record, (1, n_rotors) [N].
             scene: Function of windows: the run in them, as the model with its prior flies it.
             vehicle: The one that flies, where more rotors may pull than move it apart.
@@ -202,7 +201,6 @@ def evenly_sampled(study: Study, rate_hz: float | None, means: Sequence[bool]) -
     Commands are means over the step that follows a sample.
 
     Args:
-        study: Recorded runs.
         rate_hz: Samples per second; None: as recorded, and runs that are even stay as they are.
         means: Which channels are means over the step before: accelerations are.
     """

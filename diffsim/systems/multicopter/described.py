@@ -91,7 +91,6 @@ class DescribedFlights:
 
         Args:
             values: Values of the base parameters by name, () or (points,) each.
-            run: Run that is simulated.
         """
         known = {
             self.parameters.name_of(key, run): torch.tensor(q.value, dtype=torch.float64)
@@ -104,7 +103,6 @@ class DescribedFlights:
         """Thrusts that are asked for, (points, num_samples, n_rotors) [N].
 
         Args:
-            run: Recorded run.
             v: Quantities of the run by name, () or (points,) each.
         """
         count = len(self.law.commands.columns)

@@ -98,7 +98,6 @@ def tilt_axes(scene: CopterScene, turns: Tensor) -> CopterScene:
     """A copy whose rotors' axes are turned by small rotation vectors.
 
     Args:
-        scene: Run to be flown.
         turns: In the body frame of the recording, (points, n_rotors or 1, 3) [rad].
     """
     turns, axes = torch.broadcast_tensors(scene.frames.in_body(turns), scene.vehicle.directions)
@@ -231,7 +230,6 @@ def with_moment(scene: CopterScene, moment: Moment) -> CopterScene:
     up to forces across for level rotors.
 
     Args:
-        scene: Run to be flown.
         moment: Function of the motion, in the body frame of the model,
             (points, num_windows, length, 3) [N m].
     """

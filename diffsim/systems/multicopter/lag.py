@@ -5,9 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from diffsim.causes.signals import Grid, affine_scan, decayed
-
-_SHORTEST = 1e-3  # of a step: below it exp(-dt / tau) is zero to the last digit
+from diffsim.causes.signals import SHORTEST_LAG, Grid, affine_scan, decayed
 
 
 def speed_lagged(thrusts: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
@@ -18,12 +16,11 @@ def speed_lagged(thrusts: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
 
     Args:
         thrusts: Commanded thrusts, held until the next sample, (..., n_rotors, num_times) [N].
-        grid: Times, evenly spaced.
         time_constant: tau, (..., 1) [s]; at first the rotors turn as commanded.
     """
     dt, tau = float(grid.times[1] - grid.times[0]), time_constant
     root = thrusts.clamp(min=1e-9).sqrt()  # [N]: the root has no slope at zero
-    decay = torch.exp(-dt / tau.clamp(min=_SHORTEST * dt))
+    decay = torch.exp(-dt / tau.clamp(min=SHORTEST_LAG * dt))
     share = tau / dt
     once, twice = share * (1.0 - decay), 0.5 * share * (1.0 - decay**2)
     later = decayed(decay, -root.diff(dim=-1))
@@ -36,13 +33,12 @@ def lagged_in_windows(y: Tensor, grid: Grid, time_constant: Tensor) -> Tensor:
 
     Args:
         y: Readings, (num_windows, points, width, length).
-        grid: Times, evenly spaced.
         time_constant: tau, (..., 1) [s].
     """
     if y.shape[-1] < 2:
         return y
     dt, tau = float(grid.times[1] - grid.times[0]), time_constant[..., None]
-    decay = torch.exp(-dt / tau.clamp(min=_SHORTEST * dt))
+    decay = torch.exp(-dt / tau.clamp(min=SHORTEST_LAG * dt))
     target = tau * y.diff(dim=-1) / dt
     begun = target[..., :1]
     # e = y - y': e' = y' - e / tau, from one time to the next target + (e - target) * decay

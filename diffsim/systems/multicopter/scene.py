@@ -218,7 +218,6 @@ class Flyer:
     accelerates with a = F / m it is absent, and the drags act on a wind, less the frame's velocity.
 
     Args:
-        scene: Run to be flown.
         points: Number of points that the scene's leading axes stand for.
         is_one: Whether they are one point of the parameters, flown from many starts.
     """

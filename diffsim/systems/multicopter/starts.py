@@ -26,7 +26,6 @@ def states_of(groups: Mapping[str, Tensor], frames: RecordingFrames, dt: float) 
     Args:
         groups: Readings by group, keys of ``SENSORS``, (num_samples, 3 or 4) each in the
             recording's frames; columns without any reading are NaN, gaps are filled.
-        frames: Frames of the recording.
         dt: Time between two samples [s].
     """
     position, velocity = _find_path(groups, frames, dt)
@@ -48,7 +47,6 @@ def acceleration_of(
 
     Args:
         groups: Readings by group, as of ``states_of``.
-        frames: Frames of the recording.
         states: States of 12 at every sample, (num_samples, 12).
         dt: Time between two samples [s].
     """

@@ -41,7 +41,6 @@ class ThrustLaw:
         """(points, num_samples, n_rotors) [N], before lag, gains and shares.
 
         Args:
-            run: Recorded run.
             values: ``thrust_coefficient``, () or (points,), where the law has one.
         """
         u = self._compute_input(run)

@@ -22,10 +22,6 @@ from diffsim.systems.multicopter.scene import CopterScene
 _TORQUE_PER_FORCE = 0.02  # components share one unit: a torque of this per newton [m]
 
 
-_KNOT_S = 0.2
-_MOST_KNOTS = 30
-
-
 def _push_vehicle(
     scene: CopterScene, size: Tensor, run: Run, *, num_knots: int, spacing: float
 ) -> CopterScene:
@@ -62,14 +58,14 @@ def unknown_wrench(num_knots: int, until_s: float) -> Effect:
 
 
 def wrench_of(runs: Sequence[Run], weight: float) -> UnknownForce:
-    """The unknown wrench of a study: knots every 0.2 s, further apart in long runs.
+    """The unknown wrench of a study: knots every 0.2 s, at most 30.
 
     Args:
         runs: Recorded runs; the longest sets the knots.
         weight: Of the vehicle [N]; sets what is usual.
     """
     longest = max(float(run.time_s[-1] - run.time_s[0]) for run in runs)
-    count = min(max(2, round(longest / _KNOT_S) + 1), _MOST_KNOTS)
+    count = min(max(2, round(longest / 0.2) + 1), 30)
     knots = np.linspace(0.0, longest, count)
     smooth = smooth_covariance(knots, 2.0 * float(knots[1]))
     covariance = np.kron(np.eye(6), smooth).astype(np.float64)

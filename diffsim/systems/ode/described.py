@@ -31,10 +31,6 @@ from diffsim.systems.ode.network import TIME, Network
 from diffsim.systems.ode.pieces import Piece, start_name
 from diffsim.systems.ode.scene import OdeScene
 
-#: weighted steps (``SimModel.cost``) of a sample and of a step of the integrator: about the same
-#: (``benchmarks.step_costs``)
-_READ_COST, _STEP_COST = 1.0, 1.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class DescribedMotion:
@@ -76,9 +72,6 @@ class FormulaSystem:
     """A description with its formulas parsed against a study.
 
     Attributes:
-        keys: Keys that all systems of formulas share.
-        motion: States and what goes with them.
-        study: Study with the recordings.
         held: Inputs, with whether they are held between samples.
         unsure: Inputs of which nobody knows whether they are held between samples.
         assumed: Inputs that are taken to be held though some run does not show it.
@@ -125,7 +118,7 @@ class FormulaSystem:
     def heard_before(self) -> frozenset[str]:
         """Inputs whose first values had been heard before fitted runs that start at rest."""
         sd = np.array([np.nan if c.sd is None else c.sd for c in self.study.channels])
-        late, every = torch.tensor(LATE, dtype=torch.float64), frozenset(self.inputs)
+        delays, every = torch.tensor(LATE, dtype=torch.float64), frozenset(self.inputs)
         records: dict[str, list[tuple[Array, Array]]] = {name: [] for name in self.inputs}
         for run in self.study.fit_runs:
             if len(run.time_s) < FEWEST_READINGS:
@@ -133,14 +126,16 @@ class FormulaSystem:
             if not _make_scene(self, self.priors, run, Numerics()).rests_without_inputs():
                 continue
             scene = _make_scene(self, self.priors, run, Numerics(), zero=every)
-            delay = (late * float(np.median(np.diff(run.time_s))))[:, None]
+            delay = (delays * float(np.median(np.diff(run.time_s))))[:, None]
             with torch.no_grad():
                 at_once = scene.simulate()[None]
                 for name in self.inputs:
-                    comes = late_by(delay, held=self.held[name])
-                    later = scene.changed(commands=scene.commands.changed((name,), comes))
-                    moved = torch.cat([at_once, later.simulate()])
-                    records[name].append((moved.numpy(), run.measured))
+                    comes, moved = late_by(delay, held=self.held[name]), [at_once]
+                    for zero in (every - {name}, every):
+                        begun = _make_scene(self, self.priors, run, Numerics(), zero=zero)
+                        late = begun.commands.changed((name,), comes)
+                        moved.append(begun.changed(commands=late).simulate())
+                    records[name].append((torch.cat(moved).numpy(), run.measured))
         return frozenset(name for name in self.inputs if is_heard_at_once(records[name], sd))
 
     @property
@@ -168,7 +163,8 @@ def model_of(system: FormulaSystem) -> SimModel:
     made.moves = bool(system.motion.states and system.motion.places)
     stated = system.motion.time_step
     num_steps = max(system.usual_interval / stated, 1.0) if stated else system.parts
-    made.step_cost = _READ_COST + _STEP_COST * num_steps
+    # a sample costs as much as a step of the integrator (``benchmarks.step_costs``)
+    made.step_cost = 1.0 + num_steps
     made.cuts = {
         run: tuple((p.time, p.parting) for p in pieces) for run, pieces in system.pieces.items()
     }

@@ -47,7 +47,6 @@ def ode_effects(library: Library, periods: Mapping[str, float]) -> tuple[Effect,
     """Causes by rule, then those of clocks, in time, of laws, and the user's own.
 
     Args:
-        library: Names and magnitudes of the system.
         periods: Period of each channel's own clock [s]; 0 where there is none.
     """
     return (
@@ -78,11 +77,7 @@ def _say_well(effect: Effect, library: Library) -> Effect:
 
 
 def plant_of(library: Library) -> Plant:
-    """What a system of formulas tells of itself.
-
-    Args:
-        library: Names and magnitudes of the system.
-    """
+    """What a system of formulas tells of itself."""
     system = library.system
     places = {place.name: (place, scale) for place, scale in library.places}
     stores = {store.name: (store, scale) for store, scale in library.stores}

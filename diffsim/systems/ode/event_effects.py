@@ -106,11 +106,7 @@ def timings(events: Events, study: Study) -> dict[str, Quantity]:
 
 
 def event_effects(library: Library) -> tuple[Effect, ...]:
-    """Every form at every place where it is looked for; places that no record tells apart are one.
-
-    Args:
-        library: Names and magnitudes of the system.
-    """
+    """Every form at every place that is asked; places that no record tells apart are one."""
     return tuple(e for one in library.system.motion.events for e in _list_of_one(library, one))
 
 

@@ -2,7 +2,8 @@
 
 A start that rests without commands, and not with the first ones, says that these came with the
 record: what is late hears them later. Unless the record moves at once: then the drives were let go
-with commands that had long been heard, and no delay shows before these change.
+with commands that had long been heard, and no delay shows before these change. It may well show
+after that, so that each is asked with later commands that come late.
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ def is_heard_at_once(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
     """Whether records clearly move as they would if a first command is heard at once.
 
     Args:
-        records: Of each run that begins at rest, channels as predicted where the command comes
-            after zero by ``LATE`` and before that without a delay, (1 + len(LATE), num_samples,
-            num_channels), and as measured, (num_samples, num_channels); NaN: not measured.
+        records: Of each run that begins at rest, channels as predicted without a delay, late by
+            ``LATE`` where the first command stood before the record, and late after zero, (1 + 2
+            len(LATE), num_samples, num_channels); and as measured, (num_samples, num_channels);
+            NaN: not measured.
         sd: Noise of the channels, (num_channels,); NaN: of a channel that tells nothing here.
     """
-    left = np.zeros(1 + len(LATE))
+    left = np.zeros(1 + 2 * len(LATE))
     for predicted, measured in records:
         for channel in np.flatnonzero(np.isfinite(sd)):
             seen = measured[:SAMPLES, channel] / sd[channel]
@@ -41,4 +43,5 @@ def is_heard_at_once(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
                 ways = np.column_stack([moved, np.ones(len(there))])
                 found = np.linalg.lstsq(ways, seen[there], rcond=None)[0]
                 left[k] += float(np.sum((seen[there] - ways @ found) ** 2))
-    return bool(left[0] + CLEAR < left[1:].min())
+    stood = 1 + len(LATE)
+    return bool(left[:stood].min() + CLEAR < left[stood:].min())

@@ -64,7 +64,6 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
     """Gaps of a run across which one of these commands jumped.
 
     Args:
-        run: Recorded run.
         commands: Names of commands that are held from row to row.
     """
     steps = np.diff(run.time_s)

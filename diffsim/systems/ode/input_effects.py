@@ -21,11 +21,7 @@ from diffsim.systems.ode.scene import OdeScene
 
 
 def input_ways(library: Library) -> tuple[CommandGroup, ...]:
-    """Every input by itself, as causes of commands see it.
-
-    Args:
-        library: Names and magnitudes of the system.
-    """
+    """Every input by itself, as causes of commands see it."""
     system, several = library.system, len(library.system.held) > 1
     units = {c.name: (c.unit, c.shown_unit) for c in library.study.commands}
     is_electric = current_of(library.study.channels) is not None
@@ -58,7 +54,6 @@ def between_samples(name: str, own: str, *, held: bool) -> Apply:
     It comes after all that changes the input on its way, which it is a copy of.
 
     Args:
-        name: Name of the input.
         own: Name of the effect.
         held: Whether it is held, in place of going straight.
     """
@@ -99,7 +94,6 @@ def come_slowly(name: str, own: str) -> Apply:
     """A share of an input comes within the slow time.
 
     Args:
-        name: Name of the input.
         own: Name of the effect.
     """
     state = f"slow state of {own}"
@@ -118,7 +112,6 @@ def follow_profile(name: str, own: str, *, held: Mapping[str, bool]) -> Apply:
     """An input that is a set point behind a profile: it is no longer held between samples.
 
     Args:
-        name: Name of the input.
         own: Name of the effect.
         held: Whether inputs are held, by name.
     """
@@ -142,7 +135,6 @@ def drift_in_order(name: str, own: str) -> Apply:
     """An input does more from run to run.
 
     Args:
-        name: Name of the input.
         own: Name of the effect.
     """
     parts = {"u": named(name), "size": named(symbol(own)), "n": named("run_order")}

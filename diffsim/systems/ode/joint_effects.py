@@ -48,8 +48,6 @@ def elastic_coupling(library: Library, place: Place, name: str) -> Apply:
     behind it, and is read.
 
     Args:
-        library: Names and magnitudes of the system.
-        place: Where it moves.
         name: Name of the effect.
     """
     y, u = f"place behind {name}", f"speed behind {name}"
@@ -122,7 +120,6 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
     follow it, its poles are slower, and it is true to the second power.
 
     Args:
-        library: Names and magnitudes of the system.
         definition: Name of the definition.
         name: Name of the effect.
     """
@@ -167,7 +164,6 @@ def limited_inside(library: Library, definition: str, name: str) -> Apply:
     """A definition that goes no further than a limit either way, such as the torque of a motor.
 
     Args:
-        library: Names and magnitudes of the system.
         definition: Name of the definition.
         name: Name of the effect.
     """
@@ -209,7 +205,6 @@ def loses_by_sign(command: str, name: str, *, library: Library, channel: Channel
     Args:
         command: Name of the voltage.
         name: Name of the effect.
-        library: Names and magnitudes of the system.
         channel: Channel that shows the current.
     """
     network = library.system.network

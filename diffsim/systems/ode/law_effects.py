@@ -28,11 +28,7 @@ _WAY, _LOOP, _SHARE = "way of the sweep", "loop of the sweep", "share of the run
 
 
 def law_effects(library: Library) -> tuple[Effect, ...]:
-    """Effects of every law, and of one law on another's reading.
-
-    Args:
-        library: Names and magnitudes of the system.
-    """
+    """Effects of every law, and of one law on another's reading."""
     laws, out = library.system.keys.laws, []
     for law in laws:
         for row in rows("law").values():
@@ -43,11 +39,7 @@ def law_effects(library: Library) -> tuple[Effect, ...]:
 
 
 def unknown_laws(library: Library) -> tuple[Unknown, ...]:
-    """What nobody listed may depend on the same as a law: on its x, and on the place in a sweep.
-
-    Args:
-        library: Names and magnitudes of the system.
-    """
+    """What nobody listed may depend on the same as a law: on its x, and on the place in a sweep."""
     system = library.system
     places = {channel.name: i for i, channel in enumerate(library.study.channels)}
     out: dict[str, Unknown] = {}
@@ -71,7 +63,6 @@ class _FollowedPath:
     """Gives x of a law in a run, by the plain model as it is described.
 
     Attributes:
-        model: Plain model.
         read: Its formulas, which read x.
     """
 
@@ -144,7 +135,6 @@ class _BentLaw:
     """Applies a change of a law, with the signals that it needs beside the formulas.
 
     Attributes:
-        plain: The change of formulas.
         further: Names of those signals.
         swept: Formulas that read x.
     """

@@ -111,9 +111,6 @@ def library_of(system: FormulaSystem) -> Library:
     """A system with magnitudes from one simulation of each run to fit, with the best guess of all.
 
     A study with a ``frame`` has them from there.
-
-    Args:
-        system: Description without mistakes.
     """
     model = model_of(system)
     return Library(system, model, _find_scales(system, model))

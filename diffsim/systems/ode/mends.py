@@ -7,18 +7,18 @@ study's ``frame``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
+import torch
 
 from diffsim.core.memo import Memo
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
-from diffsim.identify.stability import runs_away
 from diffsim.systems.ode.described import FormulaSystem, model_of
 from diffsim.systems.ode.gaps import find_gaps
 from diffsim.systems.ode.names import Reader
@@ -27,6 +27,7 @@ from diffsim.systems.ode.swings import SPREAD, frequencies_to_try, strongest_fre
 
 Mend = Callable[[FormulaSystem, Reader], FormulaSystem]
 _Found = TypeVar("_Found")
+MAX_GUESS_RATIO = 1e6  # times what was measured: no guess is that wrong
 PARTS = "steps_per_sample"  # place in a study's frame
 MOST_PARTS = 64  # of a sample interval
 _KNOWN: Memo[object] = Memo()
@@ -36,7 +37,6 @@ def mended(system: FormulaSystem, reader: Reader) -> FormulaSystem:
     """A system that moves, with all mends that the records of its study ask for.
 
     Args:
-        system: Description without mistakes.
         reader: Receives what was taken for granted.
     """
     for mend in MENDS:
@@ -83,7 +83,7 @@ def _count_parts(model: SimModel, runs: tuple[Run, ...]) -> int:
     steps twice as far. 1 where no number up to ``MOST_PARTS`` helps."""
     parts = 1
     while parts <= MOST_PARTS:
-        if not runs_away(model, runs, Numerics(time_step=1.0 / parts)):
+        if not _runs_away(model, runs, Numerics(time_step=1.0 / parts)):
             return parts if parts == 1 else 2 * parts
         parts *= 2
     return 1
@@ -129,3 +129,16 @@ def _once(system: FormulaSystem, about: Hashable, find: Callable[[], _Found]) ->
     """What was found of some records: the check and the set-ups of one command ask for the same."""
     found: _Found = _KNOWN((about, system.formulas), find)  # type: ignore[assignment]
     return found
+
+
+def _runs_away(model: SimModel, runs: Iterable[Run], numerics: Numerics) -> bool:
+    """Whether the plain model, at its best guess, leaves all that was measured far behind, as
+    explicit steps do that are too long for the equations."""
+    for run in runs:
+        with torch.no_grad():
+            predicted = model.predict(run, model.at_prior(), numerics=numerics)
+        seen = np.nanmax(np.abs(run.measured), axis=0, initial=0.0)
+        most = torch.from_numpy(np.where(seen > 0.0, MAX_GUESS_RATIO * seen, np.inf))
+        if not bool((torch.isfinite(predicted) & (predicted.abs() <= most)).all()):
+            return True
+    return False

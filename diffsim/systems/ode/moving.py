@@ -17,12 +17,7 @@ from diffsim.systems.ode.swings import swing_quantities
 
 
 def quantities_of_motion(motion: DescribedMotion, study: Study) -> dict[str, Quantity]:
-    """Parameters of events, swings, stores and places.
-
-    Args:
-        motion: States and what goes with them.
-        study: Study with the recordings.
-    """
+    """Parameters of events, swings, stores and places."""
     given = dict[str, Quantity]()
     for events in motion.events:
         given |= timings(events, study)
@@ -43,11 +38,7 @@ def check_motion(
     """Report places, stores, events and swings that name what is not there.
 
     Args:
-        motion: States and what goes with them.
-        keys: Keys that all systems of formulas share.
-        inputs: Names of the inputs.
         known: Names that formulas may use.
-        reader: Receives the mistakes.
     """
     for key, kind, name, allowed in _list_references(motion, keys, tuple(inputs), reader.study):
         if name not in allowed:

@@ -51,7 +51,6 @@ class Solver:
     """Formulas as the integrator takes them.
 
     Attributes:
-        ode: The integrator.
         inputs: Names whose values it takes as inputs.
         parameters: Names whose values it takes as parameters.
         starts: Start values of states that changes have added, by name.

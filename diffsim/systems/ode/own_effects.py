@@ -30,12 +30,9 @@ def own_effect(
 
     Args:
         where: Key of the block.
-        block: The block.
-        study: Study with the recordings.
         known: Names that formulas may use.
         beside: Those of them that were recorded and are no inputs; whether they are held.
         states: Those of them that are states.
-        reader: Receives the mistakes.
     """
     reader.require_per(where, block.per)
     blocks = ((study.model or {}).get("effects") or {}).get("own") or ()

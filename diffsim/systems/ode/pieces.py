@@ -70,7 +70,6 @@ def cut_run(run: Run, model: SimModel) -> tuple[Piece, ...]:
     """Pieces of a run after the first one; none where two starts stay an image of each other.
 
     Args:
-        run: Recorded run.
         model: Plain model, whose scenes are :class:`OdeScene`.
     """
     say_stage(f"asking how far the start of run {run.name} tells")

@@ -109,7 +109,6 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
     """How a force at a place enters the formulas.
 
     Args:
-        library: Names and magnitudes of the system.
         place: Where it acts.
         scale: Usual magnitudes there.
         row: Cause with ``at: force``, of the effect's name.
@@ -170,8 +169,6 @@ def add_inertia(library: Library, place: Place, name: str) -> Apply:
     """How a larger inertia at a place enters the formulas.
 
     Args:
-        library: Names and magnitudes of the system.
-        place: Where it moves.
         name: Name of the effect.
     """
     factor = filled(

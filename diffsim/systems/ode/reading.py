@@ -38,11 +38,7 @@ def read_system(
     """Parse a description's formulas against a study, and mend its model as the records ask.
 
     Args:
-        keys: Keys that all systems of formulas share.
         given: What drives the system.
-        motion: States and what goes with them.
-        study: Study with the recordings.
-        reader: Receives the mistakes.
     """
     open_ = {i.name: list_commands_of(i, study) for i in given if i.held is None}
     moving = {name for name, commands in open_.items() if moves_on(study.runs, commands)}
@@ -133,23 +129,13 @@ def _is_whole(command: str, study: Study) -> bool:
 
 
 def list_commands_of(given: Input, study: Study) -> list[str]:
-    """Commands that an input is made of.
-
-    Args:
-        given: The input.
-        study: Study with the recordings.
-    """
+    """Commands that an input is made of."""
     words = {given.name} if given.formula is None else set(_WORDS.findall(given.formula))
     return sorted(words & {c for run in study.runs for c in run.command})
 
 
 def is_held(given: Input, study: Study) -> bool:
-    """Whether an input is held: as is stated, else as an earlier fit took it, else as it looks.
-
-    Args:
-        given: The input.
-        study: Study with the recordings.
-    """
+    """Whether an input is held: as is stated, else as an earlier fit took it, else as it looks."""
     if given.held is not None:
         return given.held
     kept = study.frame.get(HELD, {}).get(given.name)

@@ -31,7 +31,6 @@ def refresh_periods(study: Study, only: Collection[str] | None = None) -> Mappin
     A study with a ``frame`` has them from there.
 
     Args:
-        study: Study with the recordings.
         only: Names of the causes that are judged; None: all. For others no clock is looked for.
     """
     if (kept := study.frame.get(REFRESH)) is not None:
@@ -48,7 +47,6 @@ def refresh_effects(library: Library, periods: Mapping[str, float]) -> tuple[Eff
     """A clock of its own for each channel whose records show one.
 
     Args:
-        library: Names and magnitudes of the system.
         periods: Period of each channel's clock [s]; 0 where there is none: the causes of which the
             study speaks are not judged there.
     """

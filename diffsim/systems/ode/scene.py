@@ -25,11 +25,8 @@ class OdeScene(Scene):
     effects; its commands are the inputs.
 
     Attributes:
-        run: Recorded run.
-        network: Formulas.
         starts: Start value of every state, formulas of the numbers.
         further: Inputs that effects have added by name, (num_times,) or (K, num_times).
-        changes: What effects have changed in the formulas.
         channels: Names of the channels in order.
         ranges: Least and largest value that the sensor of a channel can show, by channel.
         columns: What was recorded beside commands and channels, by name, (num_times,).
@@ -195,7 +192,6 @@ class _Flow:
     """A scene as the integrator takes it.
 
     Attributes:
-        ode: The integrator.
         states: Names of the states.
         lead: Leading axes of the points.
         start: States in the beginning, (..., num_states).

@@ -22,7 +22,6 @@ def flow_of(library: Library, store: Store, scale: StoreScale, row: Row, flows_o
     """How what a store gains enters the formulas.
 
     Args:
-        library: Names and magnitudes of the system.
         store: What fills and empties.
         scale: Its usual magnitudes.
         row: Cause with ``at: store``, of the effect's name.

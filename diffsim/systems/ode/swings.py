@@ -24,7 +24,6 @@ FEWEST_PERIODS = 2.0  # in a run: fewer are a trend
 PER_LENGTH = 4  # frequencies tried per inverse length of a run
 MOST_TRIED = 600
 SPREAD = 0.25  # of the inverse length of a run: how far off the best frequency tried may be
-UNSEEN_HZ = 1.0  # of a run in which no frequency was looked for
 _STEP = 0.1  # of a prior standard deviation, in difference quotients
 
 
@@ -42,7 +41,7 @@ def swing_quantities(swings: Sequence[Swing]) -> dict[str, Quantity]:
             given[name] = swing.typical.model_copy(
                 update={"value": 0.0, "sd": swing.typical.value, "per": "run"}
             )
-        given[frequency] = Quantity(value=UNSEEN_HZ, sd=1.0, lower=0.0, per="run", unit="Hz")
+        given[frequency] = Quantity(value=1.0, sd=1.0, lower=0.0, per="run", unit="Hz")
     return given
 
 
@@ -75,7 +74,6 @@ def strongest_frequency(model: SimModel, swing: Swing, run: Run, tried: Array) -
     Args:
         model: Plain model, with swings of amplitude zero.
         swing: What may swing.
-        run: Recorded run.
         tried: Frequencies [Hz].
     """
     names = [p.name for p in model.base]

@@ -62,7 +62,6 @@ def simulated(
 
     Args:
         inputs: What drives the system.
-        study: Study with all rows.
         interval: Time between two rows that stay in any case [s]; 0: all stay.
     """
     if not interval > 0.0:

@@ -119,6 +119,8 @@ class Mjcf:
                 self.plain = mujoco.MjModel.from_xml_string(text, files)
         self._text, self._files = text, files
         self.plain.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        if not _can_touch(self.plain):  # pairs are looked for at each step: a sixth of a leg's
+            self.plain.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         ratios = _list_ratios(mujoco, text, files) if "dampratio" in text else ()
         self.numbers = Numbers(mujoco, self.plain, ratios)
         self.channels, self.commands, self.held = channels, commands, held
@@ -131,7 +133,7 @@ class Mjcf:
         is_rk4 = int(self.plain.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_RK4)
         self._stages = 4 if is_rk4 else 1  # of a step
         self._models: list[Any] = []
-        self._rollouts: dict[int, Any] = {}
+        self._rollouts: dict[int, tuple[Any, list[Any]]] = {}  # with a state for each thread
         self._make_rollout = _find_rollout()
 
     def predict(
@@ -324,7 +326,11 @@ class Mjcf:
         """MuJoCo's own loop over the steps, on its own threads."""
         count = threads if threads > 1 and len(jobs) > 1 else 0
         if count not in self._rollouts:
-            self._rollouts[count] = self._make_rollout(nthread=count)
+            states = [self.mujoco.MjData(self.plain) for _ in range(max(count, 1))]
+            self._rollouts[count] = self._make_rollout(nthread=count), states
+        rollout, at_threads = self._rollouts[count]
+        for data in at_threads:  # nothing of the last calls, such as a warning, is kept
+            self.mujoco.mj_resetData(self.plain, data)
         for job in jobs:
             job.model.opt.timestep = job.steps.lengths[0]
         of_state = self.mujoco.mjtState
@@ -334,9 +340,9 @@ class Mjcf:
             none = np.zeros((given.shape[1], self.plain.nv))
             pushes = [none if job.pushes is None else job.pushes for job in jobs]
             given = np.concatenate([given, np.stack(pushes)], axis=2)
-        states, sensors = self._rollouts[count].rollout(
+        states, sensors = rollout.rollout(
             [job.model for job in jobs],
-            [self.mujoco.MjData(self.plain) for _ in range(max(count, 1))],
+            at_threads,
             np.stack([job.start for job in jobs]),
             given,
             control_spec=spec,
@@ -584,6 +590,13 @@ def _with_sensors(text: str, sensors: Iterable[tuple[str, dict[str, str]]]) -> s
     for kind, attributes in sensors:
         ElementTree.SubElement(section, kind, attributes)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _can_touch(model: Any) -> bool:
+    """Whether shapes of two bodies may touch, as far as their masks say, or a flex may."""
+    both = model.geom_contype[:, None] & model.geom_conaffinity[None, :]
+    apart = model.geom_bodyid[:, None] != model.geom_bodyid[None, :]
+    return bool(both[apart].any() or model.npair or getattr(model, "nflex", 0))
 
 
 def _ignore(_: str) -> None:

@@ -13,11 +13,10 @@ import numpy as np
 
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.core.arrays import Array
-from diffsim.core.units import to_si
+from diffsim.core.units import GRAVITY, to_si
 from diffsim.data.folder_tables import files_below
 from diffsim.data.guess import Guess, GuessedColumn
 from diffsim.data.names import spelled
-from diffsim.systems.outside.joint_drive import GRAVITY
 from diffsim.systems.outside.mjcf import JOINT, JOINT_SENSORS, Mjcf
 
 MAX_FILES = 50  # of the folders beside recordings, that are looked into
@@ -92,7 +91,6 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     """Channels, commands and numbers of an MJCF by their names, else by their order.
 
     Args:
-        path: The MJCF.
         stated: The same as the study calls it.
         guess: What the recordings seem to hold.
 

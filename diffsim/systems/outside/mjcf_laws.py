@@ -20,12 +20,17 @@ OWN_LAWS = {
     "viscous_friction": "damping",
     "dry_friction": "frictionloss",
     "added_spring": "stiffness",
+    "square_drag": "dampingpoly[0]",
+    "cubic_stiffness": "stiffnesspoly[1]",
 }
+SIGNED = ("cubic_stiffness",)  # numbers that may be negative
 #: What a file may switch off, so that the number does nothing, by versions of MuJoCo
 _SWITCHES = {
     "damping": ("mjDSBL_DAMPER", "mjDSBL_PASSIVE"),
     "frictionloss": ("mjDSBL_FRICTIONLOSS", "mjDSBL_CONSTRAINT"),
     "stiffness": ("mjDSBL_SPRING", "mjDSBL_PASSIVE"),
+    "dampingpoly[0]": ("mjDSBL_DAMPER", "mjDSBL_PASSIVE"),
+    "stiffnesspoly[1]": ("mjDSBL_SPRING", "mjDSBL_PASSIVE"),
 }
 
 
@@ -51,8 +56,9 @@ def path_of_law(mujoco: Any, numbers: Numbers, law: str, joint: str) -> str | No
     flags = (getattr(mujoco.mjtDisableBit, name, 0) for name in _SWITCHES[what])
     is_off = any(int(plain.opt.disableflags) & int(flag) for flag in flags)
     # a cause pushes back to position 0, a spring to its own rest
-    is_bent = what == "stiffness" and plain.qpos_spring[plain.jnt_qposadr[index]] != 0.0
-    if is_off or is_bent or numbers.num_axes(index) > 1:
+    is_spring, is_there = what.startswith("stiffness"), numbers.has(what)
+    is_bent = is_spring and plain.qpos_spring[plain.jnt_qposadr[index]] != 0.0
+    if is_off or is_bent or not is_there or numbers.num_axes(index) > 1:
         return None
     return f"joint.{joint}.{what}"
 
@@ -79,7 +85,7 @@ def take_own(
         path = path_of_law(mujoco, numbers, law, term.place)
         if path is not None:
             value = out.get(path, numbers.value_of(path)) + term.size
-            if value >= 0.0:
+            if value >= 0.0 or law in SIGNED:
                 out[path] = value
                 taken.append(term)
     return out, force.without(taken) if taken else force

@@ -9,6 +9,7 @@
 | ``body.NAME.payload``, ``.payload_at`` | point mass more; where on the way from joint to far end |
 | ``body.NAME.unbalance[k]`` | mass times what its center of mass is off, payload included |
 | ``joint.NAME.damping``, ``.armature``, ``.frictionloss``, ``.stiffness`` | of all its axes |
+| ``joint.NAME.dampingpoly[k]``, ``.stiffnesspoly[k]`` | terms by powers, of later versions |
 | ``joint.NAME.start``, ``.start_rate`` | at the first sample; ``[k]`` of a free or ball joint |
 | ``actuator.NAME.kp``, ``.kv`` | gains of a servo |
 | ``actuator.NAME.gain`` | gain with the bias that belongs to it: of a position servo its kp |
@@ -33,7 +34,16 @@ from diffsim.systems.outside.mjcf_payloads import put_payload, put_unbalance, re
 
 KINDS = {
     "body": ("mass", "inertia", "pos", "payload", "payload_at", "unbalance"),
-    "joint": ("damping", "armature", "frictionloss", "stiffness", "start", "start_rate"),
+    "joint": (
+        "damping",
+        "armature",
+        "frictionloss",
+        "stiffness",
+        "start",
+        "start_rate",
+        "dampingpoly",
+        "stiffnesspoly",
+    ),
     "actuator": ("kp", "kv", "gain", "gainprm", "biasprm", "forcerange", "delay", "weakness"),
 }
 WORLD = ("gravity", "density", "viscosity")
@@ -53,12 +63,16 @@ _VECTORS = {
     **dict.fromkeys(("inertia", "pos", "unbalance"), 3),
     **{"start": 7, "start_rate": 6},
     **dict.fromkeys(("gainprm", "biasprm"), 10),
+    **dict.fromkeys(("dampingpoly", "stiffnesspoly"), 2),
 }
 _OF_DOF = {
     "damping": "dof_damping",
     "armature": "dof_armature",
     "frictionloss": "dof_frictionloss",
 }
+# of springs and losses by powers of what moves
+_OF_POWERS = {"dampingpoly": "dof_dampingpoly", "stiffnesspoly": "jnt_stiffnesspoly"}
+ENTRIES_ONLY = ("pos", "unbalance", "gainprm", "biasprm", *_OF_POWERS)
 _ARRAYS = (
     "body_mass",
     "body_inertia",
@@ -69,6 +83,7 @@ _ARRAYS = (
     "site_sameframe",
     "body_pos",
     *_OF_DOF.values(),
+    *_OF_POWERS.values(),
     "jnt_stiffness",
     "actuator_gainprm",
     "actuator_biasprm",
@@ -124,7 +139,7 @@ class Path:
             )
         if entry is not None and int(entry) >= _VECTORS.get(what, 0):
             raise ValueError(f"parameter {text!r}: {what} has no entry {entry}")
-        if entry is None and what in ("pos", "unbalance", "gainprm", "biasprm"):
+        if entry is None and what in ENTRIES_ONLY:
             raise ValueError(f"parameter {text!r}: name one entry, such as {text}[0]")
         return cls(text, kind, name, what, None if entry is None else int(entry))
 
@@ -186,6 +201,10 @@ class Numbers:
         """Axes of a joint, by its index: one of slides and hinges, 3 of balls, 6 of free ones."""
         return _DOFS[int(self.plain.jnt_type[joint])][1]
 
+    def has(self, what: str) -> bool:
+        """Whether the version of MuJoCo knows a number of joints, such as "dampingpoly[0]"."""
+        return hasattr(self.plain, _OF_POWERS.get(what.partition("[")[0], "jnt_stiffness"))
+
     def value_of(self, text: str) -> float:
         """What the file states for damping, armature, friction or stiffness of a joint; a payload
         or unbalance of a body, or weakness of an actuator, is none.
@@ -199,6 +218,8 @@ class Numbers:
         joint = self.find(path.kind, path.name, "parameters")
         if path.what == "stiffness":
             return float(self.plain.jnt_stiffness[joint])
+        if path.what in _OF_POWERS:
+            return float(self._powers_of(self.plain, path, joint)[0, path.entry])
         return float(getattr(self.plain, _OF_DOF[path.what])[self.plain.jnt_dofadr[joint]])
 
     def put(self, model: Any, parameters: Mapping[str, float]) -> Setting:
@@ -304,6 +325,8 @@ class Numbers:
         width = _DOFS[int(m.jnt_type[j])]
         if path.what == "stiffness":
             m.jnt_stiffness[j] = value
+        elif path.what in _OF_POWERS:
+            self._powers_of(m, path, j)[:, path.entry] = value
         elif path.what in _OF_DOF:
             first = int(m.jnt_dofadr[j])
             getattr(m, _OF_DOF[path.what])[first : first + width[1]] = value
@@ -319,6 +342,19 @@ class Numbers:
                 (out.rates, m.jnt_dofadr[j]) if is_rate else (out.positions, m.jnt_qposadr[j])
             )
             target[int(first) + entry] = value
+
+    def _powers_of(self, m: Any, path: Path, joint: int) -> Any:
+        """Terms of a joint by powers, (num_axes, 2); of its spring (1, 2).
+
+        Raises:
+            ValueError: this version of MuJoCo has none.
+        """
+        if not self.has(path.what):
+            raise ValueError(f"parameter {path.text}: MuJoCo is too old for it; update it")
+        first, count = joint, 1
+        if path.what == "dampingpoly":
+            first, count = int(m.jnt_dofadr[joint]), self.num_axes(joint)
+        return getattr(m, _OF_POWERS[path.what])[first : first + count]
 
     def _put_actuator(self, m: Any, path: Path, i: int, value: float, out: Setting) -> None:
         what = path.what

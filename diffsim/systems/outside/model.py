@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from hashlib import blake2b
 from threading import Lock
 from typing import Any
 
@@ -29,7 +30,7 @@ from diffsim.systems.outside.mjcf_payloads import Carrier
 from diffsim.systems.outside.source import Call, Predict, PredictMany, Source, offers_of
 
 Arrays = list[Array]
-MAX_KEPT = 64  # records
+MAX_KEPT = 64e6  # bytes of records: slopes, scans and checks ask for some thousand again
 
 
 class SimulatorError(PredictionError):
@@ -79,14 +80,20 @@ def call(predict: Predict, label: str, job: Job) -> Array:
     return _shape_channels(given, label, job)
 
 
-def call_many(predict_many: PredictMany, label: str, jobs: Sequence[Job], threads: int) -> Arrays:
-    """Channels of several jobs, by a simulator that takes them at once; see ``call``."""
+def call_many(
+    predict_many: PredictMany, label: str, jobs: Sequence[Job], threads: int
+) -> list[Array | SimulatorError]:
+    """Channels of several jobs, or what failed, by a simulator that takes them at once; see
+    ``call``."""
     calls = [Call(dict(j.values), j.run, j.forces, j.numerics.time_step, j.delays) for j in jobs]
-    out = []
+    out: list[Array | SimulatorError] = []
     for job, given in zip(jobs, predict_many(calls, threads), strict=True):
         if isinstance(given, Exception):
-            raise _word_error(given, label, job) from given
-        out.append(_shape_channels(given, label, job))
+            error = _word_error(given, label, job)
+            error.__cause__ = given
+            out.append(error)
+        else:
+            out.append(_shape_channels(given, label, job))
     return out
 
 
@@ -126,25 +133,31 @@ class Records:
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, Array] = OrderedDict()
+        self._bytes = 0
 
     @staticmethod
     def key(job: Job) -> Hashable:
-        """What the record depends on."""
+        """What the record depends on; of all samples a digest."""
         run = job.run
-        command = tuple((n, np.asarray(u).tobytes()) for n, u in run.command.items())
-        seen = (run.name, run.time_s.tobytes(), run.measured.tobytes(), command)
+        digest = blake2b(run.time_s.tobytes())
+        digest.update(np.ascontiguousarray(run.measured).data)
+        for values in run.command.values():
+            digest.update(np.ascontiguousarray(values).data)
         forces = None if job.forces is None or not job.forces.acts else job.forces.key
+        seen = (run.name, run.measured.shape, *run.command, digest.digest())
         return *seen, *job.values.items(), job.numerics, forces, *sorted(job.delays.items())
 
-    def get(self, job: Job) -> Array | None:
-        """The record of a job, if it is among the last."""
-        return self._kept.get(self.key(job))
+    def get(self, key: Hashable) -> Array | None:
+        """The record of a job, by its key, if it is among the last."""
+        return self._kept.get(key)
 
-    def keep(self, job: Job, record: Array) -> Array:
+    def keep(self, key: Hashable, record: Array) -> Array:
         """The record, remembered."""
-        self._kept[self.key(job)] = record
-        while len(self._kept) > MAX_KEPT:
-            self._kept.popitem(last=False)
+        if key not in self._kept:
+            self._kept[key] = record
+            self._bytes += record.nbytes
+        while self._bytes > MAX_KEPT:
+            self._bytes -= self._kept.popitem(last=False)[1].nbytes
         return record
 
 
@@ -167,11 +180,12 @@ class OutsideScene(Scene):
     def simulate(self) -> Tensor:
         """(num_samples, num_channels) predicted channels."""
         job, model = self.job(), self.model
+        key = Records.key(job)
         with model.one_at_a_time:  # most simulators hold state, and threads share this one
-            record = model.made.get(job)
+            record = model.made.get(key)
             if record is None:
                 model.count(job)
-                record = model.made.keep(job, call(model.predict_run, model.source.label, job))
+                record = model.made.keep(key, call(model.predict_run, model.source.label, job))
         return self.read(record)
 
     def job(self) -> Job:
@@ -330,19 +344,24 @@ class OutsideModel(SimModel):
         """Predictions of several scenes, side by side where there are workers."""
         jobs = [scene.job() for scene in scenes]
         keys = [Records.key(job) for job in jobs]  # jobs that are alike are one
-        todo = {k: j for k, j in zip(keys, jobs, strict=True) if self.made.get(j) is None}
+        todo = {k: j for k, j in zip(keys, jobs, strict=True) if self.made.get(k) is None}
         if len(todo) < 2 or (self.workers < 2 and self.run_many is None):
             return [scene.simulate() for scene in scenes]
-        done = dict(zip(todo, self._run_jobs(list(todo.values())), strict=True))
+        found = dict(zip(todo, self._run_jobs(list(todo.values())), strict=True))
+        errors = [f for f in found.values() if isinstance(f, SimulatorError)]
+        # whoever goes on without what failed need not wait for the others again
+        done = {
+            k: self.made.keep(k, f) for k, f in found.items() if not isinstance(f, SimulatorError)
+        }
+        if errors:
+            raise errors[0]
         out = []
-        for scene, key, job in zip(scenes, keys, jobs, strict=True):
-            record = done[key] if key in done else self.made.get(job)
+        for scene, key in zip(scenes, keys, strict=True):
+            record = done[key] if key in done else self.made.get(key)
             out.append(scene.simulate() if record is None else scene.read(record))
-        for key, job in todo.items():
-            self.made.keep(job, done[key])
         return out
 
-    def _run_jobs(self, jobs: Sequence[Job]) -> Arrays:
+    def _run_jobs(self, jobs: Sequence[Job]) -> Sequence[Array | SimulatorError]:
         """Records of several jobs: by the simulator's own threads, else by processes."""
         for job in jobs:
             self.count(job)

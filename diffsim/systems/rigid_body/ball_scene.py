@@ -26,7 +26,6 @@ class BallBody:
     Attributes:
         name: Name of the ball, before its place and velocity in the values: "coming_vx".
         begins: "flying", "on_ground" or "at_rest".
-        diameter: Key of its diameter.
         restitution, friction: Keys of its contact with the ground; None: it flies for ever.
         inertia: I / (m r^2) [-].
     """
@@ -77,7 +76,6 @@ class BallStage:
     """What all runs of a study have in common.
 
     Attributes:
-        bodies: The balls.
         pair: Two of them that meet; None: none do.
         rows: Kind of measure, ball and component of each channel; "click" for clicked points.
         frame: (3, 3) from the world, z up, to the recorded frame.

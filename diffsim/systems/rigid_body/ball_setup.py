@@ -40,8 +40,6 @@ from diffsim.systems.rigid_body.parts import Points as PointKeys
 
 CLICKS = "calibration_points"
 CLICK_CHANNELS = ("clicked_u_px", "clicked_v_px")
-FOCAL_SD, SHIFT_SD = 0.15, 0.1
-SOLID = 0.4
 BALLS = "balls"  # the kind of system, and its table
 FIRST_FLIGHT = 0.3  # s: long enough to show how a ball falls, short of most bounces
 
@@ -55,11 +53,7 @@ class Points:
 
 
 class Balls:
-    """Balls as a description states them.
-
-    Args:
-        given: The description.
-    """
+    """Balls as a description states them."""
 
     kind = BALLS
     unwatched = CLICK_CHANNELS
@@ -242,7 +236,7 @@ class Balls:
                     self._name_diameter(body),
                     None if touch is None else self._name_key(touch, "restitution"),
                     None if touch is None else self._name_key(touch, "friction"),
-                    shape.inertia_ratio or SOLID,
+                    shape.inertia_ratio or 0.4,  # of a solid ball
                 )
             )
         return BallStage(
@@ -287,11 +281,9 @@ class Balls:
             found = calibrate(
                 points.places, points.pixels, (int(camera.size[0]), int(camera.size[1]))
             )
-            focal = focal or Quantity(value=found["alpha_px"], percent=100.0 * FOCAL_SD, unit="px")
+            focal = focal or Quantity(value=found["alpha_px"], percent=15.0, unit="px")
             rotation = rotation or found["R"]
-            shift = shift or tuple(
-                Quantity(value=float(t), sd=SHIFT_SD, unit="m") for t in found["T_m"]
-            )
+            shift = shift or tuple(Quantity(value=float(t), sd=0.1, unit="m") for t in found["T_m"])
         eye = PinholeCamera(
             torch.tensor(rotation, dtype=torch.float64), camera.size[1], plain_camera(camera.size)
         )

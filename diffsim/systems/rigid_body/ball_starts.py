@@ -27,7 +27,6 @@ class BallStarts:
     """Base parameters of the starts of all balls, and their names in a run.
 
     Args:
-        bodies: The balls.
         starts: Which runs share a start.
         runs: Runs of the study.
         seen: Places of a ball as a run shows them.
@@ -68,7 +67,6 @@ class BallStarts:
 
         Args:
             values: Values of the base parameters by name, () or (K,) each.
-            run: Run that is simulated.
         """
         return {
             key: values[name]

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from diffsim.systems.rigid_body.flight import BallFlight, fall_time, span_of
 from diffsim.systems.rigid_body.on_ground import Ball, Laws, moved
+from diffsim.systems.rigid_body.toss import REFERENCE_SPEED
 
 SETTLES = 0.03  # [m/s] of the rebound: a bounce of 0.05 mm
-REFERENCE_SPEED = 1.0  # [m/s] where the slope of the restitution does nothing
 
 
 @dataclass(frozen=True, eq=False)

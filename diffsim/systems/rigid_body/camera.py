@@ -10,7 +10,6 @@ from torch import Tensor
 from diffsim.core.rotation import skew
 
 WIDTH_PX, HEIGHT_PX = 1280.0, 720.0
-LEAST_SEEN = 6  # samples that show how a ball falls
 
 
 def plain_camera(size_px: Sequence[float] = (WIDTH_PX, HEIGHT_PX)) -> dict[str, Tensor]:
@@ -89,7 +88,7 @@ def in_free_flight(
     right = torch.cat([c * known[:, 2] - known[:, i] for i, c in ((0, a), (1, b))])
     columns = torch.cat([rows, rows * t.repeat(2)[:, None]], -1)
     seen = torch.isfinite(right)
-    if int(seen.sum()) < 2 * LEAST_SEEN:
+    if int(seen.sum()) < 12:  # of two coordinates: too few to show how a ball falls
         return torch.full_like(fallen, torch.nan)
     start = torch.linalg.lstsq(columns[seen], right[seen, None], driver="gelsd").solution[:, 0]
     return start[:3] + start[3:] * t[:, None] + fallen

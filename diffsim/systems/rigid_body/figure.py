@@ -20,7 +20,6 @@ def figure_of(layout: PoseLayout, edges: Tensor, channels: Tensor) -> MovingShap
     """The box at the poses that channels show.
 
     Args:
-        layout: What each channel shows.
         edges: Lengths of the box, (3,) [m].
         channels: Measured or predicted, (num_samples, num_channels).
 

@@ -313,7 +313,6 @@ class RigidBodyKeys(Description):
         """Places that a run shows of a body in the recorded frame, (num_samples, 3) [m].
 
         Args:
-            run: Recorded run.
             names: Names of its channels.
             body: Name of the body; NaN where nothing shows it.
         """

@@ -31,17 +31,12 @@ from diffsim.systems.rigid_body.windows import (
 )
 
 REST_EDGE_SHARE = 0.03  # of the shortest edge
-MIN_RESTS = 5  # tosses whose heights at rest tell their scatter
 
 
 class TossedBody:
     """A tossed body as a description states it.
 
-    Args:
-        given: The description.
-
     Attributes:
-        body: The body.
         contact: That with the ground; None: it is never touched.
     """
 
@@ -87,8 +82,8 @@ class TossedBody:
         return replace(study, channels=tuple(channels), runs=tuple(runs), left_out=told)
 
     def _estimate_rest_scatter(self, rests: Sequence[float]) -> float:
-        """Scatter of the height at rest; of few tosses, a hundredth of the shortest edge [m]."""
-        few = len(rests) < MIN_RESTS
+        """Scatter of the height at rest; of under five, a hundredth of the shortest edge [m]."""
+        few = len(rests) < 5
         edge = min((q.value for q in self.body.edges), default=1.0)
         return 0.01 * edge if few else max(float(np.std(rests)), 1e-6)
 

@@ -14,7 +14,6 @@ from diffsim.data.study import Run
 
 TURN = ("qw", "qx", "qy", "qz")
 TWIST = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
-MIN_FRAMES_AFTER = 3
 MIN_FRAMES = 10
 CLEAR = 2.0  # times the height that counts as touching: another corner may come down next
 CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=float)
@@ -95,7 +94,7 @@ def first_touch(poses: RecordedPoses, half: Array, near: float, ground: float) -
         if others[end] < CLEAR * near:
             break
         end += 1
-    if end - lowest <= MIN_FRAMES_AFTER or others[touch:end].min() < CLEAR * near:
+    if end - lowest <= 3 or others[touch:end].min() < CLEAR * near:
         end = touch
     return Touch(corner, touch, end)
 

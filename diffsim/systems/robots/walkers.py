@@ -20,7 +20,6 @@ from diffsim.core.checked import checked
 from diffsim.mesh.voxels import hex_from_mask
 from diffsim.systems.robots.robot import SoftRobot, element_centers, fibers, spread_nodes
 
-DENSITY = 1000.0  # [kg/m^3]
 _SIDES = ("left", "right")
 
 
@@ -316,7 +315,7 @@ def _make_walker(
         element="standard",
         youngs_modulus=youngs_modulus,
         poissons_ratio=0.4,
-        density=DENSITY,
+        density=1000.0,
         fixed=fixed,
         muscles=muscles,
         integrator=integrator,

@@ -15,13 +15,12 @@ from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
-from diffsim.systems.description import BaseParameters, unstated_facts
+from diffsim.systems.description import MAX_EFFECTS, BaseParameters, unstated_facts
 from diffsim.systems.rod.keys import RodKeys
 from diffsim.systems.rod.layout import TIP
 from diffsim.systems.rod.model import RodModel
 
 ROD = "rod"  # the kind of system, and its table
-MAX_EFFECTS = 6  # material, tendons, clamp, markers and weight each have causes of their own
 
 
 class RodDescription(RodKeys):

@@ -90,7 +90,6 @@ class TendonPaths:
     """Where tendons run in the sections.
 
     Attributes:
-        names: Names of the tendons.
         offset: (num_tendons, N, 3) from the axis, in the frame of the section (along, y, z) [m].
         slope: (num_tendons, N, 3) change of the offset per arc length [-].
         end: (num_tendons,) arc length where they are fixed [m].
@@ -107,7 +106,6 @@ class RodPoints:
     """Points fixed to sections: markers, and where masses sit.
 
     Attributes:
-        names: Names of the points.
         at: (P,) arc length of their section [m].
         offset: (P, 3) from the axis, in the frame of the section (along, y, z) [m].
         element: (P,) element around each.
@@ -136,7 +134,6 @@ class RodLayout:
     """Constants of a rod on one set of elements.
 
     Attributes:
-        shape: Elements.
         paths: Where tendons run.
         markers: Points that are seen.
         masses: Points that may weigh something: stated masses, markers and the tip.

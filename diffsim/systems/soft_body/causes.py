@@ -16,6 +16,7 @@ from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.readings import Instrument, instrument_of, usual_sample
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
+from diffsim.core.units import GRAVITY
 from diffsim.identify.effect import Apply
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
 from diffsim.systems.soft_body import forces, loads, material, sensor
@@ -31,10 +32,6 @@ if TYPE_CHECKING:
 
 SOFT_BODY = "soft_body"  # the kind of system, and its table
 BODY, TIMED = "body", "is_timed"  # of the scales: magnitudes of the body; whether time matters
-G = 9.81  # [m/s^2]
-MOST_KNOTS = 16
-KNOTS_PER_S = 6.0
-SLIP_SPEED = 1e-2  # below which dry friction grows linearly [m/s]
 PULL_SHARE = 0.1  # of the command's range: a pull that nothing explains and is no surprise
 
 #: What causes do that no port says, by the names of their rows.
@@ -46,7 +43,7 @@ FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
         "stiffness_loss": material.lose_stiffness,
         "temperature_drift": material.drift_with_order,
         "body_scale": loads.enlarge_body,
-        "dry_friction": partial(forces.rub_nodes, slip_speed=SLIP_SPEED),
+        "dry_friction": partial(forces.rub_nodes, slip_speed=0.01),
         "linear_drag": partial(forces.drag_nodes, shares=forces.areas_of, quadratic=False),
         "quadratic_drag": partial(forces.drag_nodes, shares=forces.areas_of, quadratic=True),
         "added_mass": forces.add_fluid_mass,
@@ -67,14 +64,12 @@ def plant_of(given: SoftBodyKeys, study: Study, scales: Scales, places: Collecti
     """What a described soft body tells of itself.
 
     Args:
-        given: Description of the body.
-        study: Study with the recordings.
         scales: Usual magnitudes, see ``scales_of``.
         places: Names of the places where forces may act.
     """
     moves = given.numerics.motion != "quasi_static"
     weight = scales.plain[BODY]["mass"]
-    usual = {"push": PULL_SHARE * G * weight, **usual_motion(given, scales)}
+    usual = {"push": PULL_SHARE * GRAVITY * weight, **usual_motion(given, scales)}
     quantities = {name for name, q in given.quantities().items() if q.is_fitted}
     has_gravity = any(given.gravity.vector)
     return Plant(
@@ -226,8 +221,6 @@ def scales_of(given: SoftBodyKeys, study: Study, mass_kg: float) -> Scales:
     """Usual magnitudes; of a study with a ``frame``, those of the saved model.
 
     Args:
-        given: Description of the body.
-        study: Study with the recordings.
         mass_kg: Mass of the body [kg].
 
     Raises:
@@ -241,7 +234,6 @@ def usual_motion(given: SoftBodyKeys, scales: Scales) -> dict[str, float]:
     """How far markers move: the widest channel; how fast: as far in a tenth of the longest run.
 
     Args:
-        given: Description of the body.
         scales: Usual magnitudes of the recordings.
     """
     seen = [name for name, reading in given.channels.items() if reading.axis is not None]
@@ -268,7 +260,7 @@ def unknowns(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[Unknown
     if given.numerics.motion == "quasi_static" or until_s <= 0.0:
         return ()
     until_s += given.start.lead_in
-    count = min(max(4, round(KNOTS_PER_S * until_s) + 1), MOST_KNOTS)
+    count = min(max(4, round(6.0 * until_s) + 1), 16)  # six a second, in all at most 16
     knots = np.linspace(0.0, until_s, count)
     spacing = until_s / (count - 1)
     in_time = smooth_covariance(knots, 2.0 * spacing)

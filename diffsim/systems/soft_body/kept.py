@@ -22,11 +22,7 @@ def ratio(one: Tensor, other: Tensor) -> Tensor | None:
 
 
 class OfScene(Generic[_Value]):
-    """A value that depends on the scene alone, of the scene that was last asked for.
-
-    Args:
-        compute: The value of a scene.
-    """
+    """A value that depends on the scene alone, of the scene that was last asked for."""
 
     def __init__(self, compute: Callable[[SoftScene], _Value]):
         self._compute = compute

@@ -25,7 +25,6 @@ class _Together(NamedTuple):
     """A hook that is evaluated once for several points.
 
     Attributes:
-        scene: Scene of the hook.
         hook: The hook, of the same form at all of them.
         idx: (n,) the points.
         factor: (n, 1, 1) how many times as large the force is at each.

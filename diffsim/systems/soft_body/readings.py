@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from pydantic import (
     Field,
-    TypeAdapter,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -20,7 +19,7 @@ from torch import Tensor
 from diffsim.core.arrays import Array
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.core.schema import Names, Part, standing_alone
-from diffsim.systems.description import Quantity, quantity
+from diffsim.systems.description import Quantity, quantity_in
 from diffsim.systems.quantities import Angle, Plain, Time
 from diffsim.systems.soft_body.places import AnyMesh, Point, Region, carried_weights, point_weights
 
@@ -64,7 +63,7 @@ class Reading(Part):
     @classmethod
     def _check_unit(cls, given: Any, info: ValidationInfo) -> Any:
         unit = "m" if info.data.get("about") is None else "rad"
-        return TypeAdapter(quantity(unit)).validate_python(given)
+        return quantity_in(unit).read(given)
 
     @model_validator(mode="after")
     def _check_one_motion(self) -> Reading:

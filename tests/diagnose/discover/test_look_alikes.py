@@ -6,6 +6,15 @@ from diffsim.diagnose.discover.look_alikes import look_alikes
 from diffsim.identify.law import Entry, Law, Variable
 
 
+def test_a_force_that_saturates_over_a_speed_is_dry_friction():
+    """A cart that rubs on a slope was told to look like iron that saturates."""
+    speed, force = Variable("v", "v"), Entry("force", "cart", "N", 1.0)
+    law = Law("law_1", force, speed, "saturation", "size*tanh(u/width)", 1.0, "N")
+    assert "dry friction" in look_alikes(law)[0]
+    number = Law("law_2", Entry("number", "k", "N", 1.0), speed, "saturation", law.term, 1.0, "N")
+    assert look_alikes(number) == ("iron that saturates", "limit")
+
+
 @pytest.mark.parametrize(
     ("kind", "variable", "words"),
     [

@@ -14,6 +14,7 @@ from diffsim.diagnose.judge.data_sheet import far_off
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.preconditions import (
     OTHERS_UNDO_IT,
+    STAMPED,
     Grounds,
     _may_be_replaced,
     _may_be_zero,
@@ -23,7 +24,7 @@ from diffsim.diagnose.judge.preconditions import (
     singled_out,
     wrong_gradients,
 )
-from diffsim.diagnose.judge.records import BaseRow, ErrorRow
+from diffsim.diagnose.judge.records import BaseRow, ErrorRow, Interval
 from diffsim.diagnose.say import assemble
 from diffsim.diagnose.say.causes import _why_not_refuted
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
@@ -499,7 +500,7 @@ def test_causes_that_undo_each_other_are_pieces_of_one_curve():
 
     def fitted(which):
         x = np.linalg.lstsq(columns[:, which], weir, rcond=None)[0]
-        effects = [SimpleNamespace(name=names[k]) for k in which]
+        effects = [SimpleNamespace(name=names[k], family="", unit="") for k in which]
         place = {names[k]: [row] for row, k in enumerate(which)}
         problem = SimpleNamespace(effects=effects, columns_of=lambda e: place[e.name])
         return SimpleNamespace(
@@ -511,3 +512,30 @@ def test_causes_that_undo_each_other_are_pieces_of_one_curve():
     weir_of_three = fitted([0, 1, 2])
     assert [_may_be_zero(weir_of_three, i) for i in range(3)] == [OTHERS_UNDO_IT] * 2 + [""]
     assert _may_be_zero(fitted([0, 3]), 0) == _may_be_zero(fitted([0]), 0) == ""
+
+
+@pytest.mark.parametrize(
+    ("family", "unit", "low", "high", "is_open"),
+    [
+        ("timing", "s", -0.7e-3, -0.3e-3, True),  # of a bench that lacks nothing
+        ("timing", "s", 8e-3, 9e-3, True),
+        ("timing", "s", 9e-3, 12e-3, False),
+        ("timing", "s/command", 1e-3, 2e-3, False),  # of a rate
+        ("damping", "s", 1e-3, 2e-3, False),
+    ],
+)
+def test_what_is_late_by_less_than_half_a_sample_may_be_the_stamps(
+    family, unit, low, high, is_open
+):
+    """Read every 20 ms: nobody wrote down when between two stamps."""
+    effect = SimpleNamespace(name="late", family=family, unit=unit)
+    run = SimpleNamespace(time_s=0.02 * np.arange(50))
+    known = SimpleNamespace(
+        search=SimpleNamespace(wide=SimpleNamespace(effects=[effect])),
+        about=SimpleNamespace(
+            size=lambda _: {"": Interval(0.5 * (low + high), low, high)},
+            may_be_zero=lambda _: False,
+        ),
+        fit=SimpleNamespace(problem=SimpleNamespace(runs=[run], effects=[])),
+    )
+    assert _may_be_zero(known, 0) == (STAMPED if is_open else "")  # type: ignore[arg-type]

@@ -27,7 +27,8 @@ HERE = Path(__file__).parent / "answers"
 DRAWN, FAULTS = HERE / "drawn.json", HERE / "faults.json"
 KEPT = ("verdict", "named", "rivals", "gain", "before_test", "errors", "unknown_share")
 TOLD = ("certain", "likely")
-CODE = re.compile(r"\w_\w|@|\bnats\b|gradient check|and \d+ more|\bsd\b|None|\[")
+# a name of the user's file stays as it is where it holds a capital letter
+CODE = re.compile(r"\b[a-z\d]+_[a-z\d_]+\b|@|\bnats\b|gradient check|and \d+ more|\bsd\b|None|\[")
 UNSURE = re.compile(r"\b(may be missing|perhaps|up to \w+ causes)\b", re.IGNORECASE)
 OPEN = re.compile("another cause|something (like|without a name)|one of several", re.IGNORECASE)
 NUMBER = r"(\d[\d.e+-]*)"

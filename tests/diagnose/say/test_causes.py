@@ -21,7 +21,7 @@ from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow
 from diffsim.diagnose.say import assemble
 from diffsim.diagnose.say.causes import CauseEvidence, _finding_row, _is_hollow, _rise_without
 from diffsim.diagnose.say.headline import _on_unseen, first_of, headline
-from diffsim.diagnose.say.wording import Answer, _first, _sets, opened
+from diffsim.diagnose.say.wording import Answer, _first, _sets, component_words, opened
 from diffsim.identify import DiagnosisSettings, SearchSettings, fit
 from diffsim.identify.model import Parameter, SimModel
 from tests.diagnose import linear
@@ -356,6 +356,19 @@ def test_code_names_become_words():
     assert words_of("offset@run_3") == "offset of run_3"
     assert words_of("joint.FR_calf_joint.damping") == "damping of FR_calf_joint"
     assert words_of("joint.root.start[2]@run_3") == "start of root (2) in run_3"
+
+
+def test_a_place_is_read_as_the_study_names_it():
+    """It was "dry friction at fr calf joint", which no file of the user holds."""
+    assert words_of("dry_friction_at_FR_calf_joint") == "dry friction at FR_calf_joint"
+    assert words_of("command_gain_of_tendon1_N@run_3") == "command gain of tendon1_N of run_3"
+    assert words_of("half_of_friction_at_FR_calf") == "half of friction at FR_calf"
+    assert words_of("exchanged_commands_of_FL_hip_and_FR_hip").endswith("FL_hip and FR_hip")
+    assert words_of("bias_of_all_commands_in_N_m") == "bias of all commands in N m"
+    assert words_of("unknown force at FR_calf_joint") == "unknown force at FR_calf_joint"
+    assert component_words("FR_calf") == "FR_calf"
+    assert component_words("[propeller=HQ_5x4]") == "propeller HQ_5x4"
+    assert component_words("[battery=half_full]") == "battery half full"
 
 
 def test_what_stands_in_for_a_withdrawn_cause_is_not_certain():

@@ -28,11 +28,11 @@ def test_sizes_are_said_in_the_unit_of_the_user_and_kept_in_si():
     assert PLAY.size["size"].value == 0.000889
 
 
-def test_small_sizes_without_a_unit_of_the_user_are_read_in_mm_ms_and_g():
+def test_small_sizes_without_a_unit_of_the_user_are_read_with_a_prefix():
     plain = replace(PLAY, shown_unit=None)
     assert size_range(plain) == "0.87 to 0.91 mm"
     assert size_range(replace(plain, unit="s")) == "0.87 to 0.91 ms"
-    assert size_range(replace(plain, unit="N")) == "0.00087 to 0.0009 N"
+    assert size_range(replace(plain, unit="N")) == "0.87 to 0.91 mN"
     open_ = replace(plain, unit="N", size={"size": Interval(1.2, 1.1, 3e7)})
     assert size_range(open_) == "at least 1.1 N; the data give no upper limit"
     both = replace(open_, size={"x": Interval(2.0, 1.0, 3.0), **open_.size})
@@ -40,7 +40,15 @@ def test_small_sizes_without_a_unit_of_the_user_are_read_in_mm_ms_and_g():
     far = {**PLAY.size, "z": Interval(0.3, 0.2, 0.4)}
     assert size_range(replace(plain, size=far)) == "size 0.00087 to 0.0009, z 0.2 to 0.4 m"
     unseen = replace(plain, size={}).as_read()
-    assert unseen.unit == "mm" and unseen.smallest_visible["size"] == pytest.approx(0.01)
+    assert unseen.unit == "um" and unseen.smallest_visible["size"] == pytest.approx(10.0)
+
+
+def test_small_angles_of_a_file_in_rad_are_read_in_mrad():
+    """The unit of the recordings is a prefix away: 0.0123 rad are 12 mrad."""
+    zero = replace(PLAY, unit="rad", shown_unit="rad", size={"size": Interval(0.012, 0.011, 0.013)})
+    assert size_range(zero) == "11 to 13 mrad"
+    assert zero.as_read().as_read() == zero.as_read()
+    assert size_range(replace(zero, shown_unit="deg")) == "0.63 to 0.74 deg"
 
 
 def test_a_limit_that_is_stored_as_time_per_way_is_read_as_a_speed():

@@ -50,6 +50,10 @@ def test_unknown_causes_share_the_simulations_of_a_set():
     assert counts[1] < counts[0]
     alone, _ = relinearized(search, evidence, keys[1:])
     np.testing.assert_allclose(nats[1], alone[0], atol=0.05)
+    # once all that follows the best set is spent, evidence stays linear
+    linear_nats = [posteriors[key].nats for key in keys]
+    late = relinearized(replace(search, ends=search.steps), evidence, keys)
+    assert late == (linear_nats, [0, 0]) and linear_nats != nats
 
 
 def test_what_one_simulation_refutes_takes_no_slopes():

@@ -1,5 +1,6 @@
 """Effects with kinks: found where slopes at zero show nothing, alone and masked by each other."""
 
+from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -20,6 +21,7 @@ from diffsim.diagnose.search.scan import (
     least_tried,
     num_points,
     records_for,
+    run_for_scans,
     scan,
 )
 from diffsim.diagnose.search.search import (
@@ -158,6 +160,32 @@ def test_many_sizes_are_tried_in_one_run_and_looked_around():
     costs = [np.sum(np.square(measured - f.at.record)) for f in (found, coarse)]
     assert costs[0] < costs[1]
     assert least_tried(close) == pytest.approx(0.15 * TYPICAL) and least_tried(clipped()) == 0.0
+
+
+def test_sizes_that_all_runs_cannot_pay_are_tried_in_the_worst_one():
+    """Where each is a simulation; fits that begin there have all runs."""
+    effect = clipped()
+    problem = linear.problem((effect,))
+    lost = (WAVE - WAVE.clamp(-0.5, 0.5)).numpy()[:, None]
+    first, *others = problem.runs
+    runs = (replace(first, measured=first.measured - lost), *others)
+    problem = replace(problem, runs=runs, model=copy(problem.model))
+    at = linearization_at(problem, np.zeros(3), screen=True)
+    points, group = num_points([effect]), [frozenset({0})]
+    enough = points * problem.cost()
+    problem.model.batched = True  # then all runs are cheap
+    assert run_for_scans(problem, at, group, (400.0, enough - 1.0)) is None
+    problem.model.batched = False
+    assert run_for_scans(problem, at, group, (400.0, enough)) is None
+    assert run_for_scans(problem, at, group, (points - 1.0, enough - 1.0)) is None
+    assert run_for_scans(problem, at, group, (400.0, enough - 1.0)) == 0
+    tally, counts = problem.model.simulations, []
+    for run in (None, 0):
+        before = tally.count
+        found = scan(problem, [0, 1], at, [0], run)
+        counts.append(tally.count - before)
+        assert len(found.at.record) == len(at.record)
+    assert counts[0] - counts[1] == points * (len(first_runs(runs)) - 1) > 0
 
 
 def test_without_scans_it_is_not():

@@ -78,3 +78,15 @@ def test_a_shape_that_a_budget_left_unfitted_is_no_converged_fit():
     found = gauss_newton(problem, start, until=spent)[0]
     assert found.values[BEND] == 0.001 and found.ended == "budget"
     assert gauss_newton(problem, start)[0].values[BEND] > 1.0
+
+
+def test_a_shape_brings_a_set_up_with_a_better_one():
+    """A spring between two masses lost to a delay: of its half share alone it was far behind."""
+    problem, _ = drift_beside(cart_study(reading=lambda x: x + 0.03 * (1.0 - np.exp(-TIME / 0.8))))
+    start, end = linearization_at(problem, np.zeros(len(problem.names))), fitted(problem)
+    ahead = 0.5 * (end.chi2 + end.prior)
+    found = gauss_newton(problem, start, best_cost=ahead)[0]
+    assert found.values[BEND] == pytest.approx(end.values[BEND], rel=0.05)
+    # nor is it bent where even so it would stay behind
+    lost = gauss_newton(problem, start, best_cost=ahead - 1e6)[0]
+    assert lost.values[BEND] == 0.001

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from diffsim.data.study import Channel, Run, Study
 from diffsim.identify.model import Parameter
@@ -14,6 +15,7 @@ from tests.systems.outside.pendulum_sim import Pendulum
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (pip install mujoco)")
 
 from diffsim.systems.outside.mjcf import Mjcf
+from diffsim.systems.outside.model import SimulatorError
 from diffsim.systems.outside.setup import outside_setup
 from diffsim.systems.outside.source import MJCF
 from diffsim.systems.registry import description_of
@@ -161,3 +163,43 @@ def test_a_joint_of_several_axes_is_no_place_of_a_force(tmp_path, joint):
     )
     said = [str(p) for p in description_of(study).problems(study)]
     assert any("joint 'root' has" in one for one in said)
+
+
+def test_pairs_are_looked_for_only_where_shapes_may_touch():
+    """What MuJoCo asks at each step costs a leg a sixth of it."""
+    import mujoco
+
+    shape = '<geom size="0.1" contype="{}" conaffinity="{}"/><site'
+    off, run = int(mujoco.mjtDisableBit.mjDSBL_CONTACT), scenes.run_of("sine")
+    floor = '<worldbody><geom type="plane" size="1 1 1" pos="0 0 -2"/>'
+    none = Mjcf(XML, CHANNELS).predict({}, run)
+    for masks, is_off in (((0, 0), True), ((1, 0), False), ((0, 1), False), ((2, 0), True)):
+        xml = XML.replace("<site", shape.format(*masks)).replace("<worldbody>", floor)
+        sim = Mjcf(xml, CHANNELS)
+        assert bool(sim.plain.opt.disableflags & off) == is_off
+        np.testing.assert_array_equal(sim.predict({}, run), none)
+
+
+def test_records_that_slopes_and_scans_ask_for_again_are_known():
+    """Of 64 that were kept the first were simulated again."""
+    study, sim = scenes.recorded(), Mjcf(XML, CHANNELS, {"moment_Nm": "motor"})
+    model = outside_setup(study, sim, [Parameter("joint.hinge.damping", 0.06, 0.01)]).model
+    points = model.at_prior().repeat(100, 1)
+    (place,) = [i for i, p in enumerate(model.base) if p.name == "joint.hinge.damping"]
+    points[:, place] = torch.linspace(-1.0, 1.0, 100)
+    run = study.runs[0].part(slice(20))
+    first = model.predict_many(run, points)
+    assert model.simulations.count == 100
+    again = model.predict_many(run, points)
+    assert model.simulations.count == 100 and torch.equal(again, first)
+    other = replace(run, command={"moment_Nm": run.command["moment_Nm"] + 1e-9})
+    model.predict_many(other, points[:1])
+    assert model.simulations.count == 101
+    # of a batch in which one fails the others are known
+    bad = points[:3] + 0.001
+    bad[1, place] = -1e6
+    with pytest.raises(SimulatorError, match="must be at least 0"):
+        model.predict_many(run, bad)
+    counted = model.simulations.count
+    model.predict_many(run, bad[[0, 2]])
+    assert model.simulations.count == counted

@@ -18,7 +18,13 @@ from diffsim.systems.outside.mjcf_steps import Steps
 from diffsim.systems.outside.source import Call
 from tests.systems.outside.test_mjcf import CHANNELS, XML
 
-SIZES = {"viscous_friction": 0.1, "dry_friction": 0.4, "added_spring": 0.5}
+SIZES = {
+    "viscous_friction": 0.1,
+    "dry_friction": 0.4,
+    "added_spring": 0.5,
+    "square_drag": 0.05,
+    "cubic_stiffness": -0.3,
+}
 
 
 def forces_of(law: str, size: float) -> PlaceForces:

@@ -238,7 +238,7 @@ def test_calls_are_counted_where_they_are_made():
     sim = Mjcf(XML.format(POSITION), CHANNELS, {"moment_Nm": "m"})
     setup = outside_setup(study, sim, {}, places=[Place("elbow", "N m", 0.05, speed=3.0)])
     model, run = setup.model, study.runs[0]
-    (friction,) = [e for e in setup.effects if e.name == "square_drag_at_elbow"]
+    (friction,) = [e for e in setup.effects if e.name == "stribeck_friction_at_elbow"]
     (own,) = [e for e in setup.effects if e.name == "dry_friction_at_elbow"]
     (scale,) = [e for e in setup.effects if e.name == "sensor_scale_of_angle"]
     point = torch.stack([model.at_prior()] * 3)

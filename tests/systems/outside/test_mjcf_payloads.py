@@ -1,9 +1,12 @@
 """Payloads of MuJoCo models: which bodies may carry one, and that it is a point mass there."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from diffsim.identify.model import Parameter
+from diffsim.identify.model_file import SavedModel, effects_of
 from diffsim.systems.outside.mjcf import Mjcf
 from diffsim.systems.outside.setup import outside_setup
 from tests.systems.outside import scenes
@@ -126,6 +129,16 @@ def body(name, joint="hinge", inside=""):
 def test_bodies_that_end_a_chain_may_carry_something(bodies, carriers):
     text = f"<mujoco><worldbody>{bodies}</worldbody></mujoco>"
     assert list(Mjcf(text).carriers) == carriers
+
+
+def test_causes_and_their_places_are_spelled_as_the_file_does():
+    """A file of an earlier version, with places in small letters, is read as well."""
+    text = ARM.format(shape=ROD, load="").replace('"fore"', '"FR_calf"')
+    sim = Mjcf(text, CHANNELS, {"moment_Nm": "m"})
+    setup = outside_setup(scenes.recorded(), sim, {})
+    assert {"payload_at_FR_calf", "unbalance_at_FR_calf"} <= {e.name for e in setup.effects}
+    old = SavedModel(Path("old"), {}, {}, (), ("payload_at_fr_calf",))
+    assert [e.name for e in effects_of(old, setup.effects)] == ["payload_at_fr_calf"]
 
 
 def test_a_payload_is_a_cause_unless_it_is_a_parameter():
