@@ -50,6 +50,7 @@ class Worth:
     unit: str = ""
     one: float = 1.0
 
+    @checked
     def read(self, value: float) -> str:
         """One of these numbers with its unit, small ones with a prefix.
 

@@ -130,6 +130,8 @@ def others_of(fit: Fit, i: int) -> list[int]:
 def left_over(change: Array, slopes: Array) -> Array:
     """A change of the record after a refit of coordinates with these slopes and unit priors, with
     the pull on these below it."""
+    if not np.isfinite(slopes).all():  # nothing is known of it
+        return np.full(len(change) + slopes.shape[1], np.nan)
     taken = Gaussian.of(slopes, change).mean
     return np.concatenate([change - slopes @ taken, taken])
 

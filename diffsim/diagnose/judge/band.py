@@ -480,6 +480,8 @@ def _principal_moves(covariance: Array) -> Array:
 
 def _take_up(slopes: Array, columns: Array) -> Array:
     """Part of whitened columns that coordinates with these slopes take up, with their prior."""
+    if not np.isfinite(slopes).all():  # nothing is known of it
+        return np.full_like(columns, np.nan)
     own = Gaussian.of(slopes, np.zeros(len(slopes)))
     return slopes @ own.solve(slopes.T @ columns)
 

@@ -170,5 +170,7 @@ def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
         for b in range(a + 1, len(linear)):
             apart = linear[a][0] - linear[b][0]
             blur = np.hstack([linear[a][1], linear[b][1]])
+            if not (np.isfinite(apart).all() and np.isfinite(blur).all()):
+                return np.nan  # a rival runs away on it
             distances.append(float(apart @ (apart - blur @ Gaussian.of(blur, apart).mean)))
     return min(distances)
