@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
@@ -139,7 +140,7 @@ def table_of(rows: Rows) -> str:
         certain = ", ".join(full.get("certain", ())) or ("–" if full else "")
         if full.get("verdict") == "faults":
             certain = "per group"
-        seconds = f"{first['cpu_s']}" if first else ""
+        seconds = f"{first['cpu_s']}{'~' * first.get('busy', False)}" if first else ""
         if first and first["cpu_s"] > GOAL_S:
             seconds = f"**{seconds}**"
         cells = [
@@ -192,7 +193,8 @@ def _ask(names: Sequence[str], rows: Rows, which: str, *, again: bool) -> None:
             print(f"{name}: {error}", file=sys.stderr)
             continue
         today = datetime.now(UTC).date().isoformat()
-        row = row_of(found) | {"date": today, "commit": commit, "code": code}
+        busy = os.getloadavg()[0] > (os.cpu_count() or 1)
+        row = row_of(found) | {"date": today, "commit": commit, "code": code, "busy": busy}
         if name in BY_SCRIPT:
             row |= {"said": None, "errors": []}
         rows.setdefault(name, {})[which] = row
