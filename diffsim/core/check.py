@@ -252,7 +252,7 @@ def require_choice(name: str, value: str, choices: Iterable[str]) -> str:
 def as_spelled(value: str, known: Iterable[str]) -> str:
     """A name as known ones spell it: the only one that differs by case alone, else as it is.
 
-    Files of 1.0.0 have places of causes in small letters.
+    Earlier files have places of causes in small letters.
     """
     alike = {name for name in known if name.lower() == value.lower()}
     return alike.pop() if value not in alike and len(alike) == 1 else value
