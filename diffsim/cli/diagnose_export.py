@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.scales import SCALES
-from diffsim.core.check import did_you_mean
+from diffsim.core.check import as_spelled, did_you_mean
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.judge.records import Interval
@@ -219,7 +219,10 @@ class _ModelNumbers:
 
     def read(self, text: str) -> Expression:
         """A formula of a study, by what the answer holds."""
-        return filled(parse_expression(text), self.made)
+        formula = parse_expression(text)
+        known = (*self.stated, *self.saved.values, *self.of_run, *self.made)
+        spelled = {name: parse_expression(as_spelled(name, known)) for name in formula.names}
+        return filled(filled(formula, spelled), self.made)
 
     def require(self, where: str, formula: Expression) -> None:
         """Refuse a formula with a name that there is not.

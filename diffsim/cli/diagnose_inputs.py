@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.cli.arguments import FULL, QUICK, study_file
-from diffsim.core.check import require_choice
+from diffsim.core.check import as_spelled, require_choice
 from diffsim.core.files import code_digest, to_plain
 from diffsim.core.version import __version__
 from diffsim.data.bank import generated_bank
@@ -68,6 +68,7 @@ def choose(
         ValueError: no such name; the message offers the closest ones.
     """
     known = [e.name for e in effects]
+    only, without = ([as_spelled(name, known) for name in names] for names in (only, without))
     for option, names in (("--effects", only), ("--without", without)):
         for name in names:
             require_choice(option, name, known)

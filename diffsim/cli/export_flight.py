@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from diffsim.causes.scales import HELD
 from diffsim.cli.diagnose_export import flown_constants, is_text
 from diffsim.core.arrays import Array, Mask
 from diffsim.core.expression import parse_expression
@@ -215,8 +216,8 @@ def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
     out = []
     channel = answer.study.channels[0]
     study = replace(answer.study, export={MUJOCO: formulas})
-    inputs = [i for i in (study.model or {}).get("inputs", ()) if isinstance(i, Mapping)]
-    is_held = any(i.get("name") == POSITION and i.get("held") is True for i in inputs)
+    held = answer.setup.model.frame.get(HELD, {})  # as the model takes it: stated, or as it looks
+    is_held = bool(held.get(POSITION)) if isinstance(held, Mapping) else bool(held)
     for run in answer.runs:
         constants = flown_constants(study, answer.saved, MUJOCO, run)
         flown, own, seen = (

@@ -235,7 +235,9 @@ def _as_urdf(sim: Mjcf) -> str:
             efforts = [
                 abs(model.actuator_gear[i, 0]) * np.abs(model.actuator_forcerange[i]).max()
                 for i in range(model.nu)
-                if model.actuator_trnid[i, 0] == j and model.actuator_forcelimited[i]
+                if model.actuator_trnid[i, 0] == j
+                and model.actuator_trntype[i] in (0, 1)  # joints: tendons are counted by their own
+                and model.actuator_forcelimited[i]
             ]
             limit = f'<limit effort="{sum(efforts):.6g}"/>' if efforts else ""
             out.append(

@@ -249,6 +249,15 @@ def require_choice(name: str, value: str, choices: Iterable[str]) -> str:
     raise ValueError(f"{name} must be one of {known}, got {value!r}{did_you_mean(value, known)}")
 
 
+def as_spelled(value: str, known: Iterable[str]) -> str:
+    """A name as known ones spell it: the only one that differs by case alone, else as it is.
+
+    Earlier files have places of causes in small letters.
+    """
+    alike = {name for name in known if name.lower() == value.lower()}
+    return alike.pop() if value not in alike and len(alike) == 1 else value
+
+
 def did_you_mean(value: str, known: Iterable[str]) -> str:
     """The known names closest to one that is not known, as the end of a message; may be empty."""
     close = difflib.get_close_matches(str(value), list(known), n=3, cutoff=0.4)

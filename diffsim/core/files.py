@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-CODE = (".py", ".so", ".j2", ".yaml")
+CODE = (".py", ".so", ".pyd", ".j2", ".js", ".yaml")
 """Endings of files that decide what the package computes and writes."""
 _MOST_TIMES = 50  # the bytes of a packed file; indices of a regular grid pack 10 to 20 times
 

@@ -364,7 +364,7 @@ def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
     Returns:
         The unit, and what values are multiplied by to be in it.
     """
-    shown, times, most = unit, 1.0, max(map(abs, values), default=1.0)
+    shown, times, most = unit, 1.0, max(map(abs, filter(math.isfinite, values)), default=1.0)
     prefixed = (f"m{unit}", f"u{unit}") if _TAKES_PREFIX.fullmatch(unit) else ()
     for smaller in _SMALLER.get(unit, prefixed):
         if most == 0.0 or times * most >= SMALL:

@@ -250,7 +250,10 @@ class _Answer:
         if self.found is None or self.frozen.verdict not in (*NAMES, "unknown"):
             return False
         if any(gate.name == CONTRADICTED for gate in self.frozen.gates):
-            return False  # fitted runs leave noise: no law can be told from them
+            # where fitted runs leave noise no law can be told from them; one that the other fitted
+            # runs contradict may show a law that acts in it alone, such as a stop
+            fit = self.search.fit_of(NONE)
+            return fit.chi2 - fit.num_samples > SURE_SD * math.sqrt(2.0 * fit.num_samples)
         return self.frozen.verdict == "unknown" or self.frozen.left > BELOW_NOISE
 
     def nats_with(self, laws: AbstractSet[str]) -> tuple[float, float]:

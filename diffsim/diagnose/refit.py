@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from diffsim.core.arrays import Array
-from diffsim.core.check import require_choice
+from diffsim.core.check import as_spelled, require_choice
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain, write_json_atomic
 from diffsim.core.threads import one_thread
@@ -334,7 +334,9 @@ def advise_narrowing(
     if report["verdict"] not in CLOSED_VERDICTS or not setup.bank:
         return None
     by_name = {e.name: e for e in setup.effects}
-    effects = [by_name[require_choice("effect", name, by_name)] for name in named]
+    effects = [
+        by_name[require_choice("effect", as_spelled(name, by_name), by_name)] for name in named
+    ]
     null = fit_null(inputs, numerics)
     shared = [p.name for p in null.fit.problem.model.base if "@" not in p.name]
     off = [name for name in report.get("findings", ()) if name in shared]
@@ -365,7 +367,10 @@ def advise(
         )
     by_name = {e.name: e for e in setup.effects}
     chosen = [
-        tuple(by_name[require_choice("effect", name, by_name)] for name in names) for names in sets
+        tuple(
+            by_name[require_choice("effect", as_spelled(name, by_name), by_name)] for name in names
+        )
+        for names in sets
     ]
     null = fit_null(inputs, numerics)
     fits = [refit(null, effects, inputs, {}) for effects in chosen]

@@ -22,6 +22,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -401,7 +402,8 @@ def effects_of(saved: SavedModel, candidates: Sequence[Effect]) -> tuple[Effect,
     """
     numerical = [coarse(name, finer) for name, finer in REFINEMENTS.items()]
     # earlier files have places in small letters
-    small = {e.name.lower(): replace(e, name=e.name.lower()) for e in candidates}
+    alike = Counter(e.name.lower() for e in candidates)
+    small = {n: replace(e, name=n) for e in candidates if alike[n := e.name.lower()] == 1}
     by_name: dict[str, Effect] = small | {e.name: e for e in (*numerical, *candidates)}
     names = dict.fromkeys(
         c if c in by_name else c.partition(".")[0] for c in saved.components

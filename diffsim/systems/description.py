@@ -21,7 +21,7 @@ from diffsim.causes.own import OwnRow, own_causes
 from diffsim.causes.plant import Plant
 from diffsim.causes.ports import SESSIONS
 from diffsim.causes.scales import SCALES
-from diffsim.core.check import did_you_mean
+from diffsim.core.check import as_spelled, did_you_mean
 from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
 from diffsim.core.schema import Part, UnitReader
@@ -478,17 +478,20 @@ def chosen_effects(
         raise ValueError(
             f"effects.own: there is a cause {repeated[0]!r} already; give yours another name"
         )
-    for key, names in (("only", choice.only or ()), ("without", choice.without)):
+    only = [as_spelled(name, known) for name in choice.only or ()]
+    without = [as_spelled(name, known) for name in choice.without]
+    typical = {as_spelled(name, known): size for name, size in choice.typical.items()}
+    for key, names in (("only", only), ("without", without), ("typical", typical)):
         for name in names:
-            _require_known(f"effects.{key}", name, known)
-    for name in choice.typical:
-        _require_known("effects.typical", name, known)
+            if name not in known:
+                hint = did_you_mean(name, known)
+                raise ValueError(
+                    f"effects.{key}: no cause {name!r}{hint}; known: {', '.join(known)}"
+                )
     is_open = choice.only is None
-    asked = {*(choice.only or ()), *(row.name for row in choice.own)}
-    kept = [e for e in library if (is_open or e.name in asked) and e.name not in choice.without]
-    return tuple(
-        replace(e, typical=choice.typical[e.name]) if e.name in choice.typical else e for e in kept
-    )
+    asked = {*only, *(row.name for row in choice.own)}
+    kept = [e for e in library if (is_open or e.name in asked) and e.name not in without]
+    return tuple(replace(e, typical=typical.get(e.name, e.typical)) for e in kept)
 
 
 def settings_with(advised: DiagnosisSettings, effort: Effort) -> DiagnosisSettings:
@@ -501,10 +504,3 @@ def settings_with(advised: DiagnosisSettings, effort: Effort) -> DiagnosisSettin
         if step is None
         else replace(settings, jacobian=replace(settings.jacobian, step=step))
     )
-
-
-def _require_known(where: str, name: str, known: Sequence[str]) -> None:
-    if name not in known:
-        raise ValueError(
-            f"{where}: no cause {name!r}{did_you_mean(name, known)}; known: {', '.join(known)}"
-        )

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.arrays import Array
-from diffsim.core.check import require_choice
+from diffsim.core.check import as_spelled, require_choice
 from diffsim.core.checked import checked
 from diffsim.data.study import Run, Study
 from diffsim.data.study_file import load_study
@@ -149,6 +149,7 @@ class Twin:
             share: Factor on the sizes.
             causes: Names of causes; empty: all.
         """
+        causes = [as_spelled(name, self.causes) for name in causes]
         for name in causes:
             require_choice("causes", name, self.causes)
         mine = [c for c in self.saved.components if not causes or c.partition(".")[0] in causes]

@@ -79,6 +79,17 @@ def test_constants_are_formulas_of_the_saved_values(folder, capsys):
     assert "Not in the model, so taken as 0: sensor_scale." in said
 
 
+def test_a_formula_may_spell_a_cause_by_another_case(folder):
+    """Causes have the case of their places, which was all small in 1.0.0."""
+    model = {**STUDY["model"], "effects": {"only": ["Sensor_Scale"]}}
+    study = {**STUDY, "model": model, "export": {"mujoco": {"gain": "2 + SENSOR_scale"}}}
+    (folder / "study.yaml").write_text(yaml.safe_dump(study))
+    scale = {"value": 0.5, "sd": 0.01, "unit": "-", "low": 0.4, "high": 0.6}
+    save(folder, {**SAVED, "effects": {"sensor_scale": scale}})
+    assert export(folder) == 0
+    assert wrote(folder, "mujoco") == {"gain": 2.5}
+
+
 def test_a_number_has_the_interval_of_the_answer_not_of_the_fit(folder):
     assert export(folder) == 0
     found = wrote(folder, "export")["bam"]["kt"]

@@ -181,3 +181,4 @@ def test_a_unit_beyond_what_numbers_hold_is_refused(unit):
 def test_what_is_small_is_read_in_the_unit_that_keeps_its_digits(unit, value, shown, read):
     found, times = small_scale(unit, (0.5 * value, -value))
     assert found == shown and times * value == pytest.approx(read)
+    assert small_scale(unit, (math.nan, value, math.inf)) == (found, times), "no number decides"

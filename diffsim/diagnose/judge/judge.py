@@ -222,7 +222,8 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             if withdrawn or against:
                 decision = replace(decision, verdict="unknown")
         elif decision.verdict == "unknown":
-            apart = contradiction_gate(run_apart(search.fit_of(frozenset())))
+            steps = search.null.case.settings.plain_steps
+            apart = contradiction_gate(run_apart(search.fit_of(frozenset()), steps))
             gates = (*gates, *(g for g in apart if g not in gates))
         judgment = Judgment(decision, search, None, gains, withdrawn, gates, refuted)
         if validation is None:

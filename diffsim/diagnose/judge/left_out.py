@@ -231,11 +231,12 @@ def _refit_without(fit: Fit, fold: Fold, x: Array) -> Array | None:
         return None
 
 
-def run_apart(fit: Fit) -> dict[str, float]:
+def run_apart(fit: Fit, steps: float = np.inf) -> dict[str, float]:
     """The run that a fit misses most, where a fit to the others leaves noise alone.
 
     Args:
         fit: Plain model, fitted to all of them.
+        steps: Weighted steps that the fit to the others may take.
 
     Returns:
         How far that run then is off, over its noise, by its name; empty where the others leave more
@@ -250,7 +251,9 @@ def run_apart(fit: Fit) -> dict[str, float]:
     fold = Fold(problem.runs[worst].name, (worst,), rows, is_whole=True)
     others = replace(problem, runs=kept_runs(problem, fold))
     try:
-        rest, _ = gauss_newton(others, linearization_at(others, moved(fit, ~rows)))
+        until = problem.model.simulations.steps + steps
+        start = linearization_at(others, moved(fit, ~rows))
+        rest, _ = gauss_newton(others, start, until=until)
         off = _simulate_part(fit, fold, rest.x)
     except DiffsimError:  # where they end nothing can be simulated
         return {}

@@ -156,9 +156,13 @@ def next_run(rivals: Sequence[Fit], bank: Sequence[Run]) -> NextRun:
 
 
 def _nearest_pair(rivals: Sequence[Fit], run: Run) -> float:
+    """Squared distance of the two rivals that a run parts least [noise sd]; NaN where one of them
+    runs away."""
     linear = []
     for fit in rivals:
         residual, jacobian = replace(fit.problem, runs=(run,)).linearize(fit.x)
+        if not np.isfinite(jacobian).all():
+            return float("nan")
         linear.append(
             (
                 residual,

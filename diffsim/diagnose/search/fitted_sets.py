@@ -47,6 +47,7 @@ class Search:
         numerics: Numerical settings at sets where they were checked.
         ends: Count of weighted steps at which what follows the last set ends: repairs, unknown
             causes and exact ends share one more budget; infinite while sets are sought.
+        exact: Sets that were fitted on until their slopes were right, by ``fitted_exactly``.
     """
 
     null: Null
@@ -59,6 +60,7 @@ class Search:
     num_late: int = 0
     numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
     ends: float = np.inf
+    exact: frozenset[Members] = frozenset()
 
     @property
     def is_cut_short(self) -> bool:

@@ -183,7 +183,7 @@ def gauss_newton(
 
     Shapes of effects that were never fitted keep their values until the sizes are known. They are
     fitted then, if their slopes promise more than a small share of the misfit, and, far
-    behind the best set, half of the way to it.
+    behind the best set, more than half of the way to it.
 
     Args:
         problem: Model, runs, noise and effects that are fitted.

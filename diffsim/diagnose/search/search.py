@@ -233,7 +233,7 @@ def refit(
 def fitted_exactly(search: Search, members: Members) -> Search:
     """The search with a set fitted on from its end, where a budget had ended it, or slopes there
     are not exact: of a set that was far behind another one they need not be, and differences are
-    not along weak directions."""
+    not along weak directions; what the budget does not last for counts as late."""
     made, fit = search.simulations, search.fit_of(members)
     # all of its fits share one budget: of a servo's 13 runs three had taken 47 million steps of 16
     left = min(search.settings.refit_steps, search.ends - search.steps)
@@ -242,6 +242,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
     is_exact &= has_exact_slopes(at, max(fit.chi2 - fit.num_samples, 0.0))
     model = search.wide.model
     by_differences = bool(at.idx) and model.moves and not has_tangents(model)
+    is_late = left <= 0.0 and (by_differences or not is_exact)
     for k in range(MAX_MENDED if left > 0.0 else 0):
         if not is_exact:
             after, end = made.fitted_from(members, at, np.inf, most=max(until - search.steps, 0.0))
@@ -251,15 +252,18 @@ def fitted_exactly(search: Search, members: Members) -> Search:
             fit, made = after, made.kept(members, end)
             at = made.fitted[members]
         has_time = search.wide.model.simulations.steps < until
+        is_late |= k == 0 and by_differences and not has_time
         better = made.with_weak_slopes(members) if by_differences and has_time else at
         if better is at:
             break
         at, is_exact = better, False
     if by_differences and not slopes_are_simulated(model) and _leaves_sheets(fit):
         made, fit = _fitted_along_weak(made, members, fit, until)
-    if made is search.simulations:
+    if made is not search.simulations:
+        search = replace(search, simulations=made).with_fit(members, fit)
+    if members in search.exact:
         return search
-    return replace(search, simulations=made).with_fit(members, fit)
+    return search.with_late() if is_late else replace(search, exact=search.exact | {members})
 
 
 def _leaves_sheets(fit: Fit) -> bool:

@@ -345,6 +345,8 @@ class Simulations:
             run: Index of the run that sizes are tried in; None: all.
         """
         label = f"scan of {self._label(frozenset(group))} at {self._label(center.members)}"
+        if run is not None:  # a larger budget has all runs
+            label += f" in {self.wide.runs[run].name}"
         own, effect = self.coordinates(center.members), self.wide.effects[group[0]]
         tally = self.wide.model.simulations
         before, make = tally.work, partial(scan, self.wide, own, center.at, group, run)

@@ -350,9 +350,9 @@ class OutsideModel(SimModel):
         found = dict(zip(todo, self._run_jobs(list(todo.values())), strict=True))
         errors = [f for f in found.values() if isinstance(f, SimulatorError)]
         # whoever goes on without what failed need not wait for the others again
-        done = {
-            k: self.made.keep(k, f) for k, f in found.items() if not isinstance(f, SimulatorError)
-        }
+        records = {k: f for k, f in found.items() if not isinstance(f, SimulatorError)}
+        with self.one_at_a_time:  # threads share the count of bytes
+            done = {k: self.made.keep(k, record) for k, record in records.items()}
         if errors:
             raise errors[0]
         out = []

@@ -78,7 +78,7 @@ def test_rows_that_were_written_twice_are_told_by_the_record(seed, tmp_path):
     assert [f.rule for f in found if f.stops] == ["doubled"]
 
 
-@pytest.mark.cpu(12)  # a whole first answer
+@pytest.mark.cpu(25)  # a whole first answer; of a fitted run laws are looked for, and not found
 @pytest.mark.parametrize("run", ["b", "d"], ids=["fit", "select"])
 def test_a_run_that_contradicts_the_others_leaves_nothing_unsaid(run, tmp_path):
     """Its sensor, or the machine, stands still from the middle on: no slip that can be mended."""

@@ -133,14 +133,20 @@ def test_best_fits_do_not_hang_on_what_is_set_aside(study):
 
 
 def test_most_causes_may_be_stated_alone(study):
-    def sets(**keys):
+    def given(**keys):
         assert study.faults is not None
         changed = replace(study, faults=study.faults.model_copy(update=keys))
-        return take_apart(changed, setup_of(changed)).sets
+        return take_apart(changed, setup_of(changed))
+
+    def sets(**keys):
+        return given(**keys).sets
 
     assert len(sets()) == len(sets(max_causes=1)) == 4
     assert len(sets(max_causes=2)) == 4 + 6
     assert len(sets(together=("off_1", "off_2"))) == 4 + 1
+    # as a name is spelled in a file of 1.0.0, or by hand
+    assert given(together=("OFF_1", "off_2")).keys.together == ("off_1", "off_2")
+    assert given(sizes={"Off_1": 1.0}).keys.sizes == {"off_1": 1.0}
     with pytest.raises(ValueError, match="no cause 'stuck'"):
         sets(sizes={"stuck": 1.0})
 

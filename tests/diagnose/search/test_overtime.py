@@ -71,3 +71,7 @@ def test_once_it_is_spent_nothing_is_simulated(is_spent):
         stage(search)
         assert (tally.steps > before) != is_spent
     assert repaired(search).num_late == int(is_spent)
+    exact = fitted_exactly(search, BOTH)
+    assert exact.num_late == int(is_spent) and (BOTH in exact.exact) != is_spent
+    if not is_spent:  # once its slopes are right, nothing is lacking
+        assert fitted_exactly(replace(exact, ends=exact.steps), BOTH).num_late == 0

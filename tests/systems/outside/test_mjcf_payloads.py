@@ -1,12 +1,15 @@
 """Payloads of MuJoCo models: which bodies may carry one, and that it is a point mass there."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from diffsim.cli.diagnose_inputs import choose
 from diffsim.identify.model import Parameter
 from diffsim.identify.model_file import SavedModel, effects_of
+from diffsim.systems.description import EffectChoice, chosen_effects
 from diffsim.systems.outside.mjcf import Mjcf
 from diffsim.systems.outside.setup import outside_setup
 from tests.systems.outside import scenes
@@ -139,6 +142,27 @@ def test_causes_and_their_places_are_spelled_as_the_file_does():
     assert {"payload_at_FR_calf", "unbalance_at_FR_calf"} <= {e.name for e in setup.effects}
     old = SavedModel(Path("old"), {}, {}, (), ("payload_at_fr_calf",))
     assert [e.name for e in effects_of(old, setup.effects)] == ["payload_at_fr_calf"]
+    twice = [*setup.effects, *(replace(e, name=e.name.swapcase()) for e in setup.effects)]
+    with pytest.raises(ValueError, match="did you mean 'payload_at_FR_calf'"):
+        effects_of(old, twice)
+
+
+def test_a_study_of_before_may_spell_places_in_small_letters():
+    """Its names are taken where they can mean one cause alone."""
+    text = ARM.format(shape=ROD, load="").replace('"fore"', '"FR_calf"')
+    library = outside_setup(scenes.recorded(), Mjcf(text, CHANNELS, {"moment_Nm": "m"}), {}).effects
+    small, whole = "payload_at_fr_calf", "payload_at_FR_calf"
+    (payload,) = chosen_effects(library, EffectChoice(only=(small,), typical={small: 0.3}))
+    assert (payload.name, payload.typical) == (whole, 0.3)
+    left = chosen_effects(library, EffectChoice(without=(small,)))
+    assert {e.name for e in library} - {e.name for e in left} == {whole}
+    assert [e.name for e in choose(library, [small])] == [whole]
+    other = replace(payload, name="payload_at_Fr_Calf")
+    for choice in ({"only": (small,)}, {"without": (small,)}, {"typical": {small: 0.3}}):
+        with pytest.raises(ValueError, match=f"no cause '{small}'; did you mean .*{whole}"):
+            chosen_effects((*library, other), EffectChoice(**choice))
+    both = (*library, other, replace(payload, name=small))
+    assert [e.name for e in chosen_effects(both, EffectChoice(only=(small,)))] == [small]
 
 
 def test_a_payload_is_a_cause_unless_it_is_a_parameter():
