@@ -421,12 +421,11 @@ class SimModel:
         this."""
         if not self.batched:
             # of a table's points nearly all sizes are zero; derivatives need all of them
+            every = torch.is_grad_enabled() or not self.leaves_zeros
             acting: list[dict[Effect, Tensor]] = [{} for _ in q]
             for effect, size in sizes.items():
-                there = (size != 0.0).any(-1)
-                if torch.is_grad_enabled() or not self.leaves_zeros:
-                    there = torch.ones_like(there)
-                for k in torch.nonzero(there)[:, 0].tolist():
+                rows = range(len(q)) if every else torch.nonzero(size.any(-1))[:, 0].tolist()
+                for k in rows:
                     acting[k][effect] = size[k]
             scenes = [self.scene(run, *at, numerics) for at in zip(q, acting, strict=True)]
             return torch.stack(self.simulate_scenes(scenes))
