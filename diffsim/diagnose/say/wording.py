@@ -434,11 +434,11 @@ def _rest(answer: Answer) -> list[str]:
     """What the names leave open."""
     decision, out = answer.decision, []
     if answer.verdict in ("ambiguous", "named", "unknown"):
-        beside = [
-            f", {figure(v, 2)} with an {words_of(name)} beside"
-            for name, v in answer.with_unknown.items()
-        ]
-        out.append(f"The fit leaves {figure(answer.left, 2)} times the noise{''.join(beside)}.")
+        left = figure(answer.left, 2)
+        beside = {name: figure(v, 2) for name, v in answer.with_unknown.items()}
+        said = [f", {v} with an {words_of(n)} beside" for n, v in beside.items() if v != left]
+        if said or left != "1":  # else it is the noise that is left
+            out.append(f"The fit leaves {left} times the noise{''.join(said)}.")
     open_ = [r for r in effects_of(answer) if r.status not in (CERTAIN, LIKELY) and r.rivals]
     if answer.verdict == "named" and answer.rivals and open_:
         shared = set.intersection(*map(set, answer.rivals))
