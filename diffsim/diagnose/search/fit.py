@@ -276,8 +276,8 @@ def _can_be_simulated(problem: Problem) -> bool:
 def null_fit(case: Case) -> Null:
     """Fit the plain model, remove spikes, estimate the noise of the residuals, fit again.
 
-    The first fit uses a rough noise floor, and measured commands without their jumps, or with them
-    where it then comes nearer; the model prepares at its end what it prepares once.
+    The first fit uses a rough noise floor, and measured commands without their jumps; the model
+    prepares at its end what it prepares once.
     """
     study = case.study
     recorded = study.runs
@@ -296,11 +296,6 @@ def null_fit(case: Case) -> Null:
     problem = case.problem(WhiteNoise(channels))
     until = case.begun.steps + case.settings.plain_steps
     fit, at = first_fit(problem, case.settings.windows, until)
-    if num_jumps:
-        with_jumps = replace(case, study=replace(study, runs=recorded))
-        other = _nearer(with_jumps.problem(WhiteNoise(channels)), fit, case.settings.windows, until)
-        if other is not None:
-            (fit, at), case, num_jumps = other, with_jumps, 0
     case = replace(case, model=fit.problem.model)
     case, (fit, at) = _prepare(case, WhiteNoise(channels), (fit, at), until)
     rough = np.array([c.sd for c in channels], dtype=np.float64)
@@ -321,17 +316,6 @@ def null_fit(case: Case) -> Null:
         at = linearization_at(problem, fit.x)
     ended = gauss_newton(problem, at, until=until)
     return Null(case, noise, *ended, num_spikes, num_misread)
-
-
-def _nearer(problem: Problem, fit: Fit, windows: Sequence[float], until: float) -> Ended | None:
-    """A fit of its own to the commands as recorded, if it comes nearer than without their jumps:
-    at numbers fitted without them, a step of four rotors less looks like thrust that is right."""
-    try:
-        found = first_fit(problem, windows, until)
-    except DiffsimError:  # what was misread drives the model out of its range
-        return None
-    is_nearer = found[0].chi2 + found[0].prior < fit.chi2 + fit.prior
-    return found if is_nearer else None
 
 
 def _prepare(case: Case, whitener: Whitener, ended: Ended, until: float) -> tuple[Case, Ended]:

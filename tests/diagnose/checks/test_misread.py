@@ -1,17 +1,16 @@
 """A measured command that jumps: the sensor's mistake, or what acted? The model tells."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from diffsim.data.command_jumps import jumps_of, without_jumps
-from diffsim.data.study import Channel, Command, Run, Study
+from diffsim.data.study import Command
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.checks.noise import choose_commands, without_misread
 from diffsim.diagnose.search.fit import Case, null_fit
-from diffsim.identify import DiagnosisSettings, Parameter, SearchSettings, SimModel
+from diffsim.identify import DiagnosisSettings, SearchSettings
 from diffsim.systems.registry import setup_of
 from tests.systems.toy_cart import TIME, cart_study
 
@@ -94,36 +93,3 @@ def test_a_run_that_nobody_has_seen_is_judged_without_its_jumps():
     report = diagnose(study, model, (), seed=0, settings=QUICK)
     row = next(r for r in report.errors if r.run == "run1")
     assert row.after == pytest.approx(1e-3, rel=0.2)
-
-
-@dataclass
-class Lift:
-    """Shows what lifts."""
-
-    shown: torch.Tensor
-
-    def simulate(self) -> torch.Tensor:
-        return self.shown[:, None]
-
-
-def test_a_step_that_acted_is_kept_though_without_it_a_gain_seems_right():
-    """Rotors lift 12 % less than their data sheet. Without the step with which they came on they
-    would be asked for a tenth less, and nothing would be wrong with them."""
-    rng, steps, runs = np.random.default_rng(2), np.arange(200), []
-    for k, name in enumerate("ab"):
-        asked = 20.0 + 0.1 * np.sin(0.05 * steps + k)
-        asked[:3] -= 2.0
-        lifted = 0.88 * asked + rng.normal(0.0, 0.01, 200)
-        runs.append(Run(name, 0.01 * steps, lifted[:, None], {"force": asked}, name))
-    channel = Channel("lift", "N", "force", sd=0.01)
-    study = Study("rotors", "outside", (channel,), tuple(runs), commands=(LOAD_CELL,))
-    assert without_misread(study.runs[0], study.commands)[1] == 1
-    model = SimModel(
-        lambda values, run, _: Lift(values["gain"] * torch.from_numpy(run.command["force"])),
-        [Parameter("gain", 1.0, 0.1, "-")],
-        "rotors",
-    )
-    null = null_fit(Case(study, model, (), (), QUICK))
-    assert null.num_misread == 0
-    assert null.fit.values["gain"] == pytest.approx(0.88, abs=1e-3)
-    assert null.fit.chi2 / null.fit.num_samples == pytest.approx(1.0, abs=0.2)
