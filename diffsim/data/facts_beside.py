@@ -36,16 +36,19 @@ def facts_beside(guess: Guess) -> Iterable[str]:
     taken = {guess.folder / file.partition("#")[0] for run in guess.runs for file in run.files}
     left = [path for path in sorted(files_below(guess.folder)) if path not in taken]
     tables = {one.path for one in guess.found}
-    sheets = {path: facts for path in left if path not in tables and (facts := facts_of(path))}
+    leaves = {path: _leaves_of(path) for path in left if path not in tables}
+    sheets = {path: facts for path, own in leaves.items() if (facts := _facts_among(own))}
     of_runs: set[Path] = set()
     replaced = []
     for path, facts in sheets.items():
         for run in _runs_of(path, guess):
             of_runs.add(path)
             for name, fact in map(_as_fact, facts, facts.values()):
-                if name and run.setup.get(name, fact) != fact:
+                if not name:
+                    continue
+                if run.setup.get(name, fact) != fact:
                     replaced.append(f"{name} of {run.name} by {path.name}")
-                run.setup |= {name: fact} if name else {}
+                run.setup[name] = fact
     yield from listed("facts that are stated twice and differ, the last one is taken", replaced)
     names = [path.relative_to(guess.folder).as_posix() for path in of_runs]
     yield from listed("facts of single runs, taken from", sorted(names))
@@ -59,7 +62,7 @@ def facts_beside(guess: Guess) -> Iterable[str]:
     remarks = [
         f"{name} of {path.name}"
         for path in sheets
-        for name, value in _flat("", _content_of(path), 3)
+        for name, value in leaves[path].items()
         if isinstance(value, str) and len(value.strip()) > MOST_LETTERS
     ]
     yield from listed(f"texts and lists of more than {MOST_LETTERS} letters, no facts", remarks)
@@ -100,10 +103,18 @@ def facts_of(path: Path) -> dict[str, Any]:
     Args:
         path: Any file.
     """
+    return _facts_among(_leaves_of(path))
+
+
+def _leaves_of(path: Path) -> dict[str, Any]:
+    """Numbers, words and lists of a sheet, with those of blocks in it; none of a study."""
     is_known = path.name == BAG or path.parent.name == _META
     content = {} if is_known else _content_of(path)
-    leaves = () if _is_study(content) else _flat("", content, 3)
-    return {name: value for name, value in leaves if not _says_nothing(value)}
+    return {} if _is_study(content) else dict(_flat("", content, 3))
+
+
+def _facts_among(leaves: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in leaves.items() if not _says_nothing(value)}
 
 
 def _content_of(path: Path) -> Mapping[Any, Any]:
@@ -132,7 +143,7 @@ def _flat(start: str, content: Mapping[Any, Any], depth: int) -> Iterator[tuple[
             yield name, str(value).lower() if is_label else value
 
 
-def _says_nothing(value: str | float | list[Any]) -> bool:
+def _says_nothing(value: str | float) -> bool:
     """Whether a number is none, or a text or list is empty or too long for a fact."""
     if isinstance(value, float):
         return not math.isfinite(value)
