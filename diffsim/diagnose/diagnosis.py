@@ -19,13 +19,13 @@ from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
     CONTRADICTED,
     LEAST_FREEDOM,
-    SURE_SD,
     GateResult,
     budget_gates,
     cuts_gate,
     data_gate,
     few_samples_gate,
     law_gate,
+    leaves_more,
     repeatability_gate,
     unsimulable_gate,
     windows_gate,
@@ -252,8 +252,7 @@ class _Answer:
         if any(gate.name == CONTRADICTED for gate in self.frozen.gates):
             # where fitted runs leave noise no law can be told from them; one that the other fitted
             # runs contradict may show a law that acts in it alone, such as a stop
-            fit = self.search.fit_of(NONE)
-            return fit.chi2 - fit.num_samples > SURE_SD * math.sqrt(2.0 * fit.num_samples)
+            return leaves_more(self.search.fit_of(NONE))
         return self.frozen.verdict == "unknown" or self.frozen.left > BELOW_NOISE
 
     def nats_with(self, laws: AbstractSet[str]) -> tuple[float, float]:
@@ -466,8 +465,7 @@ def _answer(
     at = checks.center.evidence
     screened = screen(at)
     # where nothing is left, refined settings leave more: they are no part of a misfit
-    left, spread = null.fit.chi2 - null.fit.num_samples, math.sqrt(2.0 * null.fit.num_samples)
-    is_coarse = left > SURE_SD * spread and could_be_misfit(null.fit, checks.gates)
+    is_coarse = leaves_more(null.fit) and could_be_misfit(null.fit, checks.gates)
     if is_coarse and not null.case.settings.accept_numerics:
         decision = Decision("numerical", frozenset(), (), None, 0.0)
         return _Answer(report_of(null, checks, Judgment(decision), screened, seed, bank))

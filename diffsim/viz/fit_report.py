@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from diffsim.core.figures import signed, with_sd
-from diffsim.diagnose.checks.gates import SURE_SD
+from diffsim.diagnose.checks.gates import leaves_more
 from diffsim.diagnose.refit import NullFit
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import report as page
@@ -23,7 +23,6 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
         predicted_runs(study, fit, uses=("fit", "select")),
     )
     per_sample = fit.chi2 / fit.num_samples
-    leaves_more = fit.chi2 - fit.num_samples > SURE_SD * np.sqrt(2.0 * fit.num_samples)
     worst = [page.Chart(figure=draw.runs_over_time(runs, channels), caption=_RUNS)]
     left = [page.Chart(figure=draw.residual_views(runs, channels), caption=_LEFT)]
     names = [name for name in fit.problem.names if name not in null.idle]
@@ -36,7 +35,7 @@ def write_fit(null: NullFit, path: str | Path) -> Path:
             subtitle=f"The model “{fit.problem.model.name}”, without any effect",
             verdict=[
                 f"What is left is {per_sample:.3g} noise variances per sample; noise alone "
-                f"would leave 1. {_EXPLAIN if leaves_more else ''}".rstrip()
+                f"would leave 1. {_EXPLAIN if leaves_more(fit) else ''}".rstrip()
             ],
             numbers=[
                 page.Number(label="chi2 per sample", value=f"{per_sample:.3g}", note="1: noise")

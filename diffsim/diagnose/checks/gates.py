@@ -7,6 +7,7 @@ nothing about its other half.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -278,6 +279,11 @@ def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]
         "these take up what acts slowly, so that refuted and not visible hold for that length only"
     )
     return (GateResult(WINDOWS, True, min(short.values()), min(short.values()), note),)
+
+
+def leaves_more(fit: Fit) -> bool:
+    """Whether a fit leaves more than noise does, by its sum of squares."""
+    return fit.chi2 - fit.num_samples > SURE_SD * math.sqrt(2.0 * fit.num_samples)
 
 
 def budget_gates(

@@ -19,7 +19,7 @@ from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.errors import DiffsimError
 from diffsim.core.figures import figure
 from diffsim.data.study import TIMELESS, Run
-from diffsim.diagnose.checks.gates import SURE_SD
+from diffsim.diagnose.checks.gates import leaves_more
 from diffsim.diagnose.checks.noise import ArWhitener
 from diffsim.diagnose.judge.own_values import own_point, unmet_by
 from diffsim.diagnose.search.evidence import ALONE_NATS
@@ -257,8 +257,7 @@ def run_apart(fit: Fit, steps: float = np.inf) -> dict[str, float]:
         off = _simulate_part(fit, fold, rest.x)
     except DiffsimError:  # where they end nothing can be simulated
         return {}
-    above = (rest.chi2 - rest.num_samples) / np.sqrt(2.0 * rest.num_samples)
-    return {} if above > SURE_SD else {fold.name: float(np.sqrt(np.mean(off**2)))}
+    return {} if leaves_more(rest) else {fold.name: float(np.sqrt(np.mean(off**2)))}
 
 
 def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:

@@ -22,7 +22,7 @@ import numpy as np
 from diffsim.causes.readings import usual_sample
 from diffsim.core.arrays import Array
 from diffsim.core.figures import figure, percent
-from diffsim.diagnose.checks.gates import MUCH_UNSEEN, SURE_SD, GateResult
+from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult, leaves_more
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off
@@ -192,8 +192,7 @@ def _is_a_single_recording(g: Grounds, i: int) -> str:
 def _sets_do_without(g: Grounds, i: int) -> str:
     decision = g.judgment.decision
     # causes are chosen by what coarse steps leave as well, and backlash does what these get wrong
-    above_noise = (g.fit.chi2 - g.fit.num_samples) / np.sqrt(2.0 * g.fit.num_samples)
-    if above_noise > SURE_SD and could_be_misfit(g.fit, g.gates):
+    if leaves_more(g.fit) and could_be_misfit(g.fit, g.gates):
         return "what the fit leaves may be the simulation's own error"
     if decision.unknown is None and decision.open_unknown is not None:
         return "an unknown cause may act as well"
