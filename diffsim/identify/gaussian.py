@@ -64,11 +64,15 @@ class Gaussian:
         """Inverse of the curvature, (n, n)."""
         return self.solve(np.eye(len(self.slope)))
 
+    @cached_property
+    def half_log_det(self) -> float:
+        """Half the logarithm of the curvature's determinant [nats]."""
+        return float(np.log(np.diag(self._factor[0])).sum())
+
     @property
     def nats(self) -> float:
         """Logarithm of the integral over all coordinates, their evidence [nats]."""
-        half_log_det = float(np.log(np.diag(self._factor[0])).sum())
-        return self.level + 0.5 * float(self.slope @ self.mean) - half_log_det
+        return self.level + 0.5 * float(self.slope @ self.mean) - self.half_log_det
 
     def given(self, known: Sequence[int], values: Array) -> Gaussian:
         """The other coordinates where some are known, (num_known,)."""

@@ -147,7 +147,7 @@ class Local:
             kept_definite(all_of.gram - cross.T @ follow),
             all_of.projection - cross.T @ at.mean,
             all_of.power - float(b @ at.mean),
-            float(b @ at.mean) - 2.0 * at.nats,
+            2.0 * at.half_log_det,
         )
 
 
