@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -333,10 +333,7 @@ def advise_narrowing(
     setup, named = inputs.setup, report["named"]
     if report["verdict"] not in CLOSED_VERDICTS or not setup.bank:
         return None
-    by_name = {e.name: e for e in setup.effects}
-    effects = [
-        by_name[require_choice("effect", as_spelled(name, by_name), by_name)] for name in named
-    ]
+    effects = _effects_by_name(named, setup.effects)
     null = fit_null(inputs, numerics)
     shared = [p.name for p in null.fit.problem.model.base if "@" not in p.name]
     off = [name for name in report.get("findings", ()) if name in shared]
@@ -345,6 +342,12 @@ def advise_narrowing(
         return None
     fit = refit(null, effects, inputs, {})
     return narrowing(fit, _within_travel([fit], setup.bank, null.study.channels), names)
+
+
+def _effects_by_name(names: Iterable[str], effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Causes of a setup by their names, in any case of letters."""
+    known = {e.name: e for e in effects}
+    return tuple(known[require_choice("effect", as_spelled(n, known), known)] for n in names)
 
 
 @one_thread
@@ -365,13 +368,7 @@ def advise(
         raise ValueError(
             f"the setup of study {inputs.study.name} has no bank of runs that could be recorded"
         )
-    by_name = {e.name: e for e in setup.effects}
-    chosen = [
-        tuple(
-            by_name[require_choice("effect", as_spelled(name, by_name), by_name)] for name in names
-        )
-        for names in sets
-    ]
+    chosen = [_effects_by_name(names, setup.effects) for names in sets]
     null = fit_null(inputs, numerics)
     fits = [refit(null, effects, inputs, {}) for effects in chosen]
     return next_run(fits, _within_travel(fits, setup.bank, null.study.channels))
