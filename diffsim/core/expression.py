@@ -11,6 +11,7 @@ import ast
 import math
 import operator
 import re
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -25,6 +26,8 @@ Values = Mapping[str, Tensor]
 
 MAX_LENGTH = 2000  # characters: longer text is a program, not a formula
 MAX_DEPTH = 40  # nested brackets; the parser itself recurses
+
+_ONE_PARSES = threading.RLock()  # see syntax_tree
 
 CONSTANTS = {"pi": math.pi, "e": math.e}
 
@@ -247,7 +250,7 @@ def parse_expression(text: str | float, known: Iterable[str] | None = None) -> E
     if len(text) > MAX_LENGTH:
         raise ValueError(f"a formula may have {MAX_LENGTH} characters, got {len(text)}")
     try:
-        tree = ast.parse(text, mode="eval").body
+        tree = syntax_tree(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         at = f" at column {error.offset}" if isinstance(error, SyntaxError) else ""
         why = error.msg if isinstance(error, SyntaxError) else "nested too deeply"
@@ -257,6 +260,26 @@ def parse_expression(text: str | float, known: Iterable[str] | None = None) -> E
     parser = _Parser(text, None if known is None else tuple(known))
     root = parser.node(tree, 0)
     return Expression(text, tuple(parser.names), root)
+
+
+def syntax_tree(text: str) -> ast.expr:
+    """Syntax tree of one Python expression; threads may ask at once, and each gets its own.
+
+    Python 3.11 and 3.12 count the depth of a tree in one place for all threads: two that parse at
+    once end in ``SystemError: AST constructor recursion depth mismatch`` (CPython issue 106905).
+
+    Args:
+        text: The expression.
+
+    Returns:
+        Its outermost node.
+
+    Raises:
+        SyntaxError: not an expression.
+        ValueError, RecursionError, MemoryError: what Python's parser cannot hold.
+    """
+    with _ONE_PARSES:
+        return ast.parse(text, mode="eval").body
 
 
 class _Parser:

@@ -16,7 +16,7 @@ import torch
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean
-from diffsim.core.expression import parse_expression
+from diffsim.core.expression import parse_expression, syntax_tree
 from diffsim.core.figures import counted
 from diffsim.data.codes import unwrapped
 
@@ -146,7 +146,7 @@ def _inner_calls(plain: str) -> Iterator[ast.Call]:
     if not any(f"{name}(" in plain.replace(" ", "") for name in OF_RECORDS):
         return
     try:
-        tree = ast.parse(plain.strip(), mode="eval")
+        tree = syntax_tree(plain.strip())
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return  # told where the formula is parsed
     for node in ast.walk(tree):

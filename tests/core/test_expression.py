@@ -1,6 +1,9 @@
 """Formulas as text: right values, exact gradients, and nothing but formulas."""
 
+import gc
 import math
+import sys
+import threading
 
 import pytest
 import torch
@@ -134,3 +137,45 @@ def test_on_plain_numbers_a_formula_is_what_it_is_on_tensors(text):
         }
         want, got = float(formula(values)), on_floats(x, 0.7)
         assert got == pytest.approx(want, rel=1e-14, nan_ok=True), (text, x)
+
+
+def test_threads_may_parse_at_once() -> None:
+    # Python 3.11 counts the depth of a tree in one place for all threads: without a lock some of
+    # these calls, made at different depths of the stack, end in a SystemError
+    every, thresholds = sys.getswitchinterval(), gc.get_threshold()
+    failed: list[SystemError] = []
+
+    def at_depth(depth: int) -> None:
+        if depth:
+            return at_depth(depth - 1)
+        for _ in range(1000):
+            Ring()  # its finalizer runs inside the parser, where the threads change places
+            try:
+                parse_expression("0.1 * mass + 3 * (a * b)")
+            except SystemError as error:
+                failed.append(error)
+        return None
+
+    try:
+        sys.setswitchinterval(1e-6)
+        gc.set_threshold(10, 2, 2)
+        threads = [threading.Thread(target=at_depth, args=(depth,)) for depth in (0, 1, 2, 5)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(every)
+        gc.set_threshold(*thresholds)
+    assert not failed
+
+
+class Ring:
+    """Refers to itself, so that only the garbage collector ends it."""
+
+    def __init__(self) -> None:
+        self.me = self
+
+    def __del__(self) -> None:
+        for _ in range(3):
+            pass

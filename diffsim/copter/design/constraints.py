@@ -12,6 +12,7 @@ from scipy.optimize import linprog
 
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
+from diffsim.core.expression import syntax_tree
 
 
 class InfeasibleDesignError(DiffsimError):
@@ -95,7 +96,7 @@ def parse_constraint(text: str, require_name: Callable[[str], str]) -> Constrain
         ValueError: not a linear relation, or an unknown parameter.
     """
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        tree = syntax_tree(text.strip())
     except SyntaxError as error:
         raise ValueError(f"constraint {text!r} cannot be read ({error.msg}); {_HOW}") from error
     if (
