@@ -17,9 +17,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from diffsim.core.numbers import values_of
 from diffsim.core.values import dot
 
 _TINY = 1e-9
+_MOST_STEPS = 12  # of Newton's method: five are needed, more where balls hardly meet
+_SETTLED_S = 1e-12  # its last step; the next one would be its square: rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +77,18 @@ def moved(ball: Ball, time: Tensor, laws: Laws) -> Ball:
 
 
 def time_of_impact(resting: Ball, coming: Ball, diameter: Tensor, laws: Laws) -> Tensor:
-    """When the centers are one diameter apart [s], by Newton's method."""
+    """When the centers are one diameter apart [s], by Newton's method until it rests."""
     time = torch.zeros_like(diameter)
-    for _ in range(12):
+    for _ in range(_MOST_STEPS):
         time = time.detach()  # the last step alone carries the derivative, by a slope that is held
         a, b = moved(resting, time, laws), moved(coming, time, laws)
         apart = b.place - a.place
         distance = _compute_length(apart)
         closing = ((b.velocity - a.velocity) * apart).sum(-1) / distance
         slope = closing.detach().clamp(max=-0.05)
-        time = (time - (distance - diameter) / slope).clamp(0.0, 1.0)
+        before, time = time, (time - (distance - diameter) / slope).clamp(0.0, 1.0)
+        if bool((values_of(time - before).abs() <= _SETTLED_S).all()):
+            break
     return time
 
 
