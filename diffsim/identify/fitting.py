@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,7 +99,7 @@ class Fit:
             details=self.message,
         )
 
-    @property
+    @cached_property
     def covariance(self) -> Array:
         """(n, n) posterior covariance of the standardized coordinates."""
         return posterior_covariance(self.jacobian)

@@ -94,10 +94,10 @@ def _reweight_sizes(
         if step >= 2:  # safe ones come before Newton's
             curvature, push = np.ones(len(b)), np.zeros(len(b))
             curvature[sizes], push[sizes] = _newton(v[sizes], weights[sizes])
-            after = quadratic_optimum(gram + np.diag(curvature), b + push, low, high, v)
+            after = quadratic_optimum(_with_prior(gram, curvature), b + push, low, high, v)
             there = _cost(after, gram, b, sizes)
         if not there < here:
-            after = quadratic_optimum(gram + np.diag(weights), b, low, high, v)
+            after = quadratic_optimum(_with_prior(gram, weights), b, low, high, v)
             there = _cost(after, gram, b, sizes)
         close = REWEIGHT_TOLERANCE * np.maximum(np.abs(after), 1.0)
         is_end = bool(np.all(np.abs(after - v) <= close))
@@ -106,6 +106,13 @@ def _reweight_sizes(
             break
         weights[sizes] = precision_at(v[sizes])
     return v
+
+
+def _with_prior(gram: Array, precision: Array) -> Array:
+    """The Gram matrix with a precision of every coordinate on its diagonal."""
+    out = gram.copy()
+    np.einsum("ii->i", out)[:] += precision
+    return out
 
 
 def _cost(v: Array, gram: Array, b: Array, sizes: NDArray[np.bool_]) -> float:
@@ -138,19 +145,22 @@ def quadratic_optimum(
     active = np.zeros(len(b), dtype=int)  # -1: at the lower bound, 1: at the upper
     if near is not None:
         active = (near >= high).astype(int) - (near <= low).astype(int)
-    v = np.zeros(len(b))
     for _ in range(3 * len(b) + 3):
-        v = np.where(active < 0, low, np.where(active > 0, high, 0.0))
         free = active == 0
         if free.all():
             v = _solve_step(hessian, b)
-        elif free.any():
-            right = b[free] - hessian[np.ix_(free, ~free)] @ v[~free]
-            v[free] = _solve_step(hessian[np.ix_(free, free)], right)
-        beyond = np.where(free & (v < low), -1, np.where(free & (v > high), 1, 0))
-        if beyond.any():
-            active = active + beyond
+        else:
+            v = np.where(active < 0, low, high)
+            own, held = np.flatnonzero(free), np.flatnonzero(~free)
+            if len(own):
+                right = b[own] - hessian[own[:, None], held] @ v[held]
+                v[own] = _solve_step(hessian[own[:, None], own], right)
+        below, above = free & (v < low), free & (v > high)
+        if below.any() or above.any():
+            active = active - below + above
             continue
+        if free.all():
+            return v
         inward = active * (hessian @ v - b)  # above 0: the misfit falls off the bound
         if (worst := int(np.argmax(inward))) >= 0 and inward[worst] > 1e-12 * (1.0 + abs(b[worst])):
             active[worst] = 0
@@ -207,7 +217,7 @@ def _to_unit_diagonal(hessian: Array) -> tuple[Array, Array]:
     decades."""
     root = np.sqrt(np.diagonal(hessian))
     unit = 1.0 / np.where(root > 0.0, root, 1.0)
-    return unit, hessian * np.outer(unit, unit)
+    return unit, hessian * (unit[:, None] * unit)
 
 
 def _solve_step(hessian: Array, b: Array) -> Array:
