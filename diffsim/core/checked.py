@@ -133,7 +133,7 @@ def _checks_of(
             continue
         optional = len(words) < len(_alternatives(text)) or parameter.default is None
         shape = shapes.get(name, ("...",))
-        found.append((name, partial(_check, name, shape, optional, takes, kinds_only)))
+        found.append((name, partial(_check, name, shape, optional, takes, kinds_only, set())))
     return found
 
 
@@ -207,14 +207,19 @@ def _check(
     optional: bool,
     takes: Sequence[_Taker],
     kinds_only: bool,
+    fitting: set[type],
     value: Any,
 ) -> None:
     if value is None and optional:
+        return
+    if kinds_only and type(value) in fitting:
         return
     number = getattr(value, "ndim", None) == 0 and any(float in t.kinds[:1] for t in takes)
     is_text = isinstance(value, str) and not any(str in t.kinds for t in takes)
     is_flag = isinstance(value, bool) and not any(bool in t.kinds for t in takes)
     fits = any(t.fits(value) for t in takes) and not is_text and not is_flag
+    if fits and any(isinstance(value, t.kinds) for t in takes):
+        fitting.add(type(value))  # all of a class fit: asked a hundred thousand times
     is_row = not kinds_only and isinstance(value, (list, tuple))
     fits = fits or (is_row and any(np.ndarray in t.kinds for t in takes))
     if not (number or fits):

@@ -136,17 +136,11 @@ class Ode:
         sizes = {len(a) for a, d in ((start, 2), (inputs, 3), (parameters, 2)) if a.ndim == d}
         if len(sizes - {1}) > 1 or start.ndim > 2 or inputs.ndim > 3 or parameters.ndim > 2:
             raise ValueError(f"batch axes of start, inputs, parameters disagree: {sorted(sizes)}")
-        batch = max(sizes, default=1)
-        u = inputs if inputs.ndim == 3 else inputs[None]
-        readings, states = _ops.ode_integrate(
-            **self.problem(times, num_steps, num_threads),
-            start=start.expand(batch, n),
-            inputs=u,
-            parameters=parameters.expand(batch, q),
-        )
+        problem = self.problem(times, num_steps, num_threads)
+        readings, states = integrated(self, problem, start, inputs, parameters)
         if finite:
             self._require_finite(times, readings, states)
-        return (readings, states) if sizes else (readings[0], states[0])
+        return readings, states
 
     def _require_finite(self, times: Tensor, readings: Tensor, states: Tensor) -> None:
         if torch.compiler.is_compiling():
@@ -197,3 +191,27 @@ class Ode:
             "upper": upper.contiguous(),
             "held": torch.tensor([name in self.held for name in self.inputs], dtype=torch.int64),
         }
+
+
+def integrated(
+    ode: Ode, problem: Mapping[str, Any], start: Tensor, inputs: Tensor, parameters: Tensor
+) -> tuple[Tensor, Tensor]:
+    """``Ode.solve`` of what is known to fit, for callers that ask thousands of times.
+
+    Args:
+        ode: What is integrated.
+        problem: Of ``Ode.problem``.
+        start, inputs, parameters: As ``Ode.solve`` takes them; both of the latter are there.
+
+    Returns:
+        Readings and states as ``Ode.solve`` returns them; NaN and infinity stay in them.
+    """
+    sizes = {len(a) for a, d in ((start, 2), (inputs, 3), (parameters, 2)) if a.ndim == d}
+    batch = max(sizes, default=1)
+    readings, states = _ops.ode_integrate(
+        **problem,
+        start=start.expand(batch, len(ode.rates)),
+        inputs=inputs if inputs.ndim == 3 else inputs[None],
+        parameters=parameters.expand(batch, len(ode.parameters)),
+    )
+    return (readings, states) if sizes else (readings[0], states[0])

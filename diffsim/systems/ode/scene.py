@@ -14,6 +14,7 @@ from diffsim.causes.scene import Scene
 from diffsim.core.expression import Expression
 from diffsim.data.study import Run
 from diffsim.ode import Ode
+from diffsim.ode.integrate import integrated
 from diffsim.systems.ode.network import TIME, Change, Network
 
 
@@ -119,7 +120,7 @@ class OdeScene(Scene):
         """Whether the start is a state of rest with inputs of zero, and none with their first
         values."""
         flow = self._prepare_flow(self.network)
-        if flow.inputs is None:
+        if not flow.ode.inputs:
             return False
         first = flow.inputs[..., 0, :]
         with_first, without = (flow.rates(u).abs().max() for u in (first, torch.zeros_like(first)))
@@ -145,7 +146,9 @@ class OdeScene(Scene):
             lead,
             _stack_values(starts, lead),
             self.grid.times,
-            torch.stack([u.expand(*own, steps) for u in inputs], -1) if inputs else None,
+            torch.stack([u.expand(*own, steps) for u in inputs], -1)
+            if inputs
+            else torch.zeros((steps, 0), dtype=torch.float64),
             _stack_values(parameters, lead),
         )
 
@@ -196,7 +199,7 @@ class _Flow:
         lead: Leading axes of the points.
         start: States in the beginning, (..., num_states).
         times: Of the grid.
-        inputs: (..., num_times, num_inputs); None: there are none.
+        inputs: (..., num_times, num_inputs).
         parameters: (..., num_parameters).
     """
 
@@ -205,7 +208,7 @@ class _Flow:
     lead: tuple[int, ...]
     start: Tensor
     times: Tensor
-    inputs: Tensor | None
+    inputs: Tensor
     parameters: Tensor
 
     def rates(self, inputs: Tensor) -> Tensor:
@@ -223,11 +226,9 @@ class _Flow:
 
     def solve(self, start: Tensor, first: int, last: int) -> tuple[Tensor, Tensor]:
         """Readings and states from one time of the grid to another, both included."""
-        if (first, last) == (0, len(self.times) - 1):
-            return self.ode.solve(self.times, start, self.inputs, self.parameters, finite=False)
         piece = slice(first, last + 1)
-        inputs = None if self.inputs is None else self.inputs[..., piece, :]
-        return self.ode.solve(self.times[piece], start, inputs, self.parameters, finite=False)
+        problem = self.ode.problem(self.times[piece], 1, 1)
+        return integrated(self.ode, problem, start, self.inputs[..., piece, :], self.parameters)
 
 
 def at_start(state: str) -> str:
