@@ -88,6 +88,7 @@ class FormulaSystem:
         gaps: Gaps of the runs in which held commands changed, by name of the run.
         pieces: Pieces of the runs in which start states stop telling, by name of the run.
         from_zero: Whether inputs were zero before a run, by the run.
+        known_of: Facts of a run and what is taken from its samples, by the run.
     """
 
     keys: FormulaKeys
@@ -108,6 +109,7 @@ class FormulaSystem:
     gaps: Mapping[str, tuple[Gap, ...]] = field(default_factory=dict)
     pieces: Mapping[str, tuple[Piece, ...]] = field(default_factory=dict)
     from_zero: Memo[bool] = memo_field()
+    known_of: Memo[dict[str, Tensor]] = memo_field()
 
     @property
     def priors(self) -> dict[str, Tensor]:
@@ -197,11 +199,10 @@ def _make_scene(
     keys, motion, study = system.keys, system.motion, system.study
     if PLAY_START in system.base.quantities:
         values = with_play_start(values, run)
-    known = {
-        **scalars(facts_of(run)),
-        **scalars(data_values(study, run, keys.rest)),
-        **system.base.in_run(values, run),
-    }
+    found = system.known_of(
+        run, lambda: scalars({**facts_of(run), **data_values(study, run, keys.rest)})
+    )
+    known = {**found, **system.base.in_run(values, run)}
     step = math.inf  # what does not move is at its samples only
     if motion.states:
         step = motion.time_step or float(np.median(np.diff(run.time_s))) / system.parts
