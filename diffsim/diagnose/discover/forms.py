@@ -169,10 +169,12 @@ FORMS_THROUGH_ZERO: tuple[Form, ...] = (
         ((0.1, 8.0),),
         ("-",),
     ),
-    # what acts beyond a place to both sides, such as a stop, and as much to the one or against it
+)
+#: the same, of variables that go to both sides of zero: what acts beyond a place, such as a stop,
+#: and what comes all at once there, such as a centrifugal brake; odd and even
+FORMS_TO_BOTH_SIDES: tuple[Form, ...] = (
     _both_sides("u - min(max(u, -threshold), threshold)", lambda u, at: u - np.clip(u, -at, at)),
     _both_sides("max(abs(u) - threshold, 0)", lambda u, at: np.maximum(np.abs(u) - at, 0.0)),
-    # what comes all at once there, such as a centrifugal brake
     _step(
         "0.5*(tanh((u - middle)/width) + tanh((u + middle)/width))",
         lambda u, p: 0.5 * (np.tanh((u - p[0]) / p[1]) + np.tanh((u + p[0]) / p[1])),
@@ -327,6 +329,8 @@ def fit_forms(told: LawMisfit) -> list[FittedForm]:
     if reaches_zero:
         at_zero = replace(over_range, mid=0.0)
         forms = (*FACTORS_THROUGH_ZERO, *FORMS_THROUGH_ZERO)
+        if low < -0.1 * half and high > 0.1 * half:
+            forms += FORMS_TO_BOTH_SIDES
         fitted += [at_zero.fit(form) for form in forms if told.of_number or not form.is_factor]
     levels = (False,) if told.of_number else (False, True)
     fitted += [over_range.fit(form, has_level) for form in FORMS for has_level in levels]

@@ -14,6 +14,7 @@ from diffsim.diagnose.discover.forms import (
     FORMS,
     FORMS_ABOVE_ZERO,
     FORMS_THROUGH_ZERO,
+    FORMS_TO_BOTH_SIDES,
     LawMisfit,
     fit_forms,
 )
@@ -42,6 +43,7 @@ ONE_WAY = [
     (0.8, {"distance": 0.9}, lambda u: 0.8 / (HIGH - u + 0.9) ** 2),
     (0.05, {"exponent": 1.7}, lambda u: 0.05 * (u - LOW) ** 1.7),
 ]
+OF_ZERO = (*FORMS_THROUGH_ZERO, *FORMS_TO_BOTH_SIDES)
 THROUGH_ZERO = [
     (2.5, lambda u: 2.5 * u),
     (-0.4, lambda u: -0.4 * u**2),
@@ -93,12 +95,12 @@ def test_a_form_finds_its_own_numbers(k):
 
 
 @pytest.mark.reference
-@pytest.mark.parametrize("k", range(len(FORMS_THROUGH_ZERO)))
+@pytest.mark.parametrize("k", range(len(OF_ZERO)))
 def test_a_form_through_zero_finds_its_size(k):
     size, truth = THROUGH_ZERO[k]
     told = told_of(truth, -4.0, 5.0)
     own = fit_forms(told)[0]
-    assert own.form is FORMS_THROUGH_ZERO[k]
+    assert own.form is OF_ZERO[k]
     assert own.size == pytest.approx(size, rel=1e-3 if own.numbers else 1e-6)
     np.testing.assert_allclose(
         read(own, told.u), values_of(told), atol=1e-3 if own.numbers else 1e-9
@@ -173,7 +175,7 @@ def test_what_the_record_cannot_tell_apart_is_said_once():
 
 def test_forms_through_zero_are_for_variables_that_go_through_it():
     found = fit_forms(told_of(lambda u: 2.0 * u, LOW, HIGH))
-    assert not {id(f.form) for f in found} & {id(f) for f in FORMS_THROUGH_ZERO}
+    assert not {id(f.form) for f in found} & {id(f) for f in OF_ZERO}
 
 
 @pytest.mark.reference
