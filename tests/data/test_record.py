@@ -526,3 +526,20 @@ def test_a_copy_is_told_once_and_with_the_constant_that_it_adds():
     assert len(said) == 3
     assert ["but for a constant" in one for one in said] == [True, True, False]
     assert "m3 is equal to column m0 of channel m0 in all rows: nothing" in said[2]
+
+
+@pytest.mark.parametrize("times,is_unit", [(180.0 / np.pi, True), (1.0, False), (100.0, False)])
+def test_a_rate_whose_integral_is_degrees_beside_an_angle_is_in_another_unit(times, is_unit):
+    """A gyro's degrees stated as radians: the flight diverged, and nothing said why. A gear of
+    100 between a motor and its joint is none."""
+    rng, t = np.random.default_rng(5), 0.01 * np.arange(500)
+    runs = []
+    for k in range(2):
+        angle = 0.2 * np.sin(3.0 * t + k) + 0.1 * np.sin(7.0 * t)
+        rate = np.gradient(angle, t)
+        read = [angle + rng.normal(0.0, 4e-3, 500), times * (rate + rng.normal(0.0, 0.03, 500))]
+        runs.append(Run(f"r{k}", t, np.stack(read, 1), {}, f"r{k}"))
+    channels = (Channel("roll", "rad", "angle"), Channel("gyro", "rad/s", "angular velocity"))
+    found = [*find_units(Record.of(Study("flight", "multicopter", channels, tuple(runs))))]
+    assert [f.where for f in found] == (["channel gyro"] if is_unit else [])
+    assert all("degrees" in f.says and not f.stops for f in found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -155,6 +155,47 @@ def find_units(record: Record) -> Iterator[Finding]:
             yield finding
     if not found:
         yield from _units_of_commands(record)
+        yield from _units_of_rates(record)
+
+
+def _units_of_rates(record: Record) -> Iterator[Finding]:
+    """Channels of a rate whose integral follows another channel, a factor between units apart."""
+    for rate, place in permutations(record.channels, 2):
+        if _has_gain(record, rate) or _has_gain(record, place) or rate.unit != f"{place.unit}/s":
+            continue
+        pairs = ((r, next((s for s in place.runs if s.run == r.run), r)) for r in rate.runs)
+        fits = [
+            _best_rate(r.times, r.values * (rate.scale or 1.0), s.values * (place.scale or 1.0))
+            for r, s in pairs
+            if s is not r and len(r) >= FEW and np.array_equal(r.at, s.at) and s.range > 0.0
+        ]
+        if len(fits) < 2 or float(np.median([share for _, share in fits])) < FOLLOWS:
+            continue
+        times = max(float(np.median([slope for slope, _ in fits])), 1e-300)
+        factor = _factor_near(float(np.log(times)), GAIN_NEAR, rate.unit)
+        # a gear may be ten or a hundred, but hardly what a turn has degrees
+        if factor is None or max(factor[0], 1.0 / factor[0]) < BIG or factor[1].startswith("a "):
+            continue
+        yield Finding(
+            rate.where,
+            f"it is {times:.4g} times as fast as {place.where} moves: another unit, by "
+            f"{factor[1]}, unless a gear is between them",
+            f"`unit:` of {rate.where} states that of the file",
+            False,
+        )
+
+
+def _best_rate(times: Array, rate: Array, place: Array) -> tuple[float, float]:
+    """What the integral of a rate is times a place, beside a drift, and the share of its squares
+    that the place explains."""
+    steps = 0.5 * np.diff(times) * (rate[1:] + rate[:-1])
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    drift = np.column_stack([times - times[0], np.ones(len(times))])
+    way, place = (x - drift @ np.linalg.lstsq(drift, x, rcond=None)[0] for x in (way, place))
+    both, total, own = float(way @ place), float(way @ way), float(place @ place)
+    if not min(total, own) > 0.0:
+        return 0.0, 0.0
+    return both / own, both**2 / (own * total)
 
 
 def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:

@@ -89,6 +89,31 @@ def _threshold(core: str, beyond: Callable[[Array, float], Array]) -> Form:
     )
 
 
+def _both_sides(core: str, beyond: Callable[[Array, float], Array]) -> Form:
+    return Form(
+        "threshold",
+        core,
+        lambda u, p: beyond(u, p[0]),
+        ("threshold",),
+        (_places(0.05, 0.95),),
+        ((0.01, 0.98),),
+        ("length",),
+        1.0,
+    )
+
+
+def _step(core: str, shape: Callable[[Array, Sequence[float]], Array]) -> Form:
+    return Form(
+        "step",
+        core,
+        shape,
+        ("middle", "width"),
+        (_places(0.05, 0.95), (0.01, 0.05)),
+        ((0.05, 0.98), (0.002, 0.1)),  # wider, and about zero, it would be any smooth curve
+        ("length", "length"),
+    )
+
+
 #: z is the variable from -1 to 1 over its range; of forms that the record cannot tell apart and
 #: that have as many numbers, the first one is taken
 FORMS: tuple[Form, ...] = (
@@ -143,6 +168,20 @@ FORMS_THROUGH_ZERO: tuple[Form, ...] = (
         ((0.3, 0.6, 1.4, 2.5),),
         ((0.1, 8.0),),
         ("-",),
+    ),
+)
+#: the same, of variables that go to both sides of zero: what acts beyond a place, such as a stop,
+#: and what comes all at once there, such as a centrifugal brake; odd and even
+FORMS_TO_BOTH_SIDES: tuple[Form, ...] = (
+    _both_sides("u - min(max(u, -threshold), threshold)", lambda u, at: u - np.clip(u, -at, at)),
+    _both_sides("max(abs(u) - threshold, 0)", lambda u, at: np.maximum(np.abs(u) - at, 0.0)),
+    _step(
+        "0.5*(tanh((u - middle)/width) + tanh((u + middle)/width))",
+        lambda u, p: 0.5 * (np.tanh((u - p[0]) / p[1]) + np.tanh((u + p[0]) / p[1])),
+    ),
+    _step(
+        "0.5*tanh((abs(u) - middle)/width) + 0.5",
+        lambda u, p: 0.5 * np.tanh((np.abs(u) - p[0]) / p[1]) + 0.5,
     ),
 )
 #: the same, of variables that stay above zero, in shares of the middle, which is {high}
@@ -290,6 +329,8 @@ def fit_forms(told: LawMisfit) -> list[FittedForm]:
     if reaches_zero:
         at_zero = replace(over_range, mid=0.0)
         forms = (*FACTORS_THROUGH_ZERO, *FORMS_THROUGH_ZERO)
+        if low < -0.1 * half and high > 0.1 * half:
+            forms += FORMS_TO_BOTH_SIDES
         fitted += [at_zero.fit(form) for form in forms if told.of_number or not form.is_factor]
     levels = (False,) if told.of_number else (False, True)
     fitted += [over_range.fit(form, has_level) for form in FORMS for has_level in levels]

@@ -45,7 +45,7 @@ from diffsim.identify import Fit
 
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 UNDONE = 3.0  # times as far as all causes together, that one moves the record
-TIMING = "timing"  # family of what is late
+TIMING, LAW = "timing", "law"  # families of what is late, and of what nobody listed
 TIMED = 0.5  # of a sample: stamps need not tell when between two of them something was read or set
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
@@ -53,6 +53,8 @@ STAMPED = "it may be the record's stamps, as it is less than half a sample"
 OTHERS_UNDO_IT = "it and others undo each other: one law may act in place of all"
 FIT_AS_WELL = "other causes fit about as well"
 UNCONTRADICTED = "no other recording could contradict it"
+#: Doubts of a cause that what stands beside it shares: a data sheet is known beside the causes.
+SHARED = re.compile(f"{UNCONTRADICTED}$|an unknown .* explains ")
 FIRST_ANSWER = "this is a first answer"
 #: Doubts that something else may act in a cause's place, or nothing at all.
 MAY_BE_ANOTHER = re.compile(
@@ -270,12 +272,16 @@ def _evidence_does_without(g: Grounds, i: int) -> str:
 
 
 def _unknown_explains_more(g: Grounds, i: int) -> str:
+    """Than a cause does; of a law all that is known is its form, which leaves nothing if it is
+    right."""
     decision = g.judgment.decision
     h = decision.beside
-    if h is None or h.unknown is None or decision.lead <= g.added(i, h.unknown):
+    if h is None or h.unknown is None:
         return ""
     name = words_of(g.search.unknowns[h.unknown].name)
-    return f"an {name} explains more than it does"
+    if g.search.wide.effects[i].family == LAW:
+        return f"an {name} explains what it leaves"
+    return f"an {name} explains more than it does" if decision.lead > g.added(i, h.unknown) else ""
 
 
 def wrong_gradients(gates: Sequence[GateResult]) -> frozenset[str]:

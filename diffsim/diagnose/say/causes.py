@@ -12,7 +12,7 @@ from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import pull_of
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.judge.own_values import words_of
-from diffsim.diagnose.judge.preconditions import UNCONTRADICTED
+from diffsim.diagnose.judge.preconditions import SHARED
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -99,8 +99,8 @@ class CauseEvidence:
     @property
     def doubts_of_sheets(self) -> tuple[str, ...]:
         """Why no data sheet is certain: it is known beside the set's causes, not without them."""
-        is_alone = any(UNCONTRADICTED in self.doubts.get(i, ()) for i in self.members)
-        return (*((UNCONTRADICTED,) if is_alone else ()), *self.doubts_of_names)
+        own = (why for i in sorted(self.members) for why in self.doubts.get(i, ()))
+        return (*dict.fromkeys(filter(SHARED.match, own)), *self.doubts_of_names)
 
     def why_not_judged(self, i: int) -> str:
         """Why nothing tells what sizes of an effect, by index, would do; empty: something does.

@@ -18,6 +18,7 @@ from diffsim.diagnose.judge.preconditions import (
     Grounds,
     _may_be_replaced,
     _may_be_zero,
+    _unknown_explains_more,
     doubts_of,
     doubts_of_fit,
     doubts_of_unseen,
@@ -26,7 +27,7 @@ from diffsim.diagnose.judge.preconditions import (
 )
 from diffsim.diagnose.judge.records import BaseRow, ErrorRow, Interval
 from diffsim.diagnose.say import assemble
-from diffsim.diagnose.say.causes import _why_not_refuted
+from diffsim.diagnose.say.causes import CauseEvidence, _why_not_refuted
 from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
 from diffsim.diagnose.search.search import fitted_exactly
 from diffsim.diagnose.search.simulations import Simulations
@@ -255,6 +256,23 @@ def test_what_is_within_the_limits_is_no_doubt(grounds):
         with_stalled_rival(grounds, 300.0),
     ):
         assert doubts_of(fine, 0) == ()
+
+
+def test_a_law_is_not_certain_beside_an_unknown_cause_however_little_that_explains():
+    """A brake that engages at a speed was called winding that warms, certain: 99 % of the misfit,
+    and 390 nats of an unknown force beside. A data sheet beside it took up the rest."""
+    decision = SimpleNamespace(beside=Hypothesis(PUSHED, 0), lead=10.0)
+    unknowns = [SimpleNamespace(name="unknown force")]
+    wide = SimpleNamespace(effects=[SimpleNamespace(family="law")])
+    search = SimpleNamespace(unknowns=unknowns, wide=wide)
+    g = SimpleNamespace(judgment=SimpleNamespace(decision=decision), search=search)
+    why = _unknown_explains_more(g, 0)
+    assert why == "an unknown force explains what it leaves"
+    held = CauseEvidence.doubts_of_sheets.fget
+    beside = SimpleNamespace(members=PUSHED, doubts={0: (why, "may be")}, doubts_of_names=())
+    assert held(beside) == (why,)
+    decision.beside = None
+    assert _unknown_explains_more(g, 0) == ""
 
 
 def test_an_unknown_cause_is_not_doubted_for_what_the_names_leave(grounds):
