@@ -4,9 +4,9 @@
     python -m benchmarks.measured --all              # first answers of all sets with data here
     python -m benchmarks.measured --ask emps,starfish --full
 
-What it asks goes to ``studies/records/measured.json`` set by set, with date, commit and CPU
-seconds: an interrupted call goes on with what is missing. A set whose row is of this very code is
-not asked again. The tables are written from the record alone: docs/measured/README.md, and first
+What it asks goes to ``studies/records/measured.json`` set by set, with date, machine, commit and
+CPU seconds: an interrupted call goes on with what is missing. A set whose row is of this very code
+is not asked again. The tables are written from the record alone: docs/measured/README.md, and first
 sentences, each held against its own answer: at most 25 words, no code name, and the error before
 and after as the table of errors has them.
 """
@@ -30,6 +30,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.core.files import code_digest, write_json_atomic, write_text_atomic
 from diffsim.diagnose.judge.records import ErrorRow, pooled_by_kind
 from diffsim.diagnose.say.headline import MAX_WORDS, first_of
+from labs.machine import machine
 
 ROOT = Path(__file__).parents[1]
 RECORD = ROOT / "studies/records/measured.json"
@@ -195,6 +196,7 @@ def _ask(names: Sequence[str], rows: Rows, which: str, *, again: bool) -> None:
         today = datetime.now(UTC).date().isoformat()
         busy = os.getloadavg()[0] > (os.cpu_count() or 1)
         row = row_of(found) | {"date": today, "commit": commit, "code": code, "busy": busy}
+        row["machine"] = machine()["cpu"]
         if name in BY_SCRIPT:
             row |= {"said": None, "errors": []}
         rows.setdefault(name, {})[which] = row

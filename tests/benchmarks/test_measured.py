@@ -22,6 +22,8 @@ def test_pages_are_written_from_the_record():
 def test_every_published_set_has_a_row_and_those_with_data_a_sentence():
     assert set(ROWS) == set(diagnose_published.NAMES)
     assert {*SAID, *measured.BY_SCRIPT} == set(ROWS)
+    here = [row for name in SAID for row in ROWS[name].values()]
+    assert all(row["date"] and row["machine"] for row in here)
 
 
 @pytest.mark.parametrize("name", sorted(SAID))
@@ -72,7 +74,7 @@ def test_a_call_asks_what_no_row_of_this_code_has(monkeypatch, tmp_path, capsys)
     assert calls == [("starfish", True), ("emps", True), ("emps", True)]
     assert json.loads((tmp_path / "measured.json").read_text()) == rows
     assert "emps: no recordings" in capsys.readouterr().err
-    assert "| named | **61~** |" in measured.table_of(rows)
+    assert "| named | **61~** |" in measured.table_of(rows) and rows["starfish"]["first"]["machine"]
 
 
 @pytest.mark.slow
