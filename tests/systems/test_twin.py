@@ -1,5 +1,7 @@
 """A diagnosed system under new commands: values, gradients, draws, mended causes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -106,6 +108,10 @@ def test_what_it_buys_to_mend_a_cause(fitted):
     late = found["delay"]
     assert 0.97 * late.whole > late.half > 1.03 * late.none and late.unaware > late.whole
     assert "best miss" in late.words and late.words.startswith("delay: ")
+    in_cm = replace(study, channels=tuple(replace(c, shown_unit="cm") for c in study.channels))
+    twin = Twin.read(path, in_cm, given.time_s)
+    of_user = worth(twin, given.for_study(in_cm), evaluations=2)[0]
+    assert of_user.unit == "cm" and of_user.read(3.0) == "0.3 cm"  # of a miss of 1 mm
 
 
 def test_refuses_other_systems_and_commands_without_bounds(fitted):
