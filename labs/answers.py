@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from diffsim.diagnose.judge.unseen import times_outside
 from diffsim.diagnose.say.report import Report
 
 SHOWN = 0.005  # probability below which a cause is counted, but not listed
@@ -33,9 +34,21 @@ def answer_of(report: Report) -> dict[str, Any]:
         "sheets": {row.name: [row.value, row.low, row.high] for row in report.base if row.finding},
         "cannot_see": dict(report.cannot_see),
         "failed_gates": [g.name for g in report.gates if not g.passed],
+        "bands": bands_of(report),
         "gain": None if report.gain is None else [report.gain.value, report.gain.status],
         "chi2": [report.chi2_null, report.chi2_best, report.num_samples],
     }
+
+
+def bands_of(report: Report) -> list[list[Any]]:
+    """Of each unseen run: its name, readings inside the 90 % band, all, how far outside it lies."""
+    counts: dict[str, list[int]] = {}
+    for row in report.errors:
+        if row.use == "test" and row.num_inside is not None:
+            own = counts.setdefault(row.run, [0, 0])
+            own[0], own[1] = own[0] + row.num_inside, own[1] + row.num_samples
+    far = {run: times_outside([o for o in report.outside if o.run == run]) for run in counts}
+    return [[run, *count, far[run]] for run, count in counts.items()]
 
 
 def failure(error: Exception) -> dict[str, Any]:

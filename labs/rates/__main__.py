@@ -38,6 +38,9 @@ def arguments() -> argparse.ArgumentParser:
     )
     parser.add_argument("--effort", choices=EFFORTS, default=QUICK, help="default: %(default)s")
     parser.add_argument(
+        "--far", action="store_true", help="judge the fitted command that moved most, too"
+    )
+    parser.add_argument(
         "--master", type=int, help="master seed; drawn afresh if not given: only then it is sealed"
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of the run; resumes there")

@@ -13,6 +13,7 @@ from labs.rates.draw import DENIED
 from labs.rates.table import (
     Bin,
     Row,
+    band_lines,
     csv_text,
     outcome_table,
     rate_tables,
@@ -41,6 +42,7 @@ def _lines(rows: Sequence[Row], plan: Mapping[str, Any], stem: str) -> list[str]
     counts = Counter(r["domain"] for r in rows)
     domains = ", ".join(f"{n} {domain}" for domain, n in counts.items())
     again = f"{COMMAND} --master {plan['master']} --effort {plan['effort']}"
+    again += " --far" if plan.get("far") else ""
     again += f" --domain {','.join(counts)} --n {max(counts.values(), default=0)} --out FOLDER"
     lines = [
         "# Rates of right and wrong answers",
@@ -75,6 +77,9 @@ def _lines(rows: Sequence[Row], plan: Mapping[str, Any], stem: str) -> list[str]
         "|---|---|---|---|---|",
         *_reliability_lines(rows),
     ]
+    bands = band_lines(rows)
+    if bands:
+        lines += ["", "## Bands", "", "Readings of unseen runs inside their 90 % band.", "", *bands]
     wrong = wrong_lines(rows)
     if wrong:
         lines += ["", "## Certain wrong, and false alarms", "", *wrong]

@@ -36,7 +36,8 @@ def planned(args: argparse.Namespace) -> dict[str, Any]:
         plan: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         wanted = {"commit": commit, "effort": args.effort}
         wanted |= {} if args.master is None else {"master": args.master}
-        differs = [f"{k} {plan[k]}, not {v}" for k, v in wanted.items() if plan[k] != v]
+        wanted |= {"far": True} if getattr(args, "far", False) else {}
+        differs = [f"{k} {plan.get(k)}, not {v}" for k, v in wanted.items() if plan.get(k) != v]
         if plan["sealed"] and changed:
             differs.append(f"a clean tree, and {changed} differs")
         if differs:
@@ -50,6 +51,7 @@ def planned(args: argparse.Namespace) -> dict[str, Any]:
         "master": master,
         "commit": commit,
         "effort": args.effort,
+        **({"far": True} if getattr(args, "far", False) else {}),
         "sealed": not why,
         "why_not_sealed": why,
         "date": datetime.date.today().isoformat(),
@@ -89,7 +91,7 @@ def left_out(domains: tuple[str, ...]) -> list[str]:
 
 def items(plan: Mapping[str, Any], wanted: Mapping[str, list[int]]) -> dict[str, dict[str, Any]]:
     """Cases by name, each with all that makes it."""
-    same = {"master": plan["master"], "commit": plan["commit"], "effort": plan["effort"]}
+    same = {name: plan[name] for name in ("master", "commit", "effort", "far") if name in plan}
     return {
         f"{domain}_{index:04d}": {**same, "domain": domain, "index": index}
         for domain, numbers in wanted.items()

@@ -18,6 +18,7 @@ from labs.rates.score import ALARM, CERTAIN_WRONG, HELD, OUTCOMES, RIGHT, stated
 Row = Mapping[str, Any]
 VISIBLE = 8.0  # lambda from which a cause must be found
 LEVEL = 0.9  # of all intervals
+HELD_LEAST = 0.8  # of a single run's readings, by its 90 % band
 EDGES = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)  # bins of stated probabilities
 
 
@@ -139,6 +140,27 @@ def rate_tables(rows: Sequence[Row]) -> list[str]:
             rate = found[k]
             if rate.count:
                 lines.append(f"| {rate.what} | {rate.goal} | {domain} | {rate.words} |")
+    return lines
+
+
+def band_lines(rows: Sequence[Row]) -> list[str]:
+    """What the 90 % bands of unseen runs hold, pooled and at each case's farthest run; Markdown."""
+    known = [row["bands"] for row in rows if row.get("bands")]
+    if not known:
+        return []
+    every = [run for case in known for run in case]
+    far = [max(case, key=lambda run: run[3]) for case in known]
+    lines = [
+        "| runs | number | times outside, median | inside | 80 % or more inside |",
+        "|---" * 5 + "|",
+    ]
+    for what, runs in (("all unseen", every), ("the farthest of each case", far)):
+        _, inside, count, times = zip(*runs, strict=True)
+        share = np.array(inside) / np.array(count)
+        lines.append(
+            f"| {what} | {len(runs)} | {np.median(times):.1f} | {sum(inside) / sum(count):.0%} | "
+            f"{np.mean(share >= HELD_LEAST):.0%} |"
+        )
     return lines
 
 

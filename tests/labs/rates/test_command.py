@@ -44,7 +44,9 @@ def test_cases_are_diagnosed_counted_and_never_twice(tmp_path, clean, monkeypatc
     assert (tmp_path / "cases" / "bench_0000.json").read_text() == kept["bench_0000.json"]
     (row,) = (json.loads(p.read_text())["result"] for p in tmp_path.glob("cases/*_0001.json"))
     assert row["outcome"] != "no answer" and row["truth"]["sizes"] and row["simulations"] > 0
+    assert all(0 <= inside <= count for _, inside, count, _ in row["bands"]) and row["bands"]
     page = (tmp_path / "rates.md").read_text()
+    assert "| all unseen | 2 |" in page
     assert "master seed 5" in page and "2 cases (2 bench)" in page
     # a case can be asked for alone; the page counts all that have ended
     assert call(tmp_path, "--only", "bench_0001") == 0
@@ -65,6 +67,7 @@ def test_a_run_is_sealed_only_by_a_fresh_seed_from_a_clean_tree(tmp_path, monkey
     assert f"master seed {plan['master']}" in capsys.readouterr().out
     assert call(tmp_path / "fresh", "--master", "5") == 2
     assert call(tmp_path / "fresh", "--effort", "full") == 2
+    assert call(tmp_path / "fresh", "--far") == 2
     assert call(tmp_path / "given", "--master", "5") == 0
     assert "not sealed: the seed was given" in capsys.readouterr().out
     monkeypatch.setattr(plan_module, "head", lambda: ("a" * 40, "diffsim/x.py"))

@@ -3,12 +3,23 @@
 import csv
 import io
 
+import numpy as np
 import pytest
 
+from diffsim.data.study import Channel, Run, Study
+from labs.rates.case import farthest_kept
 from labs.rates.page import write_page
 from labs.rates.score import held_sizes, outcome, scored
 from labs.rates.sheets import held_sheets
-from labs.rates.table import Rate, csv_text, outcome_table, rates, reliability, wrong_lines
+from labs.rates.table import (
+    Rate,
+    band_lines,
+    csv_text,
+    outcome_table,
+    rates,
+    reliability,
+    wrong_lines,
+)
 
 
 def row(kind, verdict, named=(), rivals=(), certain=(), *, hidden="drag", also=(), **more):
@@ -167,6 +178,32 @@ def test_the_page_has_every_count(tmp_path):
     read = list(csv.DictReader(io.StringIO((tmp_path / "rates.csv").read_text())))
     assert [r["outcome"] for r in read] == [r["outcome"] for r in rows()]
     assert csv_text(rows()) == (tmp_path / "rates.csv").read_text()
+
+
+def test_bands_are_counted_pooled_and_at_the_farthest_runs():
+    one, other = [["a", 90, 100, 1.0], ["b", 50, 100, 3.0]], [["c", 180, 200, 1.5]]
+    lines = band_lines([{"bands": one}, {"bands": other}, {"bands": []}, {}])
+    assert lines[2:] == [
+        "| all unseen | 3 | 1.5 | 80% | 67% |",
+        "| the farthest of each case | 2 | 2.2 | 77% | 50% |",
+    ]
+    assert band_lines([{}]) == []
+
+
+def test_the_command_that_moved_most_is_judged_where_two_stay():
+    def study(*strokes):
+        time = np.linspace(0.0, 6.0, 50)
+        runs = [
+            Run(f"r{k}{i}", time, stroke * np.sin(time)[:, None], {}, f"r{k}")
+            for k, stroke in enumerate(strokes)
+            for i in range(2)
+        ]
+        return Study("s", "s", (Channel("a", "m", "position"),), tuple(runs))
+
+    kept = farthest_kept(study(1.0, 3.0, 2.0))
+    assert [run.name for run in kept.test_runs] == ["r10", "r11"]
+    few = study(1.0, 3.0)
+    assert farthest_kept(few) is few
 
 
 def test_what_went_wrong_is_listed():
