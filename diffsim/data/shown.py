@@ -63,7 +63,9 @@ def resolution_words(study: Study) -> str:
         study: Study whose fitted runs are asked; all where none is.
     """
     runs = study.fit_runs or study.runs
-    rows_s = np.concatenate([np.diff(run.time_s) for run in runs] or [np.empty(0)])
+    rows_s = np.concatenate(
+        [np.diff(run.time_s) if run.row_s is None else [run.row_s] for run in runs] or [np.empty(0)]
+    )
     if not len(rows_s):
         return ""
     steps = []

@@ -111,6 +111,8 @@ class Run:
         files: Paths of the files that it was read from; none where it was made.
         raw: Of channels and commands that one column holds: its header and its numbers,
             (num_samples,), decoded but neither scaled nor shifted. Empty where nothing was read.
+        row_s: Usual time between two rows of its record [s], of which only some are here; None:
+            all are.
     """
 
     name: str
@@ -124,6 +126,7 @@ class Run:
     columns: Mapping[str, Array] = field(default_factory=dict)
     files: tuple[str, ...] = ()
     raw: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
+    row_s: float | None = None
 
     def __post_init__(self) -> None:
         n = len(self.time_s) if np.ndim(self.time_s) == 1 else -1

@@ -229,7 +229,7 @@ def _may_be_zero(g: Grounds, i: int) -> str:
     effect = g.search.wide.effects[i]
     if (effect.family, effect.unit) != (TIMING, "s"):
         return ""
-    untold = TIMED * usual_sample(g.fit.problem.runs)
+    untold = TIMED * max(run.row_s or usual_sample([run]) for run in problem.runs)
     is_told = any(max(abs(s.low), abs(s.high)) >= untold for s in g.about.size(i).values())
     return "" if is_told else STAMPED
 

@@ -533,21 +533,22 @@ def test_causes_that_undo_each_other_are_pieces_of_one_curve():
 
 
 @pytest.mark.parametrize(
-    ("family", "unit", "low", "high", "is_open"),
+    ("family", "unit", "low", "high", "row_s", "is_open"),
     [
-        ("timing", "s", -0.7e-3, -0.3e-3, True),  # of a bench that lacks nothing
-        ("timing", "s", 8e-3, 9e-3, True),
-        ("timing", "s", 9e-3, 12e-3, False),
-        ("timing", "s/command", 1e-3, 2e-3, False),  # of a rate
-        ("damping", "s", 1e-3, 2e-3, False),
+        ("timing", "s", -0.7e-3, -0.3e-3, None, True),  # of a bench that lacks nothing
+        ("timing", "s", 8e-3, 9e-3, None, True),
+        ("timing", "s", 8e-3, 9e-3, 1e-3, False),  # every twentieth row of a finer record
+        ("timing", "s", 9e-3, 12e-3, None, False),
+        ("timing", "s/command", 1e-3, 2e-3, None, False),  # of a rate
+        ("damping", "s", 1e-3, 2e-3, None, False),
     ],
 )
 def test_what_is_late_by_less_than_half_a_sample_may_be_the_stamps(
-    family, unit, low, high, is_open
+    family, unit, low, high, row_s, is_open
 ):
     """Read every 20 ms: nobody wrote down when between two stamps."""
     effect = SimpleNamespace(name="late", family=family, unit=unit)
-    run = SimpleNamespace(time_s=0.02 * np.arange(50))
+    run = SimpleNamespace(time_s=0.02 * np.arange(50), row_s=row_s)
     known = SimpleNamespace(
         search=SimpleNamespace(wide=SimpleNamespace(effects=[effect])),
         about=SimpleNamespace(

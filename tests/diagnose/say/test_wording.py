@@ -111,3 +111,5 @@ def test_a_delay_stands_beside_what_the_record_can_show():
     )
     slow = replace(study, runs=(replace(run, time_s=150.0 * run.time_s),))
     assert resolution_words(slow).startswith("One row of the record is 5 s, ")
+    some = replace(study, runs=(replace(slow.runs[0], row_s=0.01),))  # of a record of 10 ms
+    assert resolution_words(some).startswith("One row of the record is 10 ms, ")

@@ -60,6 +60,7 @@ def test_all_that_lines_do_not_tell_stays():
     assert 1_501 not in slow and len(slow) < 0.2 * ROWS
     between = np.interp(TIME, found.runs[0].time_s, found.runs[0].command["u"])
     assert np.abs(between - SLOW).max() < 2e-3
+    assert [run.row_s for run in found.runs] == pytest.approx([STEP] * 3)
     said = f"of {3 * ROWS} rows {len(slow) + len(jumps) + len(test)} are simulated"
     assert said in found.mended[-1]
     assert len(found.runs) == 3 and interval_of(replace(study, frame={INTERVAL: 0.5}), 1) == 0.5
