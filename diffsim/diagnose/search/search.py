@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diffsim.core.errors import DiffsimError
+from diffsim.diagnose.checks.gates import leaves_more
 from diffsim.diagnose.checks.numerics import check_numerics_of_set
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
@@ -165,7 +166,14 @@ def _fit_from_prior(search: Search) -> Search:
     if at_prior is None:
         return search
     until = search.null.case.searching + min(settings.scan_steps, FROM_PRIOR * settings.refit_steps)
-    ranked = [members for members, _ in promising_sets(at_prior, settings.max_effects)]
+    sets = promising_sets(at_prior, settings.max_effects)
+    ranked = [members for members, _ in sets]
+    alone, promised = next((s for s in sets if len(s[0]) == 1), (NONE, at_prior.weigh(NONE)))
+    # what it leaves of a large misfit because slopes are off, a second cause takes by slopes
+    if promised.chi2 < MOST_OF_PLAIN * at_prior.weigh(NONE).chi2:
+        search = refit(search, alone, at_prior, begin=cooled)
+        if alone in search.fits and not leaves_more(search.fit_of(alone)):
+            return search
     # backlash stands in for friction, an offset for a force: one other way is fitted in any case
     others = [members for members in ranked[1:] if not members & ranked[0]]
     ranked = list(dict.fromkeys([*ranked[:1], *others[:1], *ranked]))

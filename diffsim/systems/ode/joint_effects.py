@@ -179,7 +179,7 @@ def _come_late(
     names: Mapping[str, str], held: Mapping[str, bool], scene: OdeScene, size: Tensor
 ) -> dict[str, Tensor]:
     return {
-        late: _come_late_by(scene, n, late_by(size[..., 0], held=held[n]))
+        late: _come_late_by(scene, n, late_by(size[..., :1], held=held[n]))
         for n, late in names.items()
     }
 
