@@ -110,11 +110,16 @@ def test_a_profile_is_that_of_constant_acceleration():
 
 
 @pytest.mark.parametrize(
-    ("rig", "cause", "limit"),
-    [("elastic", "elastic_coupling_at_joint", 1.1), ("late_torque", "delay_inside_motor", 1.4)],
+    ("rig", "seed", "cause", "limit"),
+    [
+        ("elastic", 0, "elastic_coupling_at_joint", 1.1),
+        ("elastic_arm", 0, "elastic_coupling_at_joint1", 1.1),
+        ("elastic_arm", 1, "elastic_coupling_at_joint2", 1.1),
+        ("late_torque", 0, "delay_inside_motor", 1.4),
+    ],
 )
-def test_rows_of_joints_leave_the_noise_of_rigs_that_others_integrated(rig, cause, limit):
-    made = DRIVES[rig].record(0, False)
+def test_rows_of_joints_leave_the_noise_of_rigs_that_others_integrated(rig, seed, cause, limit):
+    made = DRIVES[rig].record(seed, False)
     setup = setup_of(made)
     effect = next(e for e in setup.effects if e.name == cause)
 
