@@ -60,20 +60,15 @@ class Center:
         """Where a fit of a set starts: here, or at the sizes that were scanned of what it adds or
         of a part of that, as linear evidence has it: beside a large size of one cause another one
         promises what it does there, not what it does at zero."""
-        places, key = self._places(members), Hypothesis(members)
+        added = members - self.members
+        places = [self, *(at for group, at in self.scanned.items() if group <= added)]
         if len(places) == 1:
             return self
-        return max(places, key=lambda at: at.evidence.weigh(key).nats)
+        return max(places, key=lambda at: at.evidence.weigh(Hypothesis(members)).nats)
 
     def weigh(self, members: Members) -> SetPosterior:
         """Linear evidence of a set, from where its fit starts."""
-        places, key = self._places(members), Hypothesis(members)
-        return max((at.evidence.weigh(key) for at in places), key=lambda w: w.nats)
-
-    def _places(self, members: Members) -> list[Center]:
-        """This one, and those of scanned sizes of what a set adds."""
-        added = members - self.members
-        return [self, *(at for group, at in self.scanned.items() if group <= added)]
+        return self.towards(members).evidence.weigh(Hypothesis(members))
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,6 @@ from diffsim.systems.ode.joint_effects import (
 )
 from diffsim.systems.ode.law_effects import law_effects
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
-from diffsim.systems.ode.network import Network
 from diffsim.systems.ode.place_effects import add_inertia, magnitudes_at, push_at
 from diffsim.systems.ode.refresh_effects import refresh_effects
 from diffsim.systems.ode.store_effects import FLOWS_ON, flow_of
@@ -139,24 +138,22 @@ def plant_of(library: Library) -> Plant:
 def _list_places(library: Library) -> dict[str, Place]:
     found, network = {}, library.system.network
     for place, scale in library.places:
+        # what drives it, and has an inertia of its own, may be apart from what moves there
+        is_driven = place.force in (None, *network.definitions)
+        is_driven &= place.force is None or place.inertia != "1"
         is_plain = (place.unit, place.position_unit) == ("N", "m") and len(library.places) == 1
         found[place.name] = Place(
             magnitudes_at(scale),
             # where a force is stated, other rates hold the inertia, too
             (
                 *("distance", "speed", "inertia" if place.force is None else "load"),
-                *(("drive",) if _is_driven(place, network) else ()),
+                *(("drive",) if is_driven else ()),
             ),
             place.unit,
             place.position_unit,
             "" if is_plain else f"_at_{place.name}",
         )
     return found
-
-
-def _is_driven(place: keys.Place, network: Network) -> bool:
-    """Whether what drives a place may be apart from what moves there, each with its inertia."""
-    return place.force is None or (place.force in network.definitions and place.inertia != "1")
 
 
 def _list_stores(library: Library) -> dict[str, Store]:
