@@ -64,6 +64,76 @@ def elastic(seed: int, null: bool) -> Study:
     )
 
 
+def elastic_arm(seed: int, null: bool) -> Study:
+    """Two coupled joints in the plane, of which one has an elastic coupling behind its drive."""
+    rng, t, joint = np.random.default_rng(seed), 0.005 * np.arange(500.0), seed % 2
+    size = rng.uniform((0.2, 0.04, 0.06), (0.3, 0.06, 0.09)).round(4)
+    inertia = np.array([size[0] + 2.0 * size[1], size[2]]) / rng.uniform(0.6, 0.75, 2)
+    rotors = inertia - [size[0] + 2.0 * size[1], size[2]]
+    pace = 2.0 * np.pi * rng.uniform(2.5, 4.0, 2)
+    kp, kd = inertia * pace**2, 1.4 * inertia * pace
+    true = kp * rng.uniform(0.98, 1.02, 2)
+    stiffness = (2.0 * np.pi * rng.uniform(11.0, 20.0)) ** 2 * rotors * (1.0 - rotors / inertia)
+    damping = 0.06 * np.sqrt(stiffness * (inertia - rotors))
+    # the drive's part of the joint's inertia moves by itself
+    moving = rotors * (1.0 if null else 1.0 - np.eye(2)[joint])
+
+    def rates(goals: Array) -> Rates:
+        def of(s: float, y: Array) -> Array:
+            q, w, drive, turns = np.split(y, 4)
+            push = true * ([hold(g, s, 0.005) for g in goals] - drive) - kd * turns
+            pull = stiffness * (drive - q) + damping * (turns - w)
+            onto = push if null else np.where(np.arange(2) == joint, pull, push)
+            across, bend = size[2] + size[1] * np.cos(q[1]), size[1] * np.sin(q[1])
+            mass = [[size[0] + 2.0 * size[1] * np.cos(q[1]), across], [across, size[2]]]
+            turning = bend * np.array([w[1] * (2.0 * w[0] + w[1]), -(w[0] ** 2)])
+            a = np.linalg.solve(mass + np.diag(moving), onto + turning)
+            own = np.where((np.arange(2) == joint) & (not null), (push - pull) / rotors, a)
+            return np.concatenate([w, a, turns, own])
+
+        return of
+
+    runs = []
+    for goals in zip(_sweeps(rng, t, 0.3, 7.0), draw_goals(rng, t, 0.3), strict=True):
+        both = np.array(goals if joint == 0 else goals[::-1]) * np.clip(t / 0.1, 0.0, 1.0)
+        made = integrate(rates(both), np.zeros(8), t, 8)[:, :2]
+        runs.append((made, {"u1": both[0], "u2": both[1]}))
+    a, b, d = (f"{x:.4f}" for x in size)
+    r1, r2 = (f"{x:.6f}" for x in rotors)
+    return make_study(
+        "elastic_arm",
+        {"y1": "rad", "y2": "rad"},
+        t,
+        with_noise(rng, runs, 5e-4),
+        parameters={
+            **{f"k{k + 1}": (float(kp[k]), 3) for k in range(2)},
+            **{f"d{k + 1}": (float(kd[k]), 5) for k in range(2)},
+        },
+        inputs=[{"name": f"u{k}", "held": True} for k in (1, 2)],
+        states={f"{s}{k}": 0 for k in (1, 2) for s in "qw"},
+        define={
+            **{f"m{k}": f"k{k}*(u{k} - q{k}) - d{k}*w{k}" for k in (1, 2)},
+            "m11": f"{a} + 2*{b}*cos(q2) + {r1}",
+            "m12": f"{d} + {b}*cos(q2)",
+            "m22": f"{d} + {r2}",
+            "f1": f"m1 + {b}*sin(q2)*w2*(2*w1 + w2)",
+            "f2": f"m2 - {b}*sin(q2)*w1**2",
+        },
+        rates={
+            "q1": "w1",
+            "q2": "w2",
+            "w1": "(m22*f1 - m12*f2)/(m11*m22 - m12**2)",
+            "w2": "(m11*f2 - m12*f1)/(m11*m22 - m12**2)",
+        },
+        readings={"y1": "q1", "y2": "q2"},
+        places=[
+            {**JOINT, "name": f"joint{k}", "position": f"q{k}", "velocity": f"w{k}",
+             "inertia": f"m{k}{k}", "force": f"m{k}"}
+            for k in (1, 2)
+        ],
+    )  # fmt: skip
+
+
 def profile(seed: int, null: bool) -> Study:
     """A drive that goes to its set point with its speed and acceleration limited."""
     rng, t = np.random.default_rng(seed), 0.02 * np.arange(250.0)
@@ -258,6 +328,7 @@ def _profile(goal: Array, step: float, fastest: float, most: float) -> Array:
 
 DRIVES: Mapping[str, Rig] = {
     "elastic": Rig(elastic, frozenset({"elastic_coupling"})),
+    "elastic_arm": Rig(elastic_arm, frozenset({"elastic_coupling"})),
     "profile": Rig(profile, frozenset({"acceleration_limit"})),  # which has a greatest speed
     "late_torque": Rig(late_torque, frozenset({"delay_inside_motor"})),
     "sticking": Rig(sticking, frozenset({"dry_friction", "stribeck_friction"})),

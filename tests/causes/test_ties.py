@@ -7,7 +7,7 @@ import torch
 from diffsim.causes.signals import Grid, accelerated, held_accelerated
 from diffsim.causes.ties import tie
 from diffsim.data.study import Channel, Command, Run, Study
-from diffsim.identify import fit
+from diffsim.identify import Problem, WhiteNoise, fit
 from diffsim.systems.registry import setup_of
 from labs.search_compare.drives import DRIVES
 
@@ -110,11 +110,16 @@ def test_a_profile_is_that_of_constant_acceleration():
 
 
 @pytest.mark.parametrize(
-    ("rig", "cause", "limit"),
-    [("elastic", "elastic_coupling_at_joint", 1.1), ("late_torque", "delay_inside_motor", 1.4)],
+    ("rig", "seed", "cause", "limit"),
+    [
+        ("elastic", 0, "elastic_coupling_at_joint", 1.1),
+        ("elastic_arm", 0, "elastic_coupling_at_joint1", 1.1),
+        ("elastic_arm", 1, "elastic_coupling_at_joint2", 1.1),
+        ("late_torque", 0, "delay_inside_motor", 1.4),
+    ],
 )
-def test_rows_of_joints_leave_the_noise_of_rigs_that_others_integrated(rig, cause, limit):
-    made = DRIVES[rig].record(0, False)
+def test_rows_of_joints_leave_the_noise_of_rigs_that_others_integrated(rig, seed, cause, limit):
+    made = DRIVES[rig].record(seed, False)
     setup = setup_of(made)
     effect = next(e for e in setup.effects if e.name == cause)
 
@@ -127,3 +132,16 @@ def test_rows_of_joints_leave_the_noise_of_rigs_that_others_integrated(rig, caus
         for run in made.fit_runs[:3]
     ]
     assert np.sqrt(np.mean(np.concatenate(left) ** 2)) < limit * made.channels[0].sd
+
+
+def test_sizes_that_are_simulated_together_are_those_of_one_by_one():
+    """Of what a controller says late, commands came as late as the first size of a batch says:
+    slopes of a delay were twice as large as they are, and its fits ended anywhere."""
+    made = DRIVES["late_torque"].record(0, False)
+    setup = setup_of(made)
+    for effect in setup.effects:
+        problem = Problem(setup.model, made.fit_runs[:1], WhiteNoise(made.channels), (effect,))
+        points = np.zeros((3, len(problem.names)))
+        points[:, problem.columns_of(effect)] = np.array([[0.5], [0.2], [0.9]])
+        together, alone = problem.records(points), [problem.record(x) for x in points]
+        np.testing.assert_allclose(together, alone, rtol=0, atol=1e-10, err_msg=effect.name)

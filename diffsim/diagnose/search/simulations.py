@@ -61,7 +61,9 @@ class Center:
         of a part of that, as linear evidence has it: beside a large size of one cause another one
         promises what it does there, not what it does at zero."""
         added = members - self.members
-        places = (self, *(at for group, at in self.scanned.items() if group <= added))
+        places = [self, *(at for group, at in self.scanned.items() if group <= added)]
+        if len(places) == 1:
+            return self
         return max(places, key=lambda at: at.evidence.weigh(Hypothesis(members)).nats)
 
     def weigh(self, members: Members) -> SetPosterior:

@@ -136,13 +136,19 @@ def plant_of(library: Library) -> Plant:
 
 
 def _list_places(library: Library) -> dict[str, Place]:
-    found = {}
+    found, network = {}, library.system.network
     for place, scale in library.places:
+        # what drives it, and has an inertia of its own, may be apart from what moves there
+        is_driven = place.force in (None, *network.definitions)
+        is_driven &= place.force is None or place.inertia != "1"
         is_plain = (place.unit, place.position_unit) == ("N", "m") and len(library.places) == 1
         found[place.name] = Place(
             magnitudes_at(scale),
             # where a force is stated, other rates hold the inertia, too
-            ("distance", "speed", "inertia" if place.force is None else "load"),
+            (
+                *("distance", "speed", "inertia" if place.force is None else "load"),
+                *(("drive",) if is_driven else ()),
+            ),
             place.unit,
             place.position_unit,
             "" if is_plain else f"_at_{place.name}",

@@ -37,7 +37,14 @@ _COUPLING = {
     "blend": "size**2/(size**2 + stiff**2)",
     "damping": f"2*{_USUAL_LOSS}*exp(loss)*sqrt(behind/soft)",
     "pull": "(x - y)/soft + damping*(v - u)",
-    "lighter": "1 - blend + blend/(1 - part)",
+}
+_LIGHTER = "1 - blend + blend/(1 - part)"
+# of a stated force, what it accelerates there: alike in each of the joints that it reaches
+_DRIVEN = {
+    "gain": "driven - idle",  # by a force of one
+    # the drive's part stands in the inertia that the force moves, and is no part of the link's
+    "alone": "max(1 - gain*before, 0.05)",
+    "onto": "pull + before*(idle + gain*pull)/alone",
 }
 
 
@@ -50,20 +57,12 @@ def elastic_coupling(library: Library, place: Place, name: str) -> Apply:
     Args:
         name: Name of the effect.
     """
+    if place.force is not None:
+        return _coupling_behind(library, place, place.force, name)
     y, u = f"place behind {name}", f"speed behind {name}"
-    known = {
-        "x": named(place.position),
-        "v": named(place.velocity),
-        "y": named(y),
-        "u": named(u),
-        "size": named(symbol(name)),
-        "step": parse_expression(repr(library.system.step)),
-        SHARE: named(f"{SHARE} of {name}"),
-        LOSS: named(f"{LOSS} of {name}"),
-        "inertia": parse_expression(place.inertia, library.system.known),
-    }
-    for letter, text in _COUPLING.items():
-        known[letter] = filled(parse_expression(text), known)
+    known = _coupling_of(library, place, name)
+    known |= {"x": named(place.position), "v": named(place.velocity), "y": named(y), "u": named(u)}
+    known = _filled_in_turn({**_COUPLING, "lighter": _LIGHTER}, known)
     behind = {place.position: known["y"], place.velocity: known["u"]}
     change = Change(
         rates={place.velocity: filled(parse_expression("-blend*pull/(before*lighter)"), known)},
@@ -73,6 +72,59 @@ def elastic_coupling(library: Library, place: Place, name: str) -> Apply:
         readings=_read_behind(library.system.network, behind, known["blend"]),
     )
     return by_formulas(change, symbol(name), f"{SHARE} of {name}", f"{LOSS} of {name}")
+
+
+def _coupling_behind(library: Library, place: Place, force: str, name: str) -> Apply:
+    """The same of a force that is stated: what was described, coupled to other joints, is behind.
+
+    The drive moves by states of its own, which the force sees; what its place sees is the coupling.
+
+    Args:
+        force: Definition that is the force at the place.
+        name: Name of the effect.
+    """
+    network = library.system.network
+    x, v = f"place before {name}", f"speed before {name}"
+    at_drive = {place.position: named(x), place.velocity: named(v)}
+    rate = written_out(network.rates[place.velocity], network, but=force)
+    plain = network.definitions[force]
+    known = _coupling_of(library, place, name)
+    known |= {"x": named(x), "v": named(v), "y": named(place.position), "u": named(place.velocity)}
+    known |= {
+        "idle": filled(rate, {force: parse_expression("0")}),
+        "driven": filled(rate, {force: parse_expression("1")}),
+        "pushed": filled(written_out(plain, network), at_drive),
+        "now": named(force),
+        "plain": plain,
+    }
+    known = _filled_in_turn({**_COUPLING, **_DRIVEN}, known)
+    change = Change(
+        names={force: filled(parse_expression("now + blend*(onto - plain)"), known)},
+        states={x: named(v), v: filled(parse_expression("(pushed - pull)/before"), known)},
+        starts={x: named(at_start(place.position)), v: named(at_start(place.velocity))},
+    )
+    return by_formulas(change, symbol(name), f"{SHARE} of {name}", f"{LOSS} of {name}")
+
+
+def _coupling_of(library: Library, place: Place, name: str) -> dict[str, Expression]:
+    """What the formulas of a coupling are made of, but for the motion of both sides."""
+    return {
+        "size": named(symbol(name)),
+        "step": parse_expression(repr(library.system.step)),
+        SHARE: named(f"{SHARE} of {name}"),
+        LOSS: named(f"{LOSS} of {name}"),
+        "inertia": parse_expression(place.inertia, library.system.known),
+    }
+
+
+def _filled_in_turn(
+    formulas: Mapping[str, str], known: Mapping[str, Expression]
+) -> dict[str, Expression]:
+    """What is known, and formulas that are made of it and of those before them."""
+    out = dict(known)
+    for letter, text in formulas.items():
+        out[letter] = filled(parse_expression(text), out)
+    return out
 
 
 def _read_behind(
@@ -89,9 +141,9 @@ def _read_behind(
     return out
 
 
-def written_out(formula: Expression, network: Network) -> Expression:
-    """A formula with all definitions in it written out."""
-    while names := set(formula.names) & network.definitions.keys():
+def written_out(formula: Expression, network: Network, but: str = "") -> Expression:
+    """A formula with all definitions in it written out, but for one of them."""
+    while names := (set(formula.names) & network.definitions.keys()) - {but}:
         formula = filled(formula, {name: network.definitions[name] for name in names})
     return formula
 
@@ -179,7 +231,7 @@ def _come_late(
     names: Mapping[str, str], held: Mapping[str, bool], scene: OdeScene, size: Tensor
 ) -> dict[str, Tensor]:
     return {
-        late: _come_late_by(scene, n, late_by(size[..., 0], held=held[n]))
+        late: _come_late_by(scene, n, late_by(size[..., :1], held=held[n]))
         for n, late in names.items()
     }
 

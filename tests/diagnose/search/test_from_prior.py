@@ -139,8 +139,9 @@ def test_a_single_cause_that_takes_most_is_fitted_before_sets_grow(first, monkey
 
 @pytest.fixture
 def left(monkeypatch):
-    """Every fit of the plain model counts as far from its data sheet."""
+    """Every fit of the plain model counts as far from its data sheet, and no cause takes most."""
     monkeypatch.setattr(searching, "has_left_prior", lambda fit: True)
+    monkeypatch.setattr(searching, "MOST_OF_PLAIN", 0.0)
 
 
 def test_sets_from_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
@@ -150,6 +151,15 @@ def test_sets_from_the_data_sheet_that_a_budget_leaves_out_are_counted(left):
     # two are fitted in any case: of a table of which nothing is fitted nobody has anything
     assert short.num_late == len(whole.fits) - 3 and len(short.fits) == 3
     assert short.is_cut_short
+
+
+def test_what_one_cause_does_is_not_left_to_two_that_slopes_promise(left, monkeypatch):
+    """A controller was late: slopes far off promised a late sensor beside it, and the pair spent
+    what was for the cause alone."""
+    others = set(_fit_from_prior(begun(SearchSettings())).fits)
+    monkeypatch.undo()
+    search = _fit_from_prior(begun(SearchSettings()))
+    assert set(search.fits) == {NONE, frozenset({1})} < others and search.num_late == 0
 
 
 def fits_in_order(monkeypatch, effort: SearchSettings) -> list[tuple[frozenset[int], float]]:
