@@ -3,7 +3,7 @@
 
 #include <limits>
 
-#include "kernels/linalg/lane_pair.h"
+#include "kernels/linalg/registers.h"
 #include "kernels/linalg/lanes.h"
 
 namespace diffsim {

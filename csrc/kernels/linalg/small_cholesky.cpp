@@ -5,7 +5,7 @@
 #include <cstring>
 #include <limits>
 
-#include "kernels/linalg/lane_pair.h"
+#include "kernels/linalg/registers.h"
 #include "kernels/subscript.h"
 
 namespace diffsim {
@@ -19,7 +19,7 @@ constexpr int kMostColumns = 4;
 #if defined(__AVX__)
 using Column = double __attribute__((vector_size(kColumn * sizeof(double))));
 #else
-using Column = Pair<Native>;
+using Column = Registers<Native, 2>;
 #endif
 DIFFSIM_INLINE Column load_column(const double* p) {
   Column c;

@@ -15,7 +15,7 @@
 // infinity in a lane makes every output of that lane NaN.
 #pragma once
 
-#include "kernels/linalg/lane_pair.h"
+#include "kernels/linalg/registers.h"
 #include "kernels/linalg/lanes.h"
 
 namespace diffsim {

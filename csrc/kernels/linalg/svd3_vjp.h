@@ -1,7 +1,7 @@
 // Derivatives of svd3 and polar3, one matrix per lane.
 #pragma once
 
-#include "kernels/linalg/lane_pair.h"
+#include "kernels/linalg/registers.h"
 #include "kernels/linalg/lanes.h"
 
 namespace diffsim {

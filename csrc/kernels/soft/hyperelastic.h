@@ -144,15 +144,15 @@ struct RotationSample {
   }
   explicit RotationSample(const T given[9]) : RotationSample(given, Rotation(given).R) {}
 
-  /// Those of `count` registers, two at a time: see lane_pair.h.
+  /// Those of `count` registers, two at a time: see registers.h.
   static void make(const T (*F)[9], int count, RotationSample* out) {
     for (int r = 0; r < count; r += 2) {
       const int other = r + 1 < count ? r + 1 : r;
-      Pair<T> f[9], both[9];
+      Registers<T, 2> f[9], both[9];
       T first[9], second[9];
-      for (int i = 0; i < 9; ++i) f[i] = {F[r][i], F[other][i]};
+      for (int i = 0; i < 9; ++i) f[i] = {{F[r][i], F[other][i]}};
       detail::polar3_core(f, both);
-      for (int i = 0; i < 9; ++i) first[i] = both[i].a, second[i] = both[i].b;
+      for (int i = 0; i < 9; ++i) first[i] = both[i].at[0], second[i] = both[i].at[1];
       new (out + r) RotationSample(F[r], first);
       if (other != r) new (out + other) RotationSample(F[other], second);
     }

@@ -1,0 +1,266 @@
+// A few vectors that go through the same arithmetic side by side.
+//
+// Chains of square roots and divisions leave the processor waiting; independent chains interleaved
+// with the first fill the gaps. Offers what the templates of svd3.h use of a vector.
+#pragma once
+
+#include <type_traits>
+
+#include "kernels/linalg/lanes.h"
+
+namespace diffsim {
+
+template <class V, int n>
+struct Registers {
+  V at[n];
+};
+template <class M, int n>
+struct RegistersMask {
+  M at[n];
+};
+
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator+(const Registers<V, n>& x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] + y.at[i];
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator-(const Registers<V, n>& x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] - y.at[i];
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator*(const Registers<V, n>& x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] * y.at[i];
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator/(const Registers<V, n>& x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] / y.at[i];
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator+(const Registers<V, n>& x, double y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] + y;
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator-(const Registers<V, n>& x, double y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] - y;
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator*(const Registers<V, n>& x, double y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] * y;
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator+(double x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x + y.at[i];
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator-(double x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x - y.at[i];
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator*(double x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x * y.at[i];
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator/(double x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x / y.at[i];
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n>& operator+=(Registers<V, n>& x, const Registers<V, n>& y) {
+  return x = x + y;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n>& operator-=(Registers<V, n>& x, const Registers<V, n>& y) {
+  return x = x - y;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> operator-(const Registers<V, n>& x) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = -x.at[i];
+  return out;
+}
+template <class M, int n>
+DIFFSIM_INLINE RegistersMask<M, n> operator|(const RegistersMask<M, n>& x,
+                                             const RegistersMask<M, n>& y) {
+  RegistersMask<M, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] | y.at[i];
+  return out;
+}
+template <class M, int n>
+DIFFSIM_INLINE RegistersMask<M, n> operator&(const RegistersMask<M, n>& x,
+                                             const RegistersMask<M, n>& y) {
+  RegistersMask<M, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] & y.at[i];
+  return out;
+}
+template <class M, int n>
+DIFFSIM_INLINE RegistersMask<M, n> operator~(const RegistersMask<M, n>& x) {
+  RegistersMask<M, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = ~x.at[i];
+  return out;
+}
+
+template <class V, int n>
+DIFFSIM_INLINE RegistersMask<MaskOf<V>, n> less(const Registers<V, n>& x,
+                                                const Registers<V, n>& y) {
+  RegistersMask<MaskOf<V>, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = less(x.at[i], y.at[i]);
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE RegistersMask<MaskOf<V>, n> greater(const Registers<V, n>& x,
+                                                   const Registers<V, n>& y) {
+  return less(y, x);
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> select(const RegistersMask<MaskOf<V>, n>& m,
+                                      const Registers<V, n>& x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = select(m.at[i], x.at[i], y.at[i]);
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> keep(const RegistersMask<MaskOf<V>, n>& m,
+                                    const Registers<V, n>& x) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = keep(m.at[i], x.at[i]);
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> sqrt(const Registers<V, n>& x) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = sqrt(x.at[i]);
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> abs(const Registers<V, n>& x) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = abs(x.at[i]);
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> copysign(const Registers<V, n>& x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = copysign(x.at[i], y.at[i]);
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> max(const Registers<V, n>& x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = max(x.at[i], y.at[i]);
+  return out;
+}
+template <class V, int n>
+DIFFSIM_INLINE Registers<V, n> min(const Registers<V, n>& x, const Registers<V, n>& y) {
+  Registers<V, n> out;
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out.at[i] = min(x.at[i], y.at[i]);
+  return out;
+}
+template <class M, int n>
+DIFFSIM_INLINE bool all(const RegistersMask<M, n>& m) {
+  M every = m.at[0];
+  for (int i = 1; i < n; ++i) every = every & m.at[i];
+  return all(every);
+}
+template <class M, int n>
+DIFFSIM_INLINE bool any(const RegistersMask<M, n>& m) {
+  M some = m.at[0];
+  for (int i = 1; i < n; ++i) some = some | m.at[i];
+  return any(some);
+}
+template <class V, int n>
+DIFFSIM_INLINE void binary_scale(const Registers<V, n>& x, Registers<V, n>& scale,
+                                 Registers<V, n>& inverse) {
+  for (int i = 0; i < n; ++i) binary_scale(x.at[i], scale.at[i], inverse.at[i]);
+}
+
+namespace detail {
+
+// One or two registers, starting at the first-th, of consecutive arrays of n Lanes each.
+struct OneRegister {
+  using T = Native;
+  static constexpr int kCount = 1;
+  int first;
+
+  template <int n>
+  DIFFSIM_INLINE void get(const Lane* A, T* out) const {
+    for (int k = 0; k < n; ++k) out[k] = split(A[first / kParts * n + k], first % kParts);
+  }
+  template <int n>
+  DIFFSIM_INLINE void set(Lane* A, const T* in) const {
+    for (int k = 0; k < n; ++k) join(A[first / kParts * n + k], first % kParts, in[k]);
+  }
+};
+struct TwoRegisters {
+  using T = Registers<Native, 2>;
+  static constexpr int kCount = 2;
+  int first;
+
+  template <int n>
+  DIFFSIM_INLINE void get(const Lane* A, T* out) const {
+    Native a[n], b[n];
+    OneRegister{first}.get<n>(A, a);
+    OneRegister{first + 1}.get<n>(A, b);
+    for (int k = 0; k < n; ++k) out[k] = {{a[k], b[k]}};
+  }
+  template <int n>
+  DIFFSIM_INLINE void set(Lane* A, const T* in) const {
+    Native a[n], b[n];
+    for (int k = 0; k < n; ++k) a[k] = in[k].at[0], b[k] = in[k].at[1];
+    OneRegister{first}.set<n>(A, a);
+    OneRegister{first + 1}.set<n>(A, b);
+  }
+};
+
+// Calls f on the registers of kGroups Lanes, two at a time where there are two.
+template <int kGroups, class F>
+DIFFSIM_INLINE void for_registers(F&& f) {
+  using R = std::conditional_t<kGroups * kParts % 2 == 0, TwoRegisters, OneRegister>;
+  for (int i = 0; i < kGroups * kParts; i += R::kCount) f(R{i});
+}
+
+}  // namespace detail
+}  // namespace diffsim
