@@ -3,8 +3,8 @@
 
 #include <limits>
 
-#include "kernels/linalg/registers.h"
 #include "kernels/linalg/lanes.h"
+#include "kernels/linalg/registers.h"
 
 namespace diffsim {
 

@@ -15,8 +15,8 @@
 // infinity in a lane makes every output of that lane NaN.
 #pragma once
 
-#include "kernels/linalg/registers.h"
 #include "kernels/linalg/lanes.h"
+#include "kernels/linalg/registers.h"
 
 namespace diffsim {
 namespace detail {

@@ -1,8 +1,8 @@
 // Derivatives of svd3 and polar3, one matrix per lane.
 #pragma once
 
-#include "kernels/linalg/registers.h"
 #include "kernels/linalg/lanes.h"
+#include "kernels/linalg/registers.h"
 
 namespace diffsim {
 namespace detail {
