@@ -45,7 +45,7 @@ from diffsim.identify import Fit
 
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 UNDONE = 3.0  # times as far as all causes together, that one moves the record
-TIMING, LAW = "timing", "law"  # families of what is late, and of what nobody listed
+TIMING = "timing"  # family of what is late
 TIMED = 0.5  # of a sample: stamps need not tell when between two of them something was read or set
 USEFUL = 0.1  # relative error of a derivative with which a size still means something
 MAY_BE_ZERO = "its size may be zero"
@@ -272,14 +272,14 @@ def _evidence_does_without(g: Grounds, i: int) -> str:
 
 
 def _unknown_explains_more(g: Grounds, i: int) -> str:
-    """Than a cause does; of a law all that is known is its form, which leaves nothing if it is
-    right."""
+    """Than a cause does; of a law that nobody listed all that is known is its form, which leaves
+    nothing if it is right."""
     decision = g.judgment.decision
     h = decision.beside
     if h is None or h.unknown is None:
         return ""
     name = words_of(g.search.unknowns[h.unknown].name)
-    if g.search.wide.effects[i].family == LAW:
+    if g.search.wide.effects[i].price:  # its form was chosen
         return f"an {name} explains what it leaves"
     return f"an {name} explains more than it does" if decision.lead > g.added(i, h.unknown) else ""
 

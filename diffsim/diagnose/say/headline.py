@@ -57,6 +57,7 @@ _OF_SEVERAL = (
     (r"^it helps\b", "they help"),
     (r"^it\b", "they"),
     (r"\bit does$", "they do"),
+    (r"\bit leaves$", "they leave"),
     (r"\b(by|without|for) it\b", r"\1 them"),
 )
 _COUNTS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]

@@ -263,11 +263,14 @@ def test_a_law_is_not_certain_beside_an_unknown_cause_however_little_that_explai
     and 390 nats of an unknown force beside. A data sheet beside it took up the rest."""
     decision = SimpleNamespace(beside=Hypothesis(PUSHED, 0), lead=10.0)
     unknowns = [SimpleNamespace(name="unknown force")]
-    wide = SimpleNamespace(effects=[SimpleNamespace(family="law")])
-    search = SimpleNamespace(unknowns=unknowns, wide=wide)
-    g = SimpleNamespace(judgment=SimpleNamespace(decision=decision), search=search)
+    found, listed = (SimpleNamespace(family="law", price=price) for price in (3.0, 0.0))
+    search = SimpleNamespace(unknowns=unknowns, wide=SimpleNamespace(effects=[found, listed]))
+    g = SimpleNamespace(
+        judgment=SimpleNamespace(decision=decision), search=search, added=lambda i, unknown: 20.0
+    )
     why = _unknown_explains_more(g, 0)
     assert why == "an unknown force explains what it leaves"
+    assert _unknown_explains_more(g, 1) == ""  # an exponent that is listed, and explains more
     held = CauseEvidence.doubts_of_sheets.fget
     beside = SimpleNamespace(members=PUSHED, doubts={0: (why, "may be")}, doubts_of_names=())
     assert held(beside) == (why,)

@@ -314,6 +314,7 @@ def test_a_doubt_of_several_causes_is_one_on_them():
         ("its size may be zero", "their sizes may be zero"),
         ("it helps nothing on test runs", "they help nothing on test runs"),
         ("a force explains more than it does", "a force explains more than they do"),
+        ("a force explains what it leaves", "a force explains what they leave"),
         ("more causes may do without it", "more causes may do without them"),
     ):  # fmt: skip
         two = [cause(n, removes=0.4, status="likely", doubts=(why,)) for n in ("play", "drag")]
