@@ -63,8 +63,9 @@ def resolution_words(study: Study) -> str:
         study: Study whose fitted runs are asked; all where none is.
     """
     runs = study.fit_runs or study.runs
+    steps_s = [(np.diff(run.time_s), run.row_s) for run in runs]
     rows_s = np.concatenate(
-        [np.diff(run.time_s) if run.row_s is None else [run.row_s] for run in runs] or [np.empty(0)]
+        [s if of is None else np.full(len(s), of) for s, of in steps_s] or [np.empty(0)]
     )
     if not len(rows_s):
         return ""

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.arrays import Array
-from diffsim.core.check import as_spelled, require_choice
+from diffsim.core.check import as_spelled, require, require_choice
 from diffsim.core.checked import checked
 from diffsim.data.study import Run, Study
 from diffsim.data.study_file import load_study
@@ -125,6 +125,7 @@ class Twin:
         """
         for name in self.run.command:
             require_choice("commands: command of the study", name, commands)
+            require(f"command {name}", commands[name], ("...",), commands[name].dtype)
         q = self.model.at_prior() if at is None else at
         given: Any = {name: commands[name] for name in self.run.command}
         run = replace(self.run, command=given)

@@ -122,6 +122,8 @@ def test_refuses_other_systems_and_commands_without_bounds(fitted):
         TASK.for_study(study.__class__(**{**vars(study), "commands": ()}))
     with pytest.raises(ValueError, match="command of the study"):
         Twin.read(path, study, NEW).simulate({"moment": torch.zeros(len(NEW)).double()})
+    with pytest.raises(ValueError, match="command force must be finite, got 1 NaN"):
+        Twin.read(path, study, NEW).simulate({"force": torch.tensor([torch.nan, *NEW[1:]])})
 
 
 def test_a_command_begins_at_rest_wherever_that_is(fitted):
