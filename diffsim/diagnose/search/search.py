@@ -170,12 +170,14 @@ def _fit_from_prior(search: Search) -> Search:
     ranked, enough = [members for members, _ in sets], MOST_OF_PLAIN * at_prior.weigh(NONE).chi2
     # what one leaves of a large misfit because slopes are off, a second one takes by slopes
     alone = [members for members, at in sets if len(members) == 1 and at.chi2 < enough][:1]
-    # backlash stands in for friction, an offset for a force: one other way is fitted in any case
+    # backlash stands in for friction, an offset for a force: one other way is fitted whatever is
+    # spent, unless the cause alone leaves noise
     others = [members for members in ranked[1:] if not members & ranked[0]]
-    ranked = list(dict.fromkeys([*alone, *ranked[:1], *others[:1], *ranked]))
+    first = dict.fromkeys([*alone, *ranked[:1], *others[:1]])
+    ranked = list(dict.fromkeys([*first, *ranked]))
     for k, members in enumerate(ranked[: max(settings.num_refits, LEAST_REFITS)]):
         # what an earlier round fitted begins at its own end and costs little
-        is_late = k > 1 + len(alone) and search.steps >= until and members not in made.fitted
+        is_late = k >= max(len(first), 2) and search.steps >= until and members not in made.fitted
         search = search.with_late() if is_late else refit(search, members, at_prior, begin=cooled)
         is_whole = members in alone and members in search.fits
         if is_whole and not leaves_more(search.fit_of(members)):
