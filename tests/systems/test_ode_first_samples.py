@@ -1,11 +1,15 @@
 """A state that starts at a channel's first sample starts as well known as the sensor knows it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 
 from diffsim.data import load_study
 from diffsim.identify import fit
 from diffsim.systems.registry import setup_of
+from tests.systems.late_cart import MODEL, T, study_of
 
 STUDY = """\
 name: tank
@@ -54,3 +58,18 @@ def test_noise_of_the_first_sample_is_no_misfit(tmp_path, stated):
     offs = [found.values[name] for name in names if name in found.values]
     assert offs[:2] == pytest.approx([2.5 * NOISE] * 2, abs=4e-3)
     assert found.values["lag"] == pytest.approx(100.0, rel=0.03)
+
+
+@pytest.mark.grad
+def test_what_is_known_of_a_run_may_be_asked_first_without_gradients():
+    """It is read once: tensors of inference mode had no place in a gradient later."""
+    made = study_of([np.full((len(T), 1), 0.01)] * 2)
+    made = replace(made, model=MODEL | {"states": {"x": "0 m", "v": "run_order*damping"}})
+    model, run = setup_of(made).model, replace(made.runs[1])
+    at = model.at_prior().requires_grad_()
+    with torch.inference_mode():
+        seen = model.predict(run, at.detach())
+    after = model.predict(run, at)
+    assert torch.equal(after.detach(), seen)
+    (slope,) = torch.autograd.grad(after.sum(), at)
+    assert slope[:3].abs().min() > 0.0

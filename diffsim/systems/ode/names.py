@@ -108,8 +108,9 @@ def _evaluate_fact(formula: str, run: Run) -> float:
 
 
 def scalars(values: Mapping[str, float]) -> dict[str, Tensor]:
-    """The same numbers as tensors ()."""
-    return {k: torch.tensor(v, dtype=torch.float64) for k, v in values.items()}
+    """The same numbers as tensors (), which may be kept for a gradient whoever asks first."""
+    with torch.inference_mode(False):
+        return {k: torch.tensor(v, dtype=torch.float64) for k, v in values.items()}
 
 
 class Reader:
