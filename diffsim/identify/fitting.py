@@ -101,7 +101,7 @@ class Fit:
 
     @cached_property
     def covariance(self) -> Array:
-        """(n, n) posterior covariance of the standardized coordinates."""
+        """(n, n) posterior covariance of the standardized coordinates; not to be written to."""
         return posterior_covariance(self.jacobian)
 
 

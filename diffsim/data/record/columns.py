@@ -161,7 +161,7 @@ def find_units(record: Record) -> Iterator[Finding]:
 def _units_of_rates(record: Record) -> Iterator[Finding]:
     """Channels of a rate whose integral follows another channel, a factor between units apart."""
     for rate, place in permutations(record.channels, 2):
-        if _has_gain(record, rate) or _has_gain(record, place) or rate.unit != f"{place.unit}/s":
+        if rate.unit != f"{place.unit}/s" or _has_gain(record, rate) or _has_gain(record, place):
             continue
         pairs = ((r, next((s for s in place.runs if s.run == r.run), r)) for r in rate.runs)
         fits = [
