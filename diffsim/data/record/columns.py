@@ -163,11 +163,11 @@ def _units_of_rates(record: Record) -> Iterator[Finding]:
     for rate, place in permutations(record.channels, 2):
         if rate.unit != f"{place.unit}/s" or _has_gain(record, rate) or _has_gain(record, place):
             continue
-        pairs = ((r, next((s for s in place.runs if s.run == r.run), r)) for r in rate.runs)
+        pairs = ((r, place.of_run(r.run)) for r in rate.runs)
         fits = [
             _best_rate(r.times, r.values * (rate.scale or 1.0), s.values * (place.scale or 1.0))
             for r, s in pairs
-            if s is not r and len(r) >= FEW and np.array_equal(r.at, s.at) and s.range > 0.0
+            if s is not None and len(r) >= FEW and np.array_equal(r.at, s.at) and s.range > 0.0
         ]
         if len(fits) < 2 or float(np.median([share for _, share in fits])) < FOLLOWS:
             continue
