@@ -50,9 +50,14 @@ def shown_change(of: Channel, at: Array, change: Array) -> Array:
     return shown(of, at) - shown(of, at - change)
 
 
+def unit_of_steps(of: Channel) -> str:
+    """Unit in which a user reads steps of a channel: a formula gives values, and no steps."""
+    return of.unit if of.shown_formula else of.shown_unit or of.unit
+
+
 def shown_step(of: Channel, size: float) -> str:
     """A step of a reading with its unit, where no value is known at which it was taken."""
-    unit = of.unit if of.shown_formula else of.shown_unit or of.unit
+    unit = unit_of_steps(of)
     return f"{size * factor(of.unit, unit):.3g}{'' if unit == '-' else f' {unit}'}"
 
 

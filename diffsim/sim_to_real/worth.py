@@ -11,6 +11,7 @@ import torch
 from diffsim.core.checked import checked
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, factor, small_scale
+from diffsim.data.shown import unit_of_steps
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.sim_to_real.tracking import EVALUATIONS, TrackingTask, best_command
 from diffsim.systems.twin import Twin
@@ -147,11 +148,9 @@ def worth(twin: Twin, task: TrackingTask, *, evaluations: int = EVALUATIONS) -> 
         unaware=lambda found: unaware(torch.from_numpy(found.knots)),
     ).worth(twin.causes)
     channels = {c.name: c for c in twin.study.channels}
-    kinds = {
-        (channel.unit, (None if channel.shown_formula else channel.shown_unit), course.miss)
-        for channel, course in ((channels[n], c) for n, c in task.given.wanted.items())
-    }
-    unit, shown, one = kinds.pop() if len(kinds) == 1 else ("", None, 1.0)
-    if shown is not None:
+    wanted = [(channels[name], course.miss) for name, course in task.given.wanted.items()]
+    kinds = {(c.unit, unit_of_steps(c), miss) for c, miss in wanted}
+    unit, shown, one = kinds.pop() if len(kinds) == 1 else ("", "", 1.0)
+    if shown != unit:
         unit, one = shown, one * factor(unit, shown)
     return tuple(replace(row, unit=unit, one=one) for row in found)
