@@ -139,8 +139,8 @@ def _list_places(library: Library) -> dict[str, Place]:
     found, network = {}, library.system.network
     for place, scale in library.places:
         # what drives it, and has an inertia of its own, may be apart from what moves there
-        is_driven = place.force in (None, *network.definitions)
-        is_driven &= place.force is None or place.inertia != "1"
+        has_inertia = place.force in network.definitions and place.inertia != "1"
+        is_driven = place.force is None or has_inertia
         is_plain = (place.unit, place.position_unit) == ("N", "m") and len(library.places) == 1
         found[place.name] = Place(
             magnitudes_at(scale),
