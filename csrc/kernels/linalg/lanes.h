@@ -13,7 +13,8 @@
 #include <cstring>
 #include <type_traits>
 
-#define DIFFSIM_INLINE inline __attribute__((always_inline))
+#define DIFFSIM_INLINED __attribute__((always_inline))  // of lambdas
+#define DIFFSIM_INLINE inline DIFFSIM_INLINED
 
 namespace diffsim {
 

@@ -19,82 +19,58 @@ struct RegistersMask {
   M at[n];
 };
 
+// Side by side what f gives of the number of a register.
+template <class Out, class F>
+DIFFSIM_INLINE Out each(const F& f) {
+  Out out;
+#pragma GCC unroll 8
+  for (int i = 0; i < static_cast<int>(std::extent_v<decltype(out.at)>); ++i) out.at[i] = f(i);
+  return out;
+}
+
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator+(const Registers<V, n>& x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] + y.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] + y.at[i]; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator-(const Registers<V, n>& x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] - y.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] - y.at[i]; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator*(const Registers<V, n>& x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] * y.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] * y.at[i]; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator/(const Registers<V, n>& x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] / y.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] / y.at[i]; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator+(const Registers<V, n>& x, double y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] + y;
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] + y; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator-(const Registers<V, n>& x, double y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] - y;
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] - y; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator*(const Registers<V, n>& x, double y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] * y;
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] * y; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator+(double x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x + y.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x + y.at[i]; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator-(double x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x - y.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x - y.at[i]; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator*(double x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x * y.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x * y.at[i]; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator/(double x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x / y.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return x / y.at[i]; });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n>& operator+=(Registers<V, n>& x, const Registers<V, n>& y) {
@@ -106,42 +82,28 @@ DIFFSIM_INLINE Registers<V, n>& operator-=(Registers<V, n>& x, const Registers<V
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> operator-(const Registers<V, n>& x) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = -x.at[i];
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return -x.at[i]; });
 }
 template <class M, int n>
 DIFFSIM_INLINE RegistersMask<M, n> operator|(const RegistersMask<M, n>& x,
                                              const RegistersMask<M, n>& y) {
-  RegistersMask<M, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] | y.at[i];
-  return out;
+  return each<RegistersMask<M, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] | y.at[i]; });
 }
 template <class M, int n>
 DIFFSIM_INLINE RegistersMask<M, n> operator&(const RegistersMask<M, n>& x,
                                              const RegistersMask<M, n>& y) {
-  RegistersMask<M, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = x.at[i] & y.at[i];
-  return out;
+  return each<RegistersMask<M, n>>([&](int i) DIFFSIM_INLINED { return x.at[i] & y.at[i]; });
 }
 template <class M, int n>
 DIFFSIM_INLINE RegistersMask<M, n> operator~(const RegistersMask<M, n>& x) {
-  RegistersMask<M, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = ~x.at[i];
-  return out;
+  return each<RegistersMask<M, n>>([&](int i) DIFFSIM_INLINED { return ~x.at[i]; });
 }
 
 template <class V, int n>
 DIFFSIM_INLINE RegistersMask<MaskOf<V>, n> less(const Registers<V, n>& x,
                                                 const Registers<V, n>& y) {
-  RegistersMask<MaskOf<V>, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = less(x.at[i], y.at[i]);
-  return out;
+  return each<RegistersMask<MaskOf<V>, n>>([&](int i)
+                                               DIFFSIM_INLINED { return less(x.at[i], y.at[i]); });
 }
 template <class V, int n>
 DIFFSIM_INLINE RegistersMask<MaskOf<V>, n> greater(const Registers<V, n>& x,
@@ -151,53 +113,33 @@ DIFFSIM_INLINE RegistersMask<MaskOf<V>, n> greater(const Registers<V, n>& x,
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> select(const RegistersMask<MaskOf<V>, n>& m,
                                       const Registers<V, n>& x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = select(m.at[i], x.at[i], y.at[i]);
-  return out;
+  return each<Registers<V, n>>([&](int i)
+                                   DIFFSIM_INLINED { return select(m.at[i], x.at[i], y.at[i]); });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> keep(const RegistersMask<MaskOf<V>, n>& m,
                                     const Registers<V, n>& x) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = keep(m.at[i], x.at[i]);
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return keep(m.at[i], x.at[i]); });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> sqrt(const Registers<V, n>& x) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = sqrt(x.at[i]);
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return sqrt(x.at[i]); });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> abs(const Registers<V, n>& x) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = abs(x.at[i]);
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return abs(x.at[i]); });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> copysign(const Registers<V, n>& x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = copysign(x.at[i], y.at[i]);
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return copysign(x.at[i], y.at[i]); });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> max(const Registers<V, n>& x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = max(x.at[i], y.at[i]);
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return max(x.at[i], y.at[i]); });
 }
 template <class V, int n>
 DIFFSIM_INLINE Registers<V, n> min(const Registers<V, n>& x, const Registers<V, n>& y) {
-  Registers<V, n> out;
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out.at[i] = min(x.at[i], y.at[i]);
-  return out;
+  return each<Registers<V, n>>([&](int i) DIFFSIM_INLINED { return min(x.at[i], y.at[i]); });
 }
 template <class M, int n>
 DIFFSIM_INLINE bool all(const RegistersMask<M, n>& m) {
