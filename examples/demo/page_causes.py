@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffsim.viz import figures
 from diffsim.viz.figures import COLORS, INK, SOFT
-from diffsim.viz.report import Picture, Section, Table
+from diffsim.viz.report import Section, Table
 from examples.data.beam import BeamStudy
 from examples.data.beam_motion import COMPARE_S, moving_tip_mass
 from examples.demo import panels, verdict
 from examples.demo.numerics import euler_damping_ratio
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 INTEGRATOR_NAMES = {
     "implicit_euler": "implicit Euler",
@@ -29,27 +32,6 @@ def damping(study: BeamStudy, results: dict[str, Any]) -> Section:
     measured = verdict.mean(results, light, "damping_ratio")
     rows = results["numerics"]["rows"]
     omega = 2 * np.pi * verdict.mean(results, light, "frequency_Hz")
-    figure, ax = figures.new_figure(height=3.3, width=7.2)
-    steps = np.geomspace(min(r["dt_s"] for r in rows) / 1.3, max(r["dt_s"] for r in rows) * 1.3)
-    ax.plot(1e3 * steps, [euler_damping_ratio(omega, h) for h in steps], color=SOFT, lw=0.8,
-            ls=":", label="implicit Euler, theory")  # fmt: skip
-    for name, words in INTEGRATOR_NAMES.items():
-        mine = [r for r in rows if r["integrator"] == name]
-        ax.plot(
-            [1e3 * r["dt_s"] for r in mine],
-            [max(abs(r["damping_ratio"]), _SHOWN_AS_ZERO) for r in mine],
-            "o-", ms=5, lw=1.3, color=COLORS[_COLORS[name]], label=words,
-        )  # fmt: skip
-    ax.axhline(measured, color=INK, lw=1.6, label="measured")
-    ax.set(xscale="log", yscale="log", ylim=(_SHOWN_AS_ZERO / 1.5, 0.6))
-    ticks = sorted({1e3 * r["dt_s"] for r in rows})
-    ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
-    ax.minorticks_off()
-    ax.yaxis.set_major_formatter("{x:g}")
-    ax.set_xlabel("time step [ms]", color=SOFT)
-    ax.set_ylabel("damping ratio", color=SOFT)
-    ax.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="center left",
-              bbox_to_anchor=(1.0, 0.5))  # fmt: skip
     return Section(
         title="The time step damps more than the rubber",
         text=[
@@ -59,8 +41,8 @@ def damping(study: BeamStudy, results: dict[str, Any]) -> Section:
             f"{1e3 * 0.2 * measured / omega:.2f} ms.",
         ],
         content=[
-            Picture(
-                uri=figures.data_uri(figure),
+            panels.picture(
+                lambda narrow: _numerical_damping(rows, omega, measured, narrow),
                 caption="Numerical damping against the time step. Points at the lower edge: "
                 f"{_SHOWN_AS_ZERO:g} or less.",
             ),
@@ -81,6 +63,32 @@ def damping(study: BeamStudy, results: dict[str, Any]) -> Section:
             ),
         ],
     )
+
+
+def _numerical_damping(
+    rows: Sequence[dict[str, Any]], omega: float, measured: float, narrow: bool
+) -> Figure:
+    figure, ax = panels.one_panel(narrow, width=7.2, height=3.3)
+    steps = np.geomspace(min(r["dt_s"] for r in rows) / 1.3, max(r["dt_s"] for r in rows) * 1.3)
+    ax.plot(1e3 * steps, [euler_damping_ratio(omega, h) for h in steps], color=SOFT, lw=0.8,
+            ls=":", label="implicit Euler, theory")  # fmt: skip
+    for name, words in INTEGRATOR_NAMES.items():
+        mine = [r for r in rows if r["integrator"] == name]
+        ax.plot(
+            [1e3 * r["dt_s"] for r in mine],
+            [max(abs(r["damping_ratio"]), _SHOWN_AS_ZERO) for r in mine],
+            "o-", ms=5, lw=1.3, color=COLORS[_COLORS[name]], label=words,
+        )  # fmt: skip
+    ax.axhline(measured, color=INK, lw=1.6, label="measured")
+    ax.set(xscale="log", yscale="log", ylim=(_SHOWN_AS_ZERO / 1.5, 0.6))
+    ticks = sorted({1e3 * r["dt_s"] for r in rows})
+    ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    ax.minorticks_off()
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.set_xlabel("time step [ms]", color=SOFT)
+    ax.set_ylabel("damping ratio", color=SOFT)
+    panels.legend(ax, narrow, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
 
 
 def weight(study: BeamStudy, results: dict[str, Any]) -> Section:
@@ -121,12 +129,11 @@ def weight(study: BeamStudy, results: dict[str, Any]) -> Section:
             _unexplained(study, results, loaded),
         ],
         content=[
-            Picture(
-                uri=figures.data_uri(
-                    panels.trajectories(
-                        [(f"{trial.name}, weight of {1e3 * kg:.0f} g", curves)],
-                        ylabel="tip height [mm]",
-                    )
+            panels.picture(
+                lambda narrow: panels.trajectories(
+                    [(f"{trial.name}, weight of {1e3 * kg:.0f} g", curves)],
+                    ylabel="tip height [mm]",
+                    narrow=narrow,
                 ),
                 caption="The loaded beam, E and damping identified without the weight.",
             )
@@ -160,21 +167,6 @@ def mesh(study: BeamStudy, results: dict[str, Any]) -> Section:
     measured = verdict.mean(results, light, "static_sag_m")
     rows = study_of["rows"]
     ratios = list(dict.fromkeys(r["poissons_ratio"] for r in rows))
-    figure, ax = figures.new_figure(height=3.3, width=7.2)
-    for nu, role in zip(ratios, ("published", "fourth", "fitted"), strict=False):
-        mine = [r for r in rows if r["poissons_ratio"] == nu]
-        ax.plot([r["num_dofs"] for r in mine], [1e3 * r["sag_m"] for r in mine], "o-", ms=4, lw=1.3,
-                color=COLORS[role], label=f"ν = {nu:g}")  # fmt: skip
-    ax.axhline(1e3 * study_of["timoshenko_sag_m"], color=SOFT, lw=1.0, ls="--",
-               label="Timoshenko beam")  # fmt: skip
-    ax.axhline(1e3 * measured, color=INK, lw=1.6, label="measured")
-    ax.set(xscale="log", ylim=(0, None))
-    ax.xaxis.set_major_formatter("{x:,.0f}")
-    ax.xaxis.set_minor_formatter("")
-    ax.set_xlabel("degrees of freedom", color=SOFT)
-    ax.set_ylabel("static sag [mm]", color=SOFT)
-    ax.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="center left",
-              bbox_to_anchor=(1.0, 0.5))  # fmt: skip
     e = study_of["youngs_modulus_Pa"]
     published = [r for r in rows if r["poissons_ratio"] == max(ratios)]
     own = study_of["timoshenko_sag_m"] / study_of["factor_beam_theory"]
@@ -196,10 +188,30 @@ def mesh(study: BeamStudy, results: dict[str, Any]) -> Section:
             "to contract sideways and so softer than a clamped solid.",
         ],
         content=[
-            Picture(
-                uri=figures.data_uri(figure),
+            panels.picture(
+                lambda narrow: _sag_over_size(study_of, measured, narrow),
                 caption=f"Sag under own weight at E = {e / 1e3:.0f} kPa, fully integrated "
                 "trilinear hexahedra.",
             )
         ],
     )
+
+
+def _sag_over_size(study_of: dict[str, Any], measured: float, narrow: bool) -> Figure:
+    rows = study_of["rows"]
+    ratios = list(dict.fromkeys(r["poissons_ratio"] for r in rows))
+    figure, ax = panels.one_panel(narrow, width=7.2, height=3.3)
+    for nu, role in zip(ratios, ("published", "fourth", "fitted"), strict=False):
+        mine = [r for r in rows if r["poissons_ratio"] == nu]
+        ax.plot([r["num_dofs"] for r in mine], [1e3 * r["sag_m"] for r in mine], "o-", ms=4, lw=1.3,
+                color=COLORS[role], label=f"ν = {nu:g}")  # fmt: skip
+    ax.axhline(1e3 * study_of["timoshenko_sag_m"], color=SOFT, lw=1.0, ls="--",
+               label="Timoshenko beam")  # fmt: skip
+    ax.axhline(1e3 * measured, color=INK, lw=1.6, label="measured")
+    ax.set(xscale="log", ylim=(0, None))
+    ax.xaxis.set_major_formatter("{x:,.0f}")
+    ax.xaxis.set_minor_formatter("")
+    ax.set_xlabel("degrees of freedom", color=SOFT)
+    ax.set_ylabel("static sag [mm]", color=SOFT)
+    panels.legend(ax, narrow, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from diffsim.viz import figures
-from diffsim.viz.report import Picture, Section, Table
+from diffsim.viz.report import Section, Table
 from examples.data import vibration
 from examples.data.beam import BeamStudy, BeamTrial
 from examples.data.beam_motion import COMPARE_S, RING_DOWN_START_S
@@ -62,36 +61,42 @@ def section(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -
             "case; shown and judged here is the second, which no fit has seen.",
         ],
         content=[
-            _picture(
-                panels.trajectories(
-                    [(title[t.name], curves(t, height)) for t in trials], ylabel="tip height [mm]"
+            panels.picture(
+                lambda narrow: panels.trajectories(
+                    [(title[t.name], curves(t, height)) for t in trials],
+                    ylabel="tip height [mm]",
+                    narrow=narrow,
                 ),
                 "Tip height from the held place. Published practice dies out within two swings; "
                 "with the weight it also swings at the wrong frequency.",
             ),
-            _picture(
-                panels.residuals(
+            panels.picture(
+                lambda narrow: panels.residuals(
                     [
                         (title[t.name], _residuals(results, by_name, t), _floor(study, t.case))
                         for t in trials
                     ],
                     ylabel="sim. − meas. [mm]",
+                    narrow=narrow,
                 ),
                 "What is left, aligned at release. Grey: how far the two repeats are apart at that "
                 "time (largest within 0.1 s); nothing inside it can be told right or wrong.",
             ),
-            _picture(_bars(study, results, models), _BARS),
+            panels.picture(lambda narrow: _bars(study, results, models, narrow), _BARS),
             _table(study, results, models),
-            _picture(
-                panels.spectra(
+            panels.picture(
+                lambda narrow: panels.spectra(
                     [(title[t.name], curves(t, spectrum)) for t in trials],
                     max_Hz=20.0,
                     floor_m=1e-5,
+                    narrow=narrow,
                 ),
                 "Amplitude spectra of the first two seconds, vertical.",
             ),
-            _picture(
-                panels.decay_envelopes([(title[t.name], curves(t, decay)) for t in trials]),
+            panels.picture(
+                lambda narrow: panels.decay_envelopes(
+                    [(title[t.name], curves(t, decay)) for t in trials], narrow=narrow
+                ),
                 "Height of successive swings: the slope is the damping.",
             ),
         ],
@@ -183,10 +188,6 @@ def _label(rung: Rung, trial: BeamTrial) -> str:
     ]
 
 
-def _picture(figure: Any, caption: str) -> Picture:
-    return Picture(uri=figures.data_uri(figure), caption=caption)
-
-
 def _residuals(
     results: dict[str, Any], by_name: dict[str, Rung], trial: BeamTrial
 ) -> list[panels.Curve]:
@@ -216,7 +217,7 @@ def _floor(study: BeamStudy, case: str) -> panels.Curve:
     return panels.Curve(x=floor.time_s, y=around, label="repeats apart")
 
 
-def _bars(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -> Any:
+def _bars(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung], narrow: bool) -> Any:
     colors = ("#b08a00", "#c2571a", "#d9a441", "#0b6e75", "#7a4fa3", "#4b2e83")
     return panels.bars(
         [trial.name for trial in study.trials],
@@ -237,6 +238,7 @@ def _bars(study: BeamStudy, results: dict[str, Any], models: Sequence[Rung]) -> 
         reference=[1e3 * verdict.floor(results, trial.case) for trial in study.trials],
         reference_label="repeat floor",
         log=True,
+        narrow=narrow,
     )
 
 

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.viz import figures
-from diffsim.viz.report import Picture, Section, Table
+from diffsim.viz.report import Section, Table
 from examples.data import vibration
 from examples.data.beam import BeamStudy, BeamTrial
 from examples.data.beam_motion import COMPARE_S, moving_tip_mass, ring_down
@@ -29,34 +28,37 @@ def section(study: BeamStudy, numbers: dict[str, Any]) -> Section:
         title="What was measured",
         text=[_masses(numbers, study), _creep(numbers)],
         content=[
-            _picture(
-                panels.trajectories(
+            panels.picture(
+                lambda narrow: panels.trajectories(
                     [(case_title(c), _tip_curves(ts)) for c, ts in cases.items()],
                     ylabel="tip height [mm]",
+                    narrow=narrow,
                 ),
                 "Vertical displacement of the tip from its held place, mean of three markers, "
                 "both repeats of each case aligned at release.",
             ),
-            _picture(
-                panels.spectra(
+            panels.picture(
+                lambda narrow: panels.spectra(
                     [(case_title(c), _spectrum_curves(ts)) for c, ts in cases.items()],
                     max_Hz=40.0,
                     floor_m=1e-7,
+                    narrow=narrow,
                 ),
                 "Amplitude spectra of the first four seconds: vertical (solid) and lateral "
                 "(dashed). With the weight, the vertical swing slows down and the lateral one "
                 "does not.",
             ),
-            _picture(
-                panels.decay_envelopes(
-                    [(case_title(c), _decay_curves(ts)) for c, ts in cases.items()]
+            panels.picture(
+                lambda narrow: panels.decay_envelopes(
+                    [(case_title(c), _decay_curves(ts)) for c, ts in cases.items()], narrow=narrow
                 ),
                 "Height of successive swings. A straight line is a constant damping ratio.",
             ),
-            _picture(
-                panels.residuals(
+            panels.picture(
+                lambda narrow: panels.residuals(
                     [(case_title(c), _difference(ts), None) for c, ts in cases.items()],
                     ylabel="a minus b [mm]",
+                    narrow=narrow,
                 ),
                 "The floor: difference of the two repeats, aligned at release. No simulation "
                 "can be told right or wrong below it.",
@@ -64,10 +66,6 @@ def section(study: BeamStudy, numbers: dict[str, Any]) -> Section:
             _table(study, numbers),
         ],
     )
-
-
-def _picture(figure: Any, caption: str) -> Picture:
-    return Picture(uri=figures.data_uri(figure), caption=caption)
 
 
 def _tip_curves(trials: tuple[BeamTrial, ...]) -> list[panels.Curve]:
