@@ -76,11 +76,7 @@ def command_cause(
 def cause_of_commands(
     row: Row, group: CommandGroup, *, system: str = ANY, needs: Needs | None = None
 ) -> Effect:
-    """A cause on the way of some commands, by its row.
-
-    Args:
-        system: Kind of system.
-    """
+    """A cause on the way of some commands, by its row."""
     effect = row.effect(
         on_commands(row, group.names, group.scales, group.between, system),
         group.scales,

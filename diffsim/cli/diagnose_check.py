@@ -286,12 +286,7 @@ def _summary(study: Study) -> Iterator[str]:
 
 
 def done_by_setup(given: Study, used: Study) -> Iterator[str]:
-    """Lines on what was done to a record, and what of it is not used, the first of them in full.
-
-    Args:
-        given: Study before.
-        used: The same as a setup uses it.
-    """
+    """Lines on what was done to a record, and what of it is not used, the first of them in full."""
     mended = used.mended[len(given.mended) :]
     yield from (f"done to the record: {sentence}" for sentence in mended)
     sentences = used.left_out[len(given.left_out) :]

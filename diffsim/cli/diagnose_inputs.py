@@ -174,10 +174,6 @@ def inputs_of(
 def _fewer_runs(study: Study, setup: DiagnosisSetup, effects: Sequence[Effect]) -> Study | None:
     """The study of a first answer, where many short runs would cost most of it: some of them, from
     all kinds alike and with their repeats, are fitted. None: all can be.
-
-    Args:
-        study: Study as it was read.
-        effects: Those of it that are asked for.
     """
     used = setup.study or study
     runs, noise = used.fit_runs, WhiteNoise([replace(c, sd=c.sd or 1.0) for c in used.channels])

@@ -142,11 +142,7 @@ def _is_text(path: Path) -> bool:
 
 
 def files_below(folder: Path, depth: int = DEEPEST) -> Iterator[Path]:
-    """Files of a folder and of those in it, so many deep; hidden folders and links are passed by.
-
-    Args:
-        folder: Folder that is looked into.
-    """
+    """Files of a folder and of those in it, so many deep; no hidden folders, no links."""
     for path in folder.iterdir():
         if path.is_file():
             yield path

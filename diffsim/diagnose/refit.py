@@ -178,10 +178,6 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     does not end above it. The priors are those of the setup, not the saved posterior: the same runs
     must not count twice.
 
-    Args:
-        inputs: Study and setup.
-        saved: Content of the model's file.
-
     Raises:
         ValueError: the setup does not have an effect of the saved model.
     """

@@ -23,12 +23,7 @@ _COLORS = {_MEASURED: INK, _BEFORE: NULL, _AFTER: EXTENDED}
 
 
 def moving_runs(report: Report, runs: Sequence[PredictedRun]) -> MovingChoice | None:
-    """Bodies or vehicles of runs, the models on top of each other; None where nothing is to see.
-
-    Args:
-        report: The diagnosis, with its fits.
-        runs: Runs with their predictions.
-    """
+    """Bodies or vehicles of runs, the models on top of each other; None where nothing is to see."""
     views = {}
     for run in runs[:MAX_RUNS]:
         shapes = _shapes(report, run)

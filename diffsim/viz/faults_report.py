@@ -22,10 +22,6 @@ MOST_VISIBLE = 6  # causes whose smallest visible size it lists
 def write_faults(report: FaultReport, path: str | Path) -> Path:
     """Write the page, one static HTML file.
 
-    Args:
-        report: Verdicts on groups.
-        path: File to write.
-
     Returns:
         ``path``.
     """

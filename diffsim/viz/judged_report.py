@@ -135,7 +135,6 @@ def _build_misfit_section(
 
 
 def _sizes(saved: SavedModel) -> page.Section:
-    """Sizes and parameters of the saved model."""
     shared = [n for n in saved.parameters if "@" not in n]
     moved = [n for n in shared if n not in saved.plain or saved.plain[n] != saved.values[n]]
     rows = [

@@ -147,7 +147,6 @@ def _gather(
 
 
 def _rows(arrays: Mapping[str, Any]) -> int | None:
-    """Rows of the table that arrays are."""
     used, _ = arrays_of_a_table({name: data.shape for name, data in arrays.items()})
     return arrays[used[0]].shape[0] if used else None
 

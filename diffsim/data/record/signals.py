@@ -164,11 +164,7 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A study as its rules see it.
-
-    Attributes:
-        channels: What was measured.
-    """
+    """A study as its rules see it."""
 
     study: Study
     channels: tuple[Signal, ...]

@@ -310,10 +310,6 @@ def without_misread(run: Run, commands: Sequence[Command]) -> tuple[Run, int]:
 
     What is commanded may jump, so that other commands stay.
 
-    Args:
-        run: Run as it was recorded.
-        commands: What is known of commands.
-
     Returns:
         The run, the same object where nothing jumps, and the number of jumps.
     """

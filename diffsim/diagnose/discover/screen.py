@@ -341,11 +341,7 @@ def _weigh(
 
 
 def _in_batches(sizes: Sequence[int]) -> Iterator[slice]:
-    """Consecutive parts of about 400 columns.
-
-    Args:
-        sizes: Columns of each member.
-    """
+    """Consecutive parts of about 400 columns."""
     edges = np.cumsum([0, *sizes])
     number = max(int(np.ceil(edges[-1] / 400)), 1)
     cuts = np.searchsorted(edges, np.linspace(0, edges[-1], number + 1)[1:-1])
@@ -364,8 +360,6 @@ def _together(made: Sequence[Candidate]) -> Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _AtEntry:
-    """Laws at one entry."""
-
     followed: FollowedRecord
     weigher: Weigher
     port: LawPort

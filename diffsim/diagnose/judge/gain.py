@@ -280,11 +280,7 @@ class Validation(Protocol):
 
 @dataclass(eq=False)
 class SelectRuns:
-    """Runs with use: select, to which nothing is fitted but what is their own.
-
-    Args:
-        runs: These runs.
-    """
+    """Runs with use: select, to which nothing is fitted but what is their own."""
 
     runs: Sequence[Run]
     words: str = "runs with use: select"
@@ -304,11 +300,7 @@ class SelectRuns:
 
 @dataclass(eq=False)
 class LeftOut:
-    """Parts of the fit runs, each predicted by a fit without it.
-
-    Args:
-        problem: Problem with the runs that are fitted.
-    """
+    """Parts of the fit runs, each predicted by a fit without it."""
 
     problem: Problem
     folds: Folds
@@ -333,11 +325,7 @@ class LeftOut:
 
 
 def validation_of(plain: Fit, select: Sequence[Run]) -> Validation | None:
-    """Select runs if there are any, else fit runs left out; None where they are too few.
-
-    Args:
-        select: Runs with use: select.
-    """
+    """Select runs if there are any, else fit runs left out; None where they are too few."""
     if select:
         return SelectRuns(select)
     folds = folds_of(plain)

@@ -276,11 +276,6 @@ def as_good(judgment: Judgment, validation: Validation, seed: int) -> dict[int, 
 
     Evidence tells which of two laws is the better one, not that the worse one is not what acts:
     both may be a little wrong. So no cause is refuted by such a neighbor.
-
-    Args:
-        judgment: Verdict with the gains of the members.
-        validation: What these were computed on.
-        seed: Seed of the bootstraps.
     """
     search, best = judgment.search, judgment.decision.best
     assert search is not None  # gains come of a search

@@ -223,11 +223,7 @@ def own_point(
 
 
 def own_words(rows: Sequence[OwnRow]) -> list[str]:
-    """Values that ended far from what is stated of them, a sentence for each parameter.
-
-    Args:
-        rows: Values of all runs.
-    """
+    """Values that ended far from what is stated of them, a sentence for each parameter."""
     far: dict[str, list[OwnRow]] = {}
     for row in rows:
         if abs(row.pull) > FAR_OFF:

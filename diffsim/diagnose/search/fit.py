@@ -84,12 +84,7 @@ def first_fit(problem: Problem, windows: Sequence[float], until: float = math.in
 
 
 def cut(run: Run, share: float) -> Run:
-    """The first part of a run.
-
-    Args:
-        run: Recorded run.
-        share: Share of its samples that is kept.
-    """
+    """The first part of a run."""
     count = len(run.time_s)
     keep = min(max(int(np.ceil(share * count)), MIN_SAMPLES), count)
     return run.part(slice(keep))

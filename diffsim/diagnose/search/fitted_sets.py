@@ -219,9 +219,6 @@ def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:
 def _simulated_beside(search: Search, key: Hypothesis, place: Center, best: Members) -> Search:
     """A set with an unknown cause, weighed by a simulation where linear evidence leads, if that
     leaves it no chance: where all slopes take simulations of their own, one tells first.
-
-    Args:
-        search: Sets that were weighed so far.
     """
     if not slopes_are_simulated(search.wide.model) or key.effects >= best:
         return search

@@ -122,10 +122,6 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
 
     Under noise so large that the record at the start is no surprise, the base parameters stay near
     their priors and the sizes move; then under the geometric mean of that noise and the true one.
-
-    Args:
-        problem: Problem of a set.
-        start: Start point in its coordinates.
     """
     residual = problem.residual_of(start.record)
     excess = float(residual @ residual) / max(len(residual), 1)

@@ -219,11 +219,7 @@ def counted(**counts: int) -> tuple[str, ...]:
 
 
 def numbered(count: int, before: str = "", start: int = 1) -> dict[str, str]:
-    """Parts that are counted: "1" and what stands for it, "BEFORE1", in names of numbers.
-
-    Args:
-        start: What the first one is counted as.
-    """
+    """Parts that are counted: "1" and what stands for it, "BEFORE1", in names of numbers."""
     return {str(i): f"{before}{i}" for i in range(start, start + count)}
 
 

@@ -225,10 +225,6 @@ class Numbers:
     def put(self, model: Any, parameters: Mapping[str, float]) -> Setting:
         """Set a model's numbers, all others as the file has them.
 
-        Args:
-            model: A copy of the plain model.
-            parameters: Values by path.
-
         Raises:
             ValueError: a path or a value cannot be set; the message says why.
         """

@@ -249,7 +249,6 @@ class DescribedModel:
         return activation, pressure
 
     def _make_start(self, rig: BodyRig, scene: SoftScene, own: Values) -> dict[str, Any]:
-        """How the body starts."""
         start = self.given.start
         if start.shape != "held":
             return {"start": start.shape}

@@ -127,11 +127,7 @@ def _make_row(values: Sequence[float]) -> Tensor:
 
 
 def simulate_together(scenes: Sequence[Any]) -> list[Tensor]:
-    """Predictions of scenes, (num_samples, num_channels) each; those alike in one rollout.
-
-    Args:
-        scenes: Scenes of one run, of any kind.
-    """
+    """Predictions of scenes, (num_samples, num_channels) each; those alike in one rollout."""
     out: dict[int, Tensor] = {}
     waiting = list(range(len(scenes)))
     while waiting:
