@@ -97,8 +97,6 @@ def say_in_unit(effect: Effect, row: Row, group: CommandGroup) -> Effect:
     """A cause that says its size in the unit of commands, where it has that of a command.
 
     Args:
-        effect: Cause on the way of commands.
-        row: Row of the cause in its table.
         group: The commands; without a unit the cause stays as it is.
     """
     if group.unit is None:

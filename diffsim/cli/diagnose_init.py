@@ -61,7 +61,6 @@ def init(
     """Write a first study of a folder; what was guessed is printed and stands in the file.
 
     Args:
-        folder: Folder with the recordings.
         out: File to be written; by default study.yaml in the folder.
         system: Kind of system, one of ``known_systems()``; None: ``outside`` where an MJCF lies in
             the folder, else ``ode``.
@@ -135,9 +134,7 @@ def study_text(
 
     Args:
         guess: What the folder seems to hold.
-        folder: Folder of the recordings.
         out: File that the text is for; paths are relative to its folder.
-        system: Kind of system.
         model: Keys of ``model`` that were guessed; None: none, they are listed.
     """
     lines = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,23 +27,6 @@ _UP = np.diag([1.0, -1.0, -1.0])  # north-west-up from north-east-down
 _SLOWER = 20.0  # propellers turn that much slower than they do, as in the scene for rerun
 _SAMPLES = 1000  # of a curve, at most: pages stay below 3 MB
 _FEW = 300  # triangles; a part of more is drawn as its convex hull
-
-
-def write_flight_page(
-    path: str | Path, log: FlightLog, design: Design | FlyingVehicle, *, payload: float = 0.0
-) -> Path:
-    """Write the page, one HTML file without requests to other machines.
-
-    Args:
-        path: File to write.
-        log: Record of the flight.
-        design: Vehicle that flew.
-        payload: Carried below the center of mass [kg].
-
-    Raises:
-        ImportError: plotly or jinja2 is not installed.
-    """
-    return page.write(flight_page(log, design, payload=payload), path)
 
 
 def flight_page(

@@ -228,7 +228,6 @@ def refine_within(
         changes: Change of the record by refining each setting, by its name, (N,) each.
         gates: The numerics gate, which fails.
         once: Weighted steps of a plain simulation.
-        is_any_enough: Whether any finer settings are.
 
     Returns:
         The settings, the changes and gates there, and the cost of a simulation over the plain one.

@@ -437,7 +437,6 @@ def _repeating(
     Args:
         seen: What terms do at entries, and what matters of it.
         u: The variable along each run, (num_samples,).
-        most_work: Wave numbers by samples.
     """
     every = np.concatenate(u)
     if not seen or _range_of(every) is None:
@@ -532,7 +531,6 @@ class Weigher:
 
         Args:
             columns: Slopes by the factors of each, side by side, (N, sum of ``counts``).
-            counts: Number of factors of each.
 
         Yields:
             Nats, and the most probable amplitude; None of a law that does nothing.

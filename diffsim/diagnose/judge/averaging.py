@@ -202,7 +202,6 @@ class ModelAverage:
 
         Args:
             h: Set with or without an unknown cause.
-            i: Index of the effect.
             names: Coordinates to widen; None: the statistical sd alone.
         """
         effect = self.search.wide.effects[i]

@@ -56,7 +56,6 @@ def differences(saved: SavedModel, study: Study) -> tuple[str, ...]:
 
     Args:
         saved: Model that was fitted to one of them; files of before hold none.
-        study: The other one.
 
     Raises:
         ValueError: a difference that cannot be meant.

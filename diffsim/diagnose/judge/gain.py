@@ -170,7 +170,6 @@ def compared(
         null: A fit whose noise floor whitened the residuals.
         before: Residuals without the effects, (num_valid,) by run.
         after: Residuals with the effects, (num_valid,) by run.
-        seed: Seed of the bootstrap.
     """
     times = [time_of_rows(null.problem, run) for run in runs]
     squares = [(a**2, b**2) for a, b in zip(before, after, strict=True)]

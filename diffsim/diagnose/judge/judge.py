@@ -201,9 +201,7 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
     of them is gone. What is withdrawn takes all sets with it, so evidence decides anew.
 
     Args:
-        search: Search with all sets that were weighed.
         validation: What names are held against; None: the evidence alone decides.
-        seed: Seed of the bootstraps.
     """
     gains: dict[int, Gain] = {}
     gates: tuple[GateResult, ...] = ()

@@ -41,7 +41,6 @@ def is_prior_too_dear(
 
     Args:
         simulations: Simulations made so far.
-        settings: Effort of the search.
         most_scanned: Number of effects that are scanned together, at most; 0: none are. With
             them it is what is for scans and slopes, and fits from there.
     """
@@ -70,8 +69,6 @@ def center_at_prior(
 
     Args:
         simulations: Simulations made so far.
-        settings: Effort of the search.
-        num_families: Families of effects, for the evidence.
 
     Returns:
         The center, None where it cannot be simulated, and the simulations with the work it took.

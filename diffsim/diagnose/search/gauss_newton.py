@@ -277,7 +277,6 @@ def unfitted_shapes(problem: Problem, x: Array) -> NDArray[np.bool_]:
     """Which coordinates are shapes of a problem's effects at their values beforehand.
 
     Args:
-        problem: Problem of a set.
         x: Standardized coordinates, (n,).
 
     Returns:

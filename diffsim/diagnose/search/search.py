@@ -314,7 +314,6 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
     as long as one more budget of a fit lasts.
 
     Args:
-        search: Search that has fitted all of them.
         whole: Set whose parts they are; one that ended far above what slopes promise at the whole's
             end is fitted once more from there.
     """
@@ -453,8 +452,6 @@ def _refit_promising(
 
     Args:
         search: Sets that were weighed so far.
-        center: The best set.
-        ranked: Its neighbors, best first.
         until: Weighted steps after which the rest keeps its linear evidence. Where no refit so far
             stayed near the data sheet, linear evidence was no guide, and a few more are made.
     """

@@ -155,8 +155,6 @@ def plant_of(
     study names causes.
 
     Args:
-        kind: Kind of system.
-        samples: What the samples of a run are.
         pumps, pressures: Names of the commands.
         asked: Whether the study names the causes that are judged.
         narrowest: Width of the narrowest channel [m]; None: no channel has a width.

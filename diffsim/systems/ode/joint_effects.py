@@ -146,8 +146,6 @@ def coupling_in_words(inertia: float, name: str, size: float, values: Mapping[st
 
     Args:
         inertia: Inertia of both sides.
-        name: Name of the effect.
-        size: Its compliance.
         values: Base parameters by name.
     """
     part = 1.0 / (1.0 + math.exp(-values.get(f"{SHARE}_of_{name}", 0.0)))
@@ -270,7 +268,6 @@ def away_from_center(network: Network, pose: tuple[Channel, Channel, Channel], n
     Args:
         network: Formulas of the system.
         pose: Channels of x, y and heading.
-        name: Name of the effect.
     """
     x, y, turn = (channel.name for channel in pose)
     ahead, aside = f"{symbol(name)} ahead", f"{symbol(name)} aside"

@@ -102,7 +102,6 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
     """How a force at a place enters the formulas.
 
     Args:
-        place: Where it acts.
         scale: Usual magnitudes there.
         row: Cause with ``at: force``, of the effect's name.
     """

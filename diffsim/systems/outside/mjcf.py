@@ -178,7 +178,6 @@ class Mjcf:
         """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``).
 
         Args:
-            run: Run that is simulated.
             force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
         _, asked = self._take_own({}, force)
@@ -530,9 +529,7 @@ def _alike(job: _Job, is_read: Mask, *, alone: bool) -> Iterator[tuple[int, int]
     """First and end of steps of one length under one command, after which a sample may be read.
 
     Args:
-        job: What is stepped.
         is_read: Whether sensors are read at each step, (num_steps,).
-        alone: Each step by itself.
     """
     ends = np.full(len(is_read), alone)
     ends |= is_read

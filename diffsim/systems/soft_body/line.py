@@ -102,7 +102,6 @@ def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None)
     """Whether two scenes are equal in all that forces read from them.
 
     Args:
-        a, b: Scenes of one body.
         reads: Names of the physical parameters that the forces read; None: all.
     """
     values = [

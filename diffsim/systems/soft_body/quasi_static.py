@@ -122,7 +122,6 @@ def posed(scene: SoftScene, commands: Tensor | None, kept: Memo[Tensor]) -> Pose
     """The scene as a sequence of equilibria.
 
     Args:
-        scene: Scene of a run.
         commands: Values of the only command at which poses are computed; None: at every sample.
         kept: Where poses are kept, shared by all scenes of a body.
     """
