@@ -157,7 +157,6 @@ def on_commands(
     Args:
         row: Cause with ``at: command``.
         scales: Numbers that its formula may use.
-        between: What the commands do between samples.
     """
     mapper = SignalMapper.of(row, scales or {}, between, system)
     return partial(_change_commands, names=tuple(names), mapper=mapper)

@@ -99,7 +99,6 @@ def write_judged(out: Path, study: Study, found: Unseen) -> list[Path]:
     """One CSV file per judged run: time, and each channel as measured, before and after.
 
     Args:
-        out: Folder of the results.
         found: Answer about them.
 
     Returns:

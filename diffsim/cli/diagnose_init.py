@@ -65,7 +65,6 @@ def init(
         system: Kind of system, one of ``known_systems()``; None: ``outside`` where an MJCF lies in
             the folder, else ``ode``.
         parts: Tables of files that hold several, the record first; empty: as they look.
-        force: Replace a file that is there.
 
     Returns:
         The file written.

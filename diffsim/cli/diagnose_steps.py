@@ -222,7 +222,7 @@ def _blame_record(study: Study, faults: Sequence[Problem], out: Path) -> None:
         "verdict": RECORD,
         "headline": headline,
         "sentences": sentences,
-        "faults": [asdict(fault) for fault in faults],
+        "faults": faults,
     }
     path = write_json_atomic(out / REPORT_FILE, content)
     print(headline)

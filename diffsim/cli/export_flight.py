@@ -150,7 +150,6 @@ def list_carried(answer: Answer, program: str) -> list[CarriedCause]:
     """Each named cause, the constants that carry it, and what it is worth.
 
     Args:
-        answer: The saved model.
         program: Name of the program in the study's `export`.
     """
     formulas = answer.study.export.get(program, {})

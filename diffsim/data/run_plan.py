@@ -59,7 +59,6 @@ def cases_of(
     Args:
         entry: Entry of ``runs:``, with defaults.
         where: What messages call it, such as "runs[2]".
-        table: Reads a CSV file.
         given: Files that the caller named, and not the study: they may lie anywhere.
 
     Returns:

@@ -50,7 +50,6 @@ def predicted_runs(
         study: Recorded runs with their channels.
         null: Fit without effects.
         extended: Fit with effects; None where nothing was named.
-        bands: Half of the width of the band by run.
     """
     return [
         _predicted_run(run, null, extended, bands.get(run.name))

@@ -63,7 +63,6 @@ def evidence(
     Args:
         found: What the group says of the sizes of one set, for each draw of the scatter.
         effects: Causes of the set, in the same order.
-        known: Scaled sizes that are known, by name of the cause.
     """
     at = [k for k, e in enumerate(effects) if e.name in known]
     if not at:

@@ -145,7 +145,6 @@ def learn(
     Args:
         problem: Model, all runs, noise and effects.
         groups: All groups; those that do not teach are left out.
-        seed: Of the draws of spreads.
         state: Fact of the runs that says which state of the rig they share; None: none.
 
     Raises:

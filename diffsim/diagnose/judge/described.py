@@ -32,7 +32,6 @@ def require_same_kind(saved: SavedModel, study: Study) -> None:
 
     Args:
         saved: Model that was fitted; files of before say less of their study.
-        study: Study of new runs.
 
     Raises:
         ValueError: it is one; the message says which study it was fitted to.

@@ -388,7 +388,6 @@ def doubts_of_unseen(gain: Gain | None, errors: Sequence[ErrorRow]) -> Iterator[
 
     Args:
         gain: Gain on test runs; None without such runs, or where one could not be simulated.
-        errors: Errors on runs that were not fitted.
     """
     if gain is not None and (why := why_unconfirmed(gain)):
         yield f"{why} on test runs"

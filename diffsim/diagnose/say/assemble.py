@@ -330,7 +330,6 @@ def taken_back(frozen: Report, gained: Gain | None, errors: Sequence[ErrorRow]) 
     Args:
         frozen: Report before they were looked at.
         gained: Gain on test runs; None without such runs or without a cause.
-        errors: Errors on runs that were not fitted.
     """
     if frozen.verdict == "none":
         off = [(row.run, row.after / row.noise) for row in errors if row.noise > 0.0]

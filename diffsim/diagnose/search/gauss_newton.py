@@ -166,7 +166,6 @@ def has_exact_slopes(at: Linearization, misfit: float) -> bool:
     """Whether the error of slopes is below tolerance, relative and for a misfit.
 
     Args:
-        at: Where a fit ended.
         misfit: chi2 above what noise alone leaves.
     """
     return at.slope_error < SLOPE_RTOL and at.slope_error * np.sqrt(misfit) < SLOPE_ATOL

@@ -33,9 +33,7 @@ def course_at(wide: Problem, own: Sequence[int], center: Linearization, locator:
     """What any course in time would gain at a center.
 
     Args:
-        wide: Problem with all candidate effects.
         own: Wide coordinates of base parameters and of the set at the center.
-        center: Linearization there, with all slopes.
         locator: How the effect finds where it lies.
     """
     residual = wide.residual_of(center.record)
@@ -66,7 +64,6 @@ def scan_located(
 
     Args:
         own: Wide coordinates of base parameters and of the set at the center.
-        center: Linearization there, with all slopes.
         course: What any course in time would gain at the center.
     """
     assert effect.locate is not None

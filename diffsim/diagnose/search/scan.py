@@ -111,7 +111,6 @@ def run_for_scans(
     A scan finds where fits start, and these have all runs.
 
     Args:
-        wide: Problem with all candidate effects.
         tried: Groups of effects whose sizes are tried; those that are located have none.
         most: Sizes, and weighted steps that they may take.
     """
@@ -143,7 +142,6 @@ def scan(
 
     Args:
         own: Wide coordinates of base parameters and of the set at the center.
-        center: Linearization there, with all slopes.
         group: Indices of the effects whose sizes are tried, ascending.
         run: Index of the run that they are tried in; None, or none that they move: all.
     """
@@ -308,7 +306,6 @@ def records_for(narrow: Problem, points: Array, here: Array) -> Array:
     gain or offset is small, and a scan only finds where fits start.
 
     Args:
-        narrow: Problem of the coordinates that are moved.
         points: Standardized coordinates, (K, n).
         here: Record at the center, (N,).
     """

@@ -77,7 +77,6 @@ def begin_from(search: Search, members: Members, x: Array) -> Search:
 
     Args:
         search: The plain model weighed.
-        members: Effects of the set, by index.
         x: Its end there, standardized coordinates of its own problem, (n,).
     """
     made, names = search.simulations, (search.wide.effects[i].name for i in sorted(members))
@@ -133,7 +132,6 @@ def with_numerics(search: Search, members: Members, *, is_late: bool = False) ->
 
     Args:
         search: Sets that were weighed so far.
-        members: Effects of the set, by index.
         is_late: Nobody will search with finer settings.
     """
     case = search.null.case
@@ -191,8 +189,6 @@ def refit(
     """Fit a set and weigh it there, once; recorded under ``failed`` where it cannot be simulated.
 
     Args:
-        search: Sets that were weighed so far.
-        members: Effects of the set, by index.
         near: Center to start from; the plain model if None, or if it cannot be simulated from
             there.
         begin: Finds where a fit begins, from a start of its own.
@@ -289,7 +285,6 @@ def _fitted_along_weak(
 
     Args:
         made: Simulations made so far, the set's fit among them.
-        members: Effects of the set, by index.
         until: Count of weighted steps after which no further step is tried.
     """
     tally = made.wide.model.simulations

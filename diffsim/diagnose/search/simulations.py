@@ -216,7 +216,6 @@ class Simulations:
         """A set's linearization beside some unknown cause, no further away in any coordinate.
 
         Args:
-            members: Effects of the set, by index.
             x: Point in the coordinates of ``narrow``, (n,).
             step: Largest distance [prior sd].
         """
@@ -298,7 +297,6 @@ class Simulations:
         """A center with the scans of effects with kinks, and of pairs that mask each other.
 
         Args:
-            center: A fitted set.
             settings: Largest number of effects in one set, of sizes and of weighted steps.
         """
         made, found = self, {}
@@ -338,7 +336,6 @@ class Simulations:
         """Sizes of a group at a center, from this process or an earlier one.
 
         Args:
-            center: A fitted set.
             group: Indices of effects that are tried together.
             courses: Courses at this center that are known, which grow.
             run: Index of the run that sizes are tried in; None: all.

@@ -54,7 +54,6 @@ def between_samples(name: str, own: str, *, held: bool) -> Apply:
     It comes after all that changes the input on its way, which it is a copy of.
 
     Args:
-        own: Name of the effect.
         held: Whether it is held, in place of going straight.
     """
     other = f"{name} {'held' if held else 'straight'}"

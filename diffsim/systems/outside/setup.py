@@ -169,7 +169,6 @@ def outside_plant(
     """What a simulator from outside tells of itself.
 
     Args:
-        study: Recorded runs.
         numbers: Names of the parameters that causes may change.
         places: Places where the simulator adds forces.
         command_groups: Commands of each group that goes one way; None: all commands as one group.

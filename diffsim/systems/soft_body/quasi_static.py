@@ -91,7 +91,6 @@ def pose_commands(fitted: Sequence[float], now: Sequence[float], num_poses: int)
     Args:
         fitted: Least and greatest value among the runs that were fitted.
         now: Least and greatest value that is wanted.
-        num_poses: Poses within what was fitted.
 
     Returns:
         (num_poses + added,) values; None where the command is always the same.

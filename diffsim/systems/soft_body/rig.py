@@ -40,7 +40,6 @@ class BodyRig:
     """The body, who holds it, what it carries and who watches it, on one mesh.
 
     Args:
-        folder: Folder that files are relative to.
         channels: Names of the channels, in the order of the study.
         coarser: Factor on the length of the cells.
         dt_s, rtol: Time step [s] and relative tolerance of its solution.
