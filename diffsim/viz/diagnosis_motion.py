@@ -13,10 +13,9 @@ from diffsim.identify import Fit, MovingShape
 from diffsim.viz.charts import EXTENDED, NULL
 from diffsim.viz.diagnosis_series import PredictedRun
 from diffsim.viz.figures import INK
-from diffsim.viz.moving import MAX_TRIANGLES, Deforming, Moving, MovingChoice
+from diffsim.viz.moving import FRAME_RATE, MAX_TRIANGLES, Deforming, Moving, MovingChoice
 
 MAX_RUNS = 12  # in the menu
-FRAME_RATE = 25.0  # [Hz]
 _THROUGH = 0.45  # opacity of the model before, which the others show through
 _MEASURED, _BEFORE, _AFTER = "measured", "model before", "extended model"
 _COLORS = {_MEASURED: INK, _BEFORE: NULL, _AFTER: EXTENDED}
