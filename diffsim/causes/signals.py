@@ -341,9 +341,6 @@ def accelerated(
         cruise: Way above which a step is done at the greatest speed for a while, () or (K,) [unit];
             None: no speed is too great.
         held: Whether the signal is held over each step.
-
-    Returns:
-        Where it is at each time.
     """
     if _is_alone(grid):
         return _alone(u, slowness)

@@ -66,9 +66,6 @@ def init(
             the folder, else ``ode``.
         parts: Tables of files that hold several, the record first; empty: as they look.
 
-    Returns:
-        The file written.
-
     Raises:
         FileExistsError: the file is there, and ``force`` is not given.
         ValueError: nothing in the folder looks like a recording, or no such kind of system.

@@ -51,9 +51,6 @@ def require_text(names: Iterable[str], *values: NDArray[Any]) -> list[str]:
     Args:
         names: Of columns or parts.
         values: Columns; those of text are looked through.
-
-    Returns:
-        The names.
     """
     names = list(names)
     texts = [np.asarray(column) for column in (names, *values)]

@@ -230,7 +230,7 @@ def refit(
         if not _disappoints(search, best[0], promised):
             break
     if best is None:
-        return replace(search, failed={**search.failed, key: message})
+        return search.with_failed(key, message)
     made = search.simulations.kept(members, best[1])
     return replace(search, simulations=made).with_fit(members, best[0])
 
@@ -330,9 +330,8 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
             if near is not None and falls_short:
                 start = made.start(members, near.at, promised.x, anew=True)
             better, at = made.fitted_from(members, start, search.best_cost(), most=most)
-        except DiffsimError as error:  # that end cannot be moved: what it is must be said
-            failed = {**search.failed, Hypothesis(members): str(error)}
-            search = replace(search, failed=failed)
+        except DiffsimError as error:  # that end cannot be moved
+            search = search.with_failed(Hypothesis(members), str(error))
             continue
         if better.chi2 + better.prior <= fit.chi2 + fit.prior:
             search = replace(search, simulations=made.kept(members, at)).with_fit(members, better)
@@ -374,12 +373,10 @@ def repaired(search: Search) -> Search:
             start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
             most = min(search.null.case.settings.plain_steps, search.ends - search.steps)
             fit, at = made.fitted_from(members, start, search.best_cost(), most=most)
-        except DiffsimError as error:  # that end cannot be moved: what it is must be said
-            failed = {**search.failed, Hypothesis(members): str(error)}
-            search = replace(search, failed=failed)
+        except DiffsimError as error:  # that end cannot be moved
+            search = search.with_failed(Hypothesis(members), str(error))
             continue
-        made = made.kept(members, at)
-        search = replace(search, simulations=made).with_fit(members, fit)
+        search = replace(search, simulations=made.kept(members, at)).with_fit(members, fit)
     return search
 
 
