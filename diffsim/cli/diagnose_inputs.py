@@ -139,8 +139,6 @@ def inputs_of(
     """The setup of a study with the user's choices.
 
     Args:
-        study: Study as it was read.
-        seed: Seed of the bootstrap.
         setup_file: Python file with the user's own ``setup(study)``; None: that of the study.
         only: Names of the effects to keep; empty: all.
         without: Names of the effects to leave out.
@@ -174,10 +172,6 @@ def inputs_of(
 def _fewer_runs(study: Study, setup: DiagnosisSetup, effects: Sequence[Effect]) -> Study | None:
     """The study of a first answer, where many short runs would cost most of it: some of them, from
     all kinds alike and with their repeats, are fitted. None: all can be.
-
-    Args:
-        study: Study as it was read.
-        effects: Those of it that are asked for.
     """
     used = setup.study or study
     runs, noise = used.fit_runs, WhiteNoise([replace(c, sd=c.sd or 1.0) for c in used.channels])
@@ -249,8 +243,6 @@ def _with_bank(setup: DiagnosisSetup, study: Study, recorded: Collection[str]) -
     """The setup with runs that could be recorded; each gets parameters of its own if runs do.
 
     Args:
-        setup: Setup of the study.
-        study: Study as the setup cuts it.
         recorded: Names of its runs; others are what the setup adds, such as clicked points.
     """
     runs = tuple(run for run in study.runs if run.name in recorded)

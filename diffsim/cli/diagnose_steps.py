@@ -222,7 +222,7 @@ def _blame_record(study: Study, faults: Sequence[Problem], out: Path) -> None:
         "verdict": RECORD,
         "headline": headline,
         "sentences": sentences,
-        "faults": [asdict(fault) for fault in faults],
+        "faults": faults,
     }
     path = write_json_atomic(out / REPORT_FILE, content)
     print(headline)
@@ -367,9 +367,10 @@ def _judge(args: argparse.Namespace) -> None:
         print(f"wrote {path}")
 
     def page() -> Path:
-        from diffsim.viz.judged_report import write_judgment
+        from diffsim.viz.judged_report import judgment_page
+        from diffsim.viz.report import write
 
-        return write_judgment(found, inputs.study, saved, out / JUDGE_PAGE)
+        return write(judgment_page(found, inputs.study, saved), out / JUDGE_PAGE)
 
     (out / JUDGE_PAGE).unlink(missing_ok=True)  # of other runs: not to pass for this answer's
     is_drawn(page)
@@ -426,9 +427,10 @@ def _judge_groups(study: Study, out: Path, **which: Any) -> None:
     report = judged(study, out, **which)
 
     def page() -> Path:
-        from diffsim.viz.faults_report import write_faults
+        from diffsim.viz.faults_report import faults_page
+        from diffsim.viz.report import write
 
-        return write_faults(report, out / FAULTS_PAGE)
+        return write(faults_page(report), out / FAULTS_PAGE)
 
     is_drawn(page)
 

@@ -58,11 +58,12 @@ def worth(args: argparse.Namespace) -> None:
     print(f"wrote {write_json_atomic(out / WORTH_FILE, rows)}")
 
     def page() -> Path:
-        from diffsim.viz.worth_page import write_worth  # viz by entry points only
+        from diffsim.viz.report import write  # viz by entry points only
+        from diffsim.viz.worth_page import worth_page
 
         facts = [("model", str(twin.saved.path)), ("task", str(args.task))]
         facts.append(("verdict of the diagnosis", twin.saved.verdict or "unknown"))
-        return write_worth(found, twin.study.name, facts, out / WORTH_PAGE)
+        return write(worth_page(found, twin.study.name, facts), out / WORTH_PAGE)
 
     is_drawn(page)
 

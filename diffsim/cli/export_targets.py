@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -82,9 +82,6 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
 
     Args:
         target: One of "mujoco", "bam", "urdf", "yaml".
-        study: The study with all of its formulas.
-        saved: Its answer.
-        out: Folder to write to.
 
     Raises:
         ValueError: the target needs what the study does not state.
@@ -116,8 +113,8 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
         print(line)
     content = {
         "target": target,
-        "causes": [asdict(c) for c in carried],
-        "flights": flights if isinstance(flights, str) else [asdict(f) for f in flights],
+        "causes": carried,
+        "flights": flights,
     }
     print(f"wrote {write_json_atomic(out / CARRIED_FILE, content)}")
 
@@ -188,8 +185,6 @@ def restate_mjcf(
     """Write the MJCF that moves as the answer does, or what a URDF has of it.
 
     Args:
-        answer: The saved model.
-        out: Folder to write to.
         target: "mujoco" or "urdf".
 
     Returns:

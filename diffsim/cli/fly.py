@@ -163,9 +163,10 @@ def _save(
     except ImportError as error:
         print(f"no picture or scene: {error}", file=sys.stderr)
     try:
-        from diffsim.viz.flight_page import write_flight_page
+        from diffsim.viz.flight_page import flight_page
+        from diffsim.viz.report import write
 
-        write_flight_page(out / "flight.html", log, design, payload=payload)
+        write(flight_page(log, design, payload=payload), out / "flight.html")
         written.append("flight.html")
     except ImportError as error:
         print(f"no page: {error}", file=sys.stderr)

@@ -9,6 +9,7 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -152,7 +153,7 @@ def to_plain(value: Any, *, keep_nan: bool = False) -> Any:
     """The same value in types that JSON has; NaN and infinity become None (JSON has neither).
 
     Args:
-        value: Mappings, lists, arrays, numbers, text and paths.
+        value: Mappings, lists, arrays, numbers, text, paths and dataclasses of these.
         keep_nan: Whether NaN and infinity stay, for YAML.
     """
     if isinstance(value, dict):
@@ -171,6 +172,8 @@ def to_plain(value: Any, *, keep_nan: bool = False) -> Any:
         return value
     if isinstance(value, Path):
         return str(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return to_plain({f.name: getattr(value, f.name) for f in fields(value)}, keep_nan=keep_nan)
     raise TypeError(
         f"cannot write {type(value).__name__} to JSON; convert it to numbers, lists or dicts first"
     )

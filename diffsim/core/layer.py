@@ -141,11 +141,7 @@ def may_be_differentiated() -> bool:
 
 
 def is_kernel_alone(tensors: Sequence[Tensor]) -> bool:
-    """Whether a kernel may be called past PyTorch: nothing of PyTorch has to see that it is called.
-
-    Args:
-        tensors: All that the kernel reads.
-    """
+    """Whether a kernel may be called past PyTorch: nothing of it has to see that call."""
     if torch.compiler.is_compiling() or torch_names.is_watched() or not _are_plain(tensors):
         return False
     return not is_followed(tensors)
@@ -234,7 +230,6 @@ def also_item_by_item(one: Callable[..., Any], args: tuple[Any, ...]) -> Any:
 
 
 def _item(value: Any, dim: Any, k: int) -> Any:
-    """Item k of an argument."""
     if dim is None or not isinstance(value, Tensor):  # lists of numbers have a dim for each
         return value
     return value.select(dim, k).contiguous()

@@ -20,7 +20,7 @@ WIDTH = 5  # samples whose median is compared with: what lasts longer than two i
 JUMP_SD = 6.0  # robust sd of what others are off by, and usual changes from sample to sample
 LEAST = 0.02  # of the command's range
 ALONE = 6.0  # times the changes on either side of a lasting jump
-MAX_JUMP_SHARE = 0.03  # share of the samples; more are how the command is
+MAX_JUMP_SHARE = 0.03  # of the samples: so many the diagnosis leaves out; more are how it is
 
 
 class Jumps(NamedTuple):

@@ -11,7 +11,6 @@ from diffsim.core.schema import KindWords, Part
 
 
 def _read_families(given: Any) -> Any:
-    """A name is a family of one."""
     listed = given if isinstance(given, (list, tuple)) else [given]
     return tuple((v,) if isinstance(v, str) else v for v in listed)
 

@@ -116,7 +116,6 @@ def find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
     """Tables of a folder and of the folders in it, by name; of a dataset of LeRobot its own.
 
     Args:
-        folder: Folder of the files.
         said: Sentences on what could not be read; more are added.
     """
     files = lerobot.tables_of(folder) or files_below(folder)
@@ -142,11 +141,7 @@ def _is_text(path: Path) -> bool:
 
 
 def files_below(folder: Path, depth: int = DEEPEST) -> Iterator[Path]:
-    """Files of a folder and of those in it, so many deep; hidden folders and links are passed by.
-
-    Args:
-        folder: Folder that is looked into.
-    """
+    """Files of a folder and of those in it, so many deep; no hidden folders, no links."""
     for path in folder.iterdir():
         if path.is_file():
             yield path

@@ -256,11 +256,7 @@ class _Answer:
         return self.frozen.verdict == "unknown" or self.frozen.left > BELOW_NOISE
 
     def nats_with(self, laws: AbstractSet[str]) -> tuple[float, float]:
-        """Evidence of the best set without a law, and with one.
-
-        Args:
-            laws: Names of the laws.
-        """
+        """Evidence of the best set without a law, and with one."""
         effects, most = self.search.wide.effects, [-np.inf, -np.inf]
         for members in self.search.fits:
             has_law = any(effects[i].name in laws for i in members)
@@ -289,7 +285,6 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
     """What laws may cost: a budget of their own, or what causes of the library have left of theirs.
 
     Args:
-        answer: Without laws.
         begun: Weighted steps that were simulated before it.
     """
     spent, settings = answer.search.steps - begun, answer.search.settings
@@ -361,9 +356,6 @@ def _with_laws(
 def _newly_named(first: _Answer, again: _Answer | None, found: FoundLaws) -> list[Fit]:
     """The causes that a search names beside laws, fitted without these; empty where there are none,
     or laws were looked for beside them before. While they were missing they have bent the laws.
-
-    Args:
-        again: The search with laws among its causes.
     """
     if again is None or again.frozen.verdict not in NAMES:
         return []
@@ -387,11 +379,6 @@ def _doubted_beside(answer: _Answer, nats: float, of_law: float) -> _Answer:
 
     A law pays for the choice among all that was tried: one that says the same as a cause of the
     library is behind it.
-
-    Args:
-        answer: Without laws.
-        nats: Evidence of the best set of causes.
-        of_law: Evidence of the best law.
     """
     is_clear = nats - of_law >= ALONE_NATS
     return answer if is_clear else replace(answer, frozen=doubted(answer.frozen, AS_GOOD))
@@ -424,10 +411,6 @@ def _may_take_over(again: Report, before: Report, laws: AbstractSet[str]) -> boo
 def _names_near_best(answer: _Answer, targets: AbstractSet[str] = frozenset()) -> set[str]:
     """Names of the causes of sets that are about as good as the best one, and of all causes where
     laws enter: beside a law elsewhere one of these may do what a law was found for.
-
-    Args:
-        answer: Without laws.
-        targets: What laws act on.
     """
     search = answer.search
     nats = {members: search.nats(Hypothesis(members)) for members in search.fits}
@@ -447,7 +430,6 @@ def _answer(
     """Search among causes, and judge; no test run is looked at.
 
     Args:
-        asked: What the diagnosis is asked for.
         model, effects, unknowns: As of ``diagnose``.
         first: Sets and their coordinates, at which the search begins; none: at the plain model.
     """

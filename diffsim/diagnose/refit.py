@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -151,7 +151,7 @@ class Extension:
     def save(self, folder: Path) -> Path:
         """Write extended_model.yaml and extend.json; the path of the first."""
         content = {
-            "gain": None if self.gain is None else asdict(self.gain),
+            "gain": self.gain,
             "chi2_null": self.null.chi2,
             "chi2_extended": self.fit.chi2,
             "null": fit_to_dict(self.null),
@@ -177,10 +177,6 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     It begins where the diagnosis ended, under the noise and the numerical settings of that, and
     does not end above it. The priors are those of the setup, not the saved posterior: the same runs
     must not count twice.
-
-    Args:
-        inputs: Study and setup.
-        saved: Content of the model's file.
 
     Raises:
         ValueError: the setup does not have an effect of the saved model.
@@ -357,7 +353,6 @@ def advise(
     """Refit each set and take the run of the setup's bank on which they differ most.
 
     Args:
-        sets: Names of the effects of every set.
         numerics: Refined numerical settings of the report; None: the model's own.
 
     Raises:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,10 +24,8 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.memo import Memo, memo_field
+from diffsim.data.study import Run
 from diffsim.identify.numerics import Numerics
-
-if TYPE_CHECKING:
-    from diffsim.data.study import Run
 
 
 @dataclass(frozen=True, eq=False)

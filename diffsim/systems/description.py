@@ -8,7 +8,7 @@ a key means is said once, in the field's description: the reference of all keys 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -163,13 +163,33 @@ def missing_commands(
 
     Args:
         wanted: Keys that name a command each, and that; None: the key names none.
-        runs: Recorded runs.
     """
     for key, name in wanted:
         run = next((r for r in runs if name is not None and name not in r.command), None)
         if run is not None:
             said = f"run {run.name} has no command {name!r}{did_you_mean(str(name), run.command)}"
             yield Problem("error", key, said)
+
+
+def undescribed_channels(
+    study: Study, stated: Iterable[str], is_shown: Callable[[str], bool], known: Iterable[str]
+) -> Iterator[Problem]:
+    """Channels that no marker shows, and keys of ``channels`` that the study lacks.
+
+    Args:
+        is_shown: Whether a description says what a channel of a name shows.
+        known: Names that a misspelled channel may have meant.
+    """
+    names, known = [c.name for c in study.channels], list(known)
+    for name in names:
+        if not is_shown(name):
+            said = (
+                f"is not described{did_you_mean(name, known)}; say which marker and axis it shows"
+            )
+            yield Problem("error", f"model.channels.{name}", said)
+    for name in stated:
+        if name not in names:
+            yield Problem("error", f"model.channels.{name}", "the study has no such channel")
 
 
 def mismatched_channels(
@@ -194,7 +214,6 @@ def known(value: float, unit: str) -> Quantity:
     """A number that is known exactly, as the default of a key.
 
     Args:
-        value: The number, in the unit.
         unit: SI unit, "-" if none.
     """
     return Quantity(value=value, unit=unit)
@@ -458,9 +477,7 @@ def chosen_effects(
     """Effects of a library as a description chooses them, and those that it adds by rows.
 
     Args:
-        library: All effects of the system.
         choice: The description's ``effects``.
-        study: Study with the recordings, of which rows are.
         plant: What the system offers to rows of a user; None: nothing.
 
     Raises:

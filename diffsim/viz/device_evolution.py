@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
 from diffsim.stokes.devices.device import Device, quiet
 from diffsim.stokes.devices.optimum import Optimum
-from diffsim.viz.figures import INK, new_figure
+from diffsim.viz.figures import INK, new_figure, save
 from diffsim.viz.flow import SPEED
 
 
@@ -98,6 +96,4 @@ def draw_shapes(device: Device, optimum: Optimum, path: str | Path, count: int =
         handles=handles, title="evaluation: loss", loc="outside right center", frameon=False,
         fontsize=8.5, title_fontsize=9,
     )  # fmt: skip
-    content = BytesIO()
-    figure.savefig(content, dpi=110, format="png")
-    return write_bytes_atomic(path, content.getvalue())
+    return save(figure, path, dpi=110)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
 from diffsim.stokes.devices.device import Device, quiet
 from diffsim.stokes.devices.optimum import Optimum
 from diffsim.stokes.field import FlowField
+from diffsim.viz.figures import save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,10 +58,9 @@ def draw(device: Device, optimum: Optimum, path: str | Path) -> Path:
         axes[row, 0].set_ylabel(f"{name}\nloss {loss:.2g}", fontsize=10, color=_INK)
     _color_bar(left, image, axes, device)
     _history(right.subplots(), device, optimum)
-    content = BytesIO()
-    figure.savefig(content, dpi=110, format="png")
+    written = save(figure, path, dpi=110)
     plt.close(figure)
-    return write_bytes_atomic(path, content.getvalue())
+    return written
 
 
 def _flows(device: Device, x: Tensor) -> list[FlowField]:

@@ -13,22 +13,16 @@ from diffsim.identify import Fit, MovingShape
 from diffsim.viz.charts import EXTENDED, NULL
 from diffsim.viz.diagnosis_series import PredictedRun
 from diffsim.viz.figures import INK
-from diffsim.viz.moving import MAX_TRIANGLES, Deforming, Moving, MovingChoice
+from diffsim.viz.moving import FRAME_RATE, MAX_TRIANGLES, Deforming, Moving, MovingChoice
 
 MAX_RUNS = 12  # in the menu
-FRAME_RATE = 25.0  # [Hz]
 _THROUGH = 0.45  # opacity of the model before, which the others show through
 _MEASURED, _BEFORE, _AFTER = "measured", "model before", "extended model"
 _COLORS = {_MEASURED: INK, _BEFORE: NULL, _AFTER: EXTENDED}
 
 
 def moving_runs(report: Report, runs: Sequence[PredictedRun]) -> MovingChoice | None:
-    """Bodies or vehicles of runs, the models on top of each other; None where nothing is to see.
-
-    Args:
-        report: The diagnosis, with its fits.
-        runs: Runs with their predictions.
-    """
+    """Bodies or vehicles of runs, the models on top of each other; None where nothing is to see."""
     views = {}
     for run in runs[:MAX_RUNS]:
         shapes = _shapes(report, run)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from diffsim.data.study import Run
+from diffsim.diagnose.say.report import Report
 from diffsim.viz.diagnosis_series import predicted
 from diffsim.viz.figures import COLORS, INK
 from diffsim.viz.scene import rgb, write_recording
-
-if TYPE_CHECKING:
-    from diffsim.data.study import Run
-    from diffsim.diagnose.say.report import Report
 
 _CLOCK = "time"
 

@@ -19,19 +19,6 @@ MOST_SETS = 4  # explanations of a group that the page lists
 MOST_VISIBLE = 6  # causes whose smallest visible size it lists
 
 
-def write_faults(report: FaultReport, path: str | Path) -> Path:
-    """Write the page, one static HTML file.
-
-    Args:
-        report: Verdicts on groups.
-        path: File to write.
-
-    Returns:
-        ``path``.
-    """
-    return page.write(faults_page(report), path)
-
-
 def faults_page(report: FaultReport) -> page.Report:
     """The page: a row for each group, sizes of named faults, explanations, scatter."""
     named = [v for v in report.verdicts if v.causes]

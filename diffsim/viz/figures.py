@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import base64
 import io
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
 
 if TYPE_CHECKING:
@@ -68,6 +70,18 @@ def uri_of(content: bytes, kind: str) -> str:
         kind: Its kind: "png", "svg+xml".
     """
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def save(figure: Figure, path: str | Path, *, dpi: int = 160) -> Path:
+    """Write a figure (.png, .svg or .pdf); the file appears whole or not at all."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".png", ".svg", ".pdf"):
+        raise ValueError(f"path must end in .png, .svg or .pdf, got {path.name!r}")
+    buffer = io.BytesIO()
+    face = "none" if suffix == ".svg" else "white"
+    figure.savefig(buffer, format=suffix[1:], dpi=dpi, facecolor=face)
+    return write_bytes_atomic(path, buffer.getvalue())
 
 
 def style(ax: Axes) -> None:

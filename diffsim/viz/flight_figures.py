@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from diffsim.copter.simulator import FlightLog
-from diffsim.core.files import write_bytes_atomic
-from diffsim.viz.figures import COLORS, CYCLE, INK, SOFT, new_figure
+from diffsim.viz.figures import COLORS, CYCLE, INK, SOFT, new_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,6 +57,4 @@ def _motor_panel(ax: Axes, title: str, log: FlightLog) -> None:
 
 def save_png(figure: Figure, path: str | Path) -> Path:
     """Write a figure as PNG on white, atomically."""
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=120, facecolor="white")
-    return write_bytes_atomic(path, content.getvalue())
+    return save(figure, path, dpi=120)

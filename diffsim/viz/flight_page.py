@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,35 +15,15 @@ from diffsim.core.arrays import Array
 from diffsim.viz import charts
 from diffsim.viz import report as page
 from diffsim.viz.figures import COLORS, CYCLE
-from diffsim.viz.flight_shapes import FlightShapes, shapes_of
-from diffsim.viz.moving import Line, Moving, Rigid
+from diffsim.viz.flight_shapes import SLOWER, UP, FlightShapes, shapes_of
+from diffsim.viz.moving import FRAME_RATE, Line, Moving, Rigid
 
 if TYPE_CHECKING:
     import trimesh
 
 
-FRAME_RATE = 25.0  # [Hz]
-_UP = np.diag([1.0, -1.0, -1.0])  # north-west-up from north-east-down
-_SLOWER = 20.0  # propellers turn that much slower than they do, as in the scene for rerun
 _SAMPLES = 1000  # of a curve, at most: pages stay below 3 MB
 _FEW = 300  # triangles; a part of more is drawn as its convex hull
-
-
-def write_flight_page(
-    path: str | Path, log: FlightLog, design: Design | FlyingVehicle, *, payload: float = 0.0
-) -> Path:
-    """Write the page, one HTML file without requests to other machines.
-
-    Args:
-        path: File to write.
-        log: Record of the flight.
-        design: Vehicle that flew.
-        payload: Carried below the center of mass [kg].
-
-    Raises:
-        ImportError: plotly or jinja2 is not installed.
-    """
-    return page.write(flight_page(log, design, payload=payload), path)
 
 
 def flight_page(
@@ -92,8 +71,8 @@ def moving_vehicle(log: FlightLog, design: Design | FlyingVehicle) -> Moving:
     kept = np.arange(0, len(time), max(1, round(1.0 / FRAME_RATE / period)))
     position = log.series("position")[kept]
     quaternion = log.series("quaternion")[kept]
-    body = _UP @ Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
-    places = position @ _UP
+    body = UP @ Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
+    places = position @ UP
     angles = _angles(log, shapes)[kept]
     return Moving(
         time_s=time[kept],
@@ -102,7 +81,7 @@ def moving_vehicle(log: FlightLog, design: Design | FlyingVehicle) -> Moving:
             Line(name="path", color=COLORS["fitted"], points_m=places),
         ],
         caption="Drag to turn, wheel to zoom, Shift and drag to move, double click to begin anew. "
-        f"Propellers turn {_SLOWER:g} times slower than they do.",
+        f"Propellers turn {SLOWER:g} times slower than they do.",
     )
 
 
@@ -116,7 +95,7 @@ def _angles(log: FlightLog, shapes: FlightShapes) -> Array:
         ]
     )
     turned = np.cumsum(speeds * np.gradient(time)[:, None] if len(time) > 1 else speeds, axis=0)
-    return -shapes.vehicle.spins.numpy() * turned / _SLOWER
+    return -shapes.vehicle.spins.numpy() * turned / SLOWER
 
 
 def _parts(shapes: FlightShapes, body: Array, places: Array, angles: Array) -> list[Rigid]:
@@ -158,7 +137,7 @@ def _rigid(
 def _curves(log: FlightLog) -> Sequence[page.Chart]:
     shown = slice(None, None, -(-len(log.samples) // _SAMPLES))
     time = log.series("time")[shown]
-    up, asked = (log.series(name)[shown] @ _UP for name in ("position", "target"))
+    up, asked = (log.series(name)[shown] @ UP for name in ("position", "target"))
     motors, voltage = log.series("pwm")[shown], log.series("voltage")[shown]
     figure = charts.grid(3, titles=["position [m]", "pulse width [us]", "voltage [V]"])
     for axis, name, color in zip(range(3), ("north", "west", "up"), CYCLE, strict=False):

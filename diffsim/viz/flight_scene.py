@@ -17,13 +17,11 @@ from diffsim.copter.vehicle.vehicle_record import FlyingVehicle
 from diffsim.core.arrays import Array
 from diffsim.core.optional import optional
 from diffsim.viz.figures import COLORS
-from diffsim.viz.flight_shapes import FlightShapes, shapes_of
+from diffsim.viz.flight_shapes import SLOWER, UP, FlightShapes, shapes_of
 from diffsim.viz.scene import rgb, write_recording
 
 FRAME_RATE = 30.0  # [Hz]
-_UP = np.diag([1.0, -1.0, -1.0])  # north-west-up from north-east-down
 _METERS_PER_NEWTON = 0.03  # length of a thrust arrow
-_SLOWER = 20.0  # propellers turn that much slower than they do: no eye and no screen follows them
 _CLOCK = "time"
 _PLOTS = {"voltage": "V", "current": "A", "charge": ""}
 
@@ -73,14 +71,14 @@ class FlightScene:
         rr, stream = self._rr, self._stream
         stream.set_time(_CLOCK, duration=float(sample.time))
         body = Rotation.from_quat(sample.quaternion[[1, 2, 3, 0]]).as_matrix()
-        rotation = _UP @ body
+        rotation = UP @ body
         stream.log(
             "world/copter",
-            rr.Transform3D(translation=_UP @ sample.position, mat3x3=rotation),
+            rr.Transform3D(translation=UP @ sample.position, mat3x3=rotation),
         )
         stream.log(
             "world/target",
-            rr.Points3D([_UP @ sample.target], radii=[0.03], colors=[rgb(COLORS["published"])]),
+            rr.Points3D([UP @ sample.target], radii=[0.03], colors=[rgb(COLORS["published"])]),
         )
         arrows = self._axes * (_METERS_PER_NEWTON * sample.thrusts)[:, None]
         colors = [rgb(COLORS["bad" if s else "fitted"]) for s in sample.saturated]
@@ -130,7 +128,7 @@ class FlightScene:
 
     def _turn(self, thrusts: Array, elapsed: float) -> None:
         speeds = [float(r.speed(float(u))) for r, u in zip(self._rotors, thrusts, strict=True)]
-        self._angles += self._turns * np.array(speeds) * elapsed / _SLOWER
+        self._angles += self._turns * np.array(speeds) * elapsed / SLOWER
         for name, hub, axis, angle in zip(
             self._names, self._hubs, self._axes, self._angles, strict=True
         ):
@@ -158,7 +156,7 @@ def write_flight(
     Raises:
         ImportError: rerun-sdk is not installed.
     """
-    track = log.series("position") @ _UP
+    track = log.series("position") @ UP
 
     def write(rr: Any, stream: Any) -> None:
         scene = FlightScene(stream, design, payload=payload)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     import trimesh
 
 
+UP = np.diag([1.0, -1.0, -1.0])  # north-west-up from north-east-down
+SLOWER = 20.0  # propellers turn that much slower than they do: no eye and no screen follows them
 _ARM = 0.05  # radius of an arm over that of its propeller
 _DISC = 0.03  # thickness of a propeller over its radius
 _HUB = 0.25  # radius of the body over the mean length of the arms

@@ -6,21 +6,19 @@ Every function returns a ``matplotlib.figure.Figure`` in the style of ``diffsim.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from diffsim.core.arrays import Array
-from diffsim.core.files import write_bytes_atomic
 from diffsim.core.optional import optional
 from diffsim.stokes.fabrication import wall_mesh
 from diffsim.stokes.field import FlowField
 from diffsim.stokes.streamlines import Streamline, streamlines
 from diffsim.viz._flow_cut import FINE, Cut, Plane, cut_through, length_unit
 from diffsim.viz.figures import COLORS, INK, LINE, SOFT, new_figure
+from diffsim.viz.figures import save as save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -207,18 +205,6 @@ def view(
         ax.set_title(title, loc="left", fontsize=10.5, color=INK, fontweight="bold")
     _speed_bar(figure, image, axes, top, pad=0.075)
     return figure
-
-
-def save(figure: Figure, path: str | Path, *, dpi: int = 160) -> Path:
-    """Write a figure (.png, .svg or .pdf); the file appears whole or not at all."""
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in (".png", ".svg", ".pdf"):
-        raise ValueError(f"path must end in .png, .svg or .pdf, got {path.name!r}")
-    buffer = io.BytesIO()
-    face = "none" if suffix == ".svg" else "white"
-    figure.savefig(buffer, format=suffix[1:], dpi=dpi, facecolor=face)
-    return write_bytes_atomic(path, buffer.getvalue())
 
 
 def _check_fields(fields: Sequence[FlowField], dim: int | None = None) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from diffsim.core.figures import figure, unit_of, with_sd
 from diffsim.data.study import Channel, Study
@@ -19,21 +18,6 @@ from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
 from diffsim.viz.diagnosis_parts import band_numbers, error_numbers, gain_numbers, runs_section
 from diffsim.viz.diagnosis_series import PredictedRun, with_noise
-
-
-def write_judgment(found: Unseen, study: Study, saved: SavedModel, path: str | Path) -> Path:
-    """Write the page, one static HTML file.
-
-    Args:
-        found: Answer about the runs.
-        study: Study that holds them.
-        saved: Model that was judged.
-        path: File to write.
-
-    Returns:
-        ``path``.
-    """
-    return page.write(judgment_page(found, study, saved), path)
 
 
 def judgment_page(found: Unseen, study: Study, saved: SavedModel) -> page.Report:
@@ -135,7 +119,6 @@ def _build_misfit_section(
 
 
 def _sizes(saved: SavedModel) -> page.Section:
-    """Sizes and parameters of the saved model."""
     shared = [n for n in saved.parameters if "@" not in n]
     moved = [n for n in shared if n not in saved.plain or saved.plain[n] != saved.values[n]]
     rows = [

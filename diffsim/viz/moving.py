@@ -22,6 +22,7 @@ Ints = NDArray[np.integer]
 
 MAX_BYTES = 700_000  # of a view in the page: with plotly and its curves it stays below 3 MB
 MAX_TRIANGLES = 30_000  # of a view: a plain canvas draws that many ten times a second
+FRAME_RATE = 25.0  # of bodies that move [Hz]
 _LEVELS = 65535
 
 

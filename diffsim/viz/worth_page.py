@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
@@ -23,23 +22,6 @@ LABEL = 16  # letters of a cause in a line beside its bars
 UNAWARE = "command that does not know of it"
 TASK_MISS = "root mean square of the misses, each in units of the task's `miss`; less is better"
 TRAVEL = "travel [m]; more is better"
-
-
-def write_worth(
-    found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str]], path: str | Path
-) -> Path:
-    """Write the page, one static HTML file.
-
-    Args:
-        found: What each cause costs, as ``sim_to_real.worth`` gives it.
-        name: Of the study.
-        facts: (what, value) pairs: where the model and the task came from.
-        path: File to write.
-
-    Returns:
-        ``path``.
-    """
-    return page.write(worth_page(found, name, facts), path)
 
 
 def worth_page(found: Sequence[Worth], name: str, facts: Sequence[tuple[str, str]]) -> page.Report:

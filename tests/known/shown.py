@@ -38,10 +38,11 @@ def pages(folder: Path) -> dict[str, Any]:
 
 def flights(folder: Path) -> dict[str, Any]:
     """The page of a flight."""
-    from diffsim.viz.flight_page import write_flight_page
+    from diffsim.viz.flight_page import flight_page
+    from diffsim.viz.report import write
 
     design, log = flown(seconds=1.0)
-    return parts_of([write_flight_page(folder / "flight.html", log, design)])
+    return parts_of([write(flight_page(log, design), folder / "flight.html")])
 
 
 def parts_of(paths: Iterable[Path]) -> dict[str, Any]:

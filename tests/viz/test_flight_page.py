@@ -7,8 +7,9 @@ from scipy.spatial.transform import Rotation
 from diffsim.copter import load_design
 from diffsim.copter.simulator import load_mission
 from diffsim.copter.simulator.flight_simulator import FlightSimulator
-from diffsim.viz.flight_page import flight_page, moving_vehicle, write_flight_page
+from diffsim.viz.flight_page import flight_page, moving_vehicle
 from diffsim.viz.moving import Line
+from diffsim.viz.report import write
 from tests.browser import CHROMIUM, Browser
 from tests.optional import needs
 
@@ -54,7 +55,7 @@ def test_parts_stand_where_the_log_says(log, design):
 def test_the_page(log, design, tmp_path):
     shown = flight_page(log, design, payload=0.5)
     assert shown.subtitle.endswith("with 0.5 kg") and "RMS" in shown.verdict[0]
-    path = write_flight_page(tmp_path / "flight.html", log, design)
+    path = write(flight_page(log, design), tmp_path / "flight.html")
     assert path.stat().st_size < 3_000_000
     if CHROMIUM is None:
         pytest.skip("no chromium here")

@@ -13,7 +13,8 @@ from diffsim.diagnose.judge.rivals import cause_words
 from diffsim.diagnose.judge.unseen import Unseen
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.identify.model_file import SavedModel
-from diffsim.viz.judged_report import judgment_page, write_judgment
+from diffsim.viz.judged_report import judgment_page
+from diffsim.viz.report import write
 from tests.optional import needs
 
 needs("plotly")
@@ -89,7 +90,7 @@ def test_all_judged_runs_are_drawn_with_errors_gain_and_distance(tmp_path):
     np.testing.assert_allclose(before.y, 1000.0 * np.sin(6.0 * TIME) + 2.0, rtol=1e-3, atol=1e-3)
     (sizes,) = parts["What was judged"].content
     assert [row[0] for row in sizes.rows] == ["drag", "mass"]  # arm is the same in both
-    text = write_judgment(found(), STUDY, SAVED, tmp_path / "judge.html").read_text("utf-8")
+    text = write(judgment_page(found(), STUDY, SAVED), tmp_path / "judge.html").read_text("utf-8")
     assert page.verdict[0] in text and "http" not in text.partition("<script")[0]
 
 

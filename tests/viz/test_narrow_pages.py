@@ -48,20 +48,21 @@ def faulty() -> FaultReport:
 def pages(folder):
     """A page of every kind, with all that it may hold."""
     from diffsim.viz.diagnosis_report import write_diagnosis
-    from diffsim.viz.faults_report import write_faults
-    from diffsim.viz.judged_report import write_judgment
-    from diffsim.viz.worth_page import write_worth
+    from diffsim.viz.faults_report import faults_page
+    from diffsim.viz.judged_report import judgment_page
+    from diffsim.viz.report import write
+    from diffsim.viz.worth_page import worth_page
     from tests.viz import test_diagnosis_report, test_judged_report
 
     yield write_diagnosis(test_diagnosis_report.example(), folder / "report.html")
     judged = test_judged_report
-    yield write_judgment(judged.found(), judged.STUDY, judged.SAVED, folder / "judge.html")
-    yield write_faults(faulty(), folder / "faults.html")
+    yield write(judgment_page(judged.found(), judged.STUDY, judged.SAVED), folder / "judge.html")
+    yield write(faults_page(faulty()), folder / "faults.html")
     rows = [
         Worth("dry_friction_at_the_bearing", 4.0, 3.0, 1.5, 4.4, noise=0.02),
         Worth("lag", 4.0, 4.0, 3.99, 4.0, noise=0.02),
     ]
-    yield write_worth(rows, "cart", [("task", "task.yaml")], folder / "worth.html")
+    yield write(worth_page(rows, "cart", [("task", "task.yaml")]), folder / "worth.html")
 
 
 def test_nothing_is_cut_on_a_laptop_or_a_phone(tmp_path, monkeypatch):

@@ -41,7 +41,6 @@ def read(path: Path, part: str, *, upright: bool = False) -> Columns:
     name of the column.
 
     Args:
-        path: The file.
         upright: Whether the longer side of a matrix is that of the samples, as in MATLAB's files.
     """
     h5py = _h5py()
@@ -147,7 +146,6 @@ def _gather(
 
 
 def _rows(arrays: Mapping[str, Any]) -> int | None:
-    """Rows of the table that arrays are."""
     used, _ = arrays_of_a_table({name: data.shape for name, data in arrays.items()})
     return arrays[used[0]].shape[0] if used else None
 

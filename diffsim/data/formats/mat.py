@@ -163,7 +163,6 @@ def _walk_elements(content: memoryview, order: str, depth: int, most: int) -> No
 
 
 def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of each element."""
     while len(content):
         if len(content) < 8:
             raise ValueError("it is cut off")

@@ -266,10 +266,6 @@ def _off_usual(record: Record, channel: Signal, run: str) -> float:
 def _others_differ(off: float, others: Sequence[float]) -> bool:
     """Whether what changes is the motion: another channel changes as well, by another factor that
     is about as large.
-
-    Args:
-        off: Logarithm of the factor by which a channel changes.
-        others: The same of the channels beside it.
     """
     least = max(DIFFERS, SHARES * abs(off))
     return any(min(abs(other), abs(other - off)) > least for other in others)

@@ -9,6 +9,7 @@ import numpy as np
 from diffsim.core.arrays import Array
 from diffsim.core.figures import counted
 from diffsim.data.codes import from_sign_bit, from_twos_complement
+from diffsim.data.command_jumps import MAX_JUMP_SHARE
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 
@@ -36,7 +37,6 @@ CONTINUES = 0.2  # of a jump that is left of it where it is none
 WORDS = {"sign_bit": (7, 9, 10, 11, 15, 23, 31), "signed": (8, 10, 12, 16, 24, 32)}
 WITHIN = 0.25  # of a period: how far from its ends a column wraps
 OUTSIDE = 0.15  # of the range of other values: how far off a code lies at least
-FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself
 TOUCHES = 0.08  # of the largest value: where a size touches 0
 UNSIGNED = ("abs(", "sqrt(", "hypot(", "max(", "**")  # of models whose readings have no sign
 
@@ -312,5 +312,5 @@ def _code(signal: Signal, code: float) -> Finding | None:
         f"column {signal.column} is {code:g} in {counted(count, 'sample')} ({share:.2g} of all), "
         f"far from those around, {rows_shown(times)}: a number for nothing measured",
         _decode(signal, f"{{missing: {code:g}}}"),
-        share > FEW_MISREAD or longest > 2 or signal.role == "command",
+        share > MAX_JUMP_SHARE or longest > 2 or signal.role == "command",
     )

@@ -11,13 +11,12 @@ from diffsim.core.arrays import Array, IntArray
 from diffsim.core.figures import counted, list_first
 from diffsim.core.numbers import SD_OVER_MAD
 from diffsim.core.units import after_number, factor
-from diffsim.data.command_jumps import Jumps, jumps_of
+from diffsim.data.command_jumps import MAX_JUMP_SHARE, Jumps, jumps_of
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 from diffsim.data.signal import rest_and_jump
 from diffsim.data.study import Command
 
-FEW_MISREAD = 0.03  # of the samples: so many the diagnosis leaves out by itself
 BURST = 6  # far samples that may be alike: more are a place where it stays
 MOST_TOGETHER = 2  # samples off both sides that are told from what a model lacks
 USUAL_SPREADS = 2.0  # spreads beyond which a value is none of the usual ones
@@ -79,7 +78,7 @@ def find_far(record: Record) -> Iterator[Finding]:
             f"{rows_shown(times)}",
             f"`decode: {{valid: [{low - margin:.4g}, {high + margin:.4g}]}}` in {signal.where} "
             "leaves them out",
-            (share > FEW_MISREAD or longest > MOST_TOGETHER) and signal.unit not in SPIKY,
+            (share > MAX_JUMP_SHARE or longest > MOST_TOGETHER) and signal.unit not in SPIKY,
         )
 
 
@@ -203,14 +202,15 @@ def _jumps_of(signal: Signal, samples: Samples, values: Array) -> Jumps:
         return jumps_of(values, is_measured=True, times=samples.times)
     rows = [] if samples.shares_equal > 0.3 else spikes(samples).tolist()
     size = float(np.abs(np.diff(values)).max()) if rows else 0.0
-    return Jumps(rows, [], size) if len(rows) < FEW_MISREAD * len(samples) else Jumps([], [], 0.0)
+    return (
+        Jumps(rows, [], size) if len(rows) < MAX_JUMP_SHARE * len(samples) else Jumps([], [], 0.0)
+    )
 
 
 def spikes(samples: Samples, sd: float = 0.0, speed: Samples | None = None) -> IntArray:
     """Places of samples off both sides, that no bounce or cusp explains.
 
     Args:
-        samples: Of a run.
         sd: Noise that is usual.
         speed: Its derivative, where that was measured: then it decides.
     """

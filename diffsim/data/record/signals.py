@@ -9,10 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
-from diffsim.data.signal import scatter, step_of
+from diffsim.data.signal import ROUND, scatter, step_of
 from diffsim.data.study import Channel, Command, Run, Study
 
-DIGITS = 1e-9  # of the range: numbers that close are equal
 FOLLOWS = 0.4  # least correlation of ranks with a command: who misses one goal of four has half
 PROBES = 20_000  # samples that tell it
 FEW = 12  # samples of which a rule can tell nothing
@@ -66,7 +65,7 @@ class Samples:
     def usual_change(self) -> float:
         """Median of the changes that are not nothing; 0 of a constant."""
         moved = np.abs(self.changes)
-        moved = moved[moved > DIGITS * self.range]
+        moved = moved[moved > ROUND * self.range]
         return float(np.median(moved)) if len(moved) else 0.0
 
     @cached_property
@@ -164,11 +163,7 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A study as its rules see it.
-
-    Attributes:
-        channels: What was measured.
-    """
+    """A study as its rules see it."""
 
     study: Study
     channels: tuple[Signal, ...]

@@ -244,11 +244,7 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
 
 
 def cuts_gate(model: SimModel) -> tuple[GateResult, ...]:
-    """Where runs are cut because their start states stop telling; nothing where none is.
-
-    Args:
-        model: The plain model.
-    """
+    """Where runs are cut because their start states stop telling; nothing where none is."""
     if not model.cuts:
         return ()
     times = ", ".join(
@@ -265,11 +261,7 @@ def cuts_gate(model: SimModel) -> tuple[GateResult, ...]:
 
 
 def windows_gate(model: SimModel, runs: Sequence[Run]) -> tuple[GateResult, ...]:
-    """In what windows runs were fitted, where the model's own ones had to be short; else nothing.
-
-    Args:
-        model: The plain model, as it was fitted.
-    """
+    """Windows in which runs were fitted, where the model's own had to be short; else nothing."""
     short = model.short_windows(runs)
     if not short:
         return ()

@@ -86,7 +86,6 @@ def gradient_gate(
     """Adjoint score of every effect against differences; skipped where the scene has no gradient.
 
     Args:
-        problem: Problem with all candidates.
         x: Standardized coordinates of the null fit, (n,).
         residual, jacobian: Whitened, with the slopes of all candidates, (num_valid,) and
             (num_valid, n).
@@ -155,7 +154,6 @@ def _order_runs(shows: Mask, lengths: Sequence[int]) -> list[int]:
 
     Args:
         shows: Whether an effect moves a run about as much as any, (num_runs, num_effects).
-        lengths: Number of samples of each run.
     """
     order, missing = [], np.ones(shows.shape[1], dtype=bool)
     left = sorted(range(len(lengths)), key=lambda place: lengths[place])

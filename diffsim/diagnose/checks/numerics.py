@@ -45,7 +45,6 @@ def numerics_changes(
     Args:
         problem: Fitting problem whose runs are simulated again.
         at: Record with the settings in use, and where.
-        names: Settings that are refined, one at a time.
     """
     out = {}
     for name in names:
@@ -223,12 +222,10 @@ def refine_within(
     ones within it, where these are enough.
 
     Args:
-        fit: Fit whose parameters are kept.
         budget: Cost of a simulation over the plain one, at most.
         changes: Change of the record by refining each setting, by its name, (N,) each.
         gates: The numerics gate, which fails.
         once: Weighted steps of a plain simulation.
-        is_any_enough: Whether any finer settings are.
 
     Returns:
         The settings, the changes and gates there, and the cost of a simulation over the plain one.

@@ -262,7 +262,6 @@ def _form_of(law: Law) -> str:
 
 
 def _what(law: Law) -> str:
-    """What a law adds, and where."""
     target = words_of(law.entry.target)
     if law.entry.kind == "force":
         return f"a {'torque' if 'N m' in law.entry.unit else 'force'} at {target}"

@@ -443,7 +443,6 @@ class _ScaledLaw:
         spread: Array,
         seen: Array,
     ) -> FittedForm:
-        """A form with its numbers in units of the variable."""
         power = float(numbers[0]) if form.scales == ("-",) else form.power
         unit = self.half**power
         size = float(sizes[0]) / unit

@@ -341,11 +341,7 @@ def _weigh(
 
 
 def _in_batches(sizes: Sequence[int]) -> Iterator[slice]:
-    """Consecutive parts of about 400 columns.
-
-    Args:
-        sizes: Columns of each member.
-    """
+    """Consecutive parts of about 400 columns."""
     edges = np.cumsum([0, *sizes])
     number = max(int(np.ceil(edges[-1] / 400)), 1)
     cuts = np.searchsorted(edges, np.linspace(0, edges[-1], number + 1)[1:-1])
@@ -364,8 +360,6 @@ def _together(made: Sequence[Candidate]) -> Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _AtEntry:
-    """Laws at one entry."""
-
     followed: FollowedRecord
     weigher: Weigher
     port: LawPort
@@ -443,7 +437,6 @@ def _repeating(
     Args:
         seen: What terms do at entries, and what matters of it.
         u: The variable along each run, (num_samples,).
-        most_work: Wave numbers by samples.
     """
     every = np.concatenate(u)
     if not seen or _range_of(every) is None:
@@ -538,7 +531,6 @@ class Weigher:
 
         Args:
             columns: Slopes by the factors of each, side by side, (N, sum of ``counts``).
-            counts: Number of factors of each.
 
         Yields:
             Nats, and the most probable amplitude; None of a law that does nothing.

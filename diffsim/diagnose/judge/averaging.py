@@ -123,7 +123,6 @@ class ModelAverage:
         """Sizes by component.
 
         Args:
-            i: Index of the effect.
             widened: Whether intervals are as wide as parts of the runs spread.
             alone: Whether nothing beside it in the extended model is held to be absent.
         """
@@ -178,7 +177,6 @@ class ModelAverage:
         are.
 
         Args:
-            i: Index of the effect.
             alone: As of ``_sizes``.
         """
         sizes = self._sizes(i, widened=True, alone=alone)
@@ -202,7 +200,6 @@ class ModelAverage:
 
         Args:
             h: Set with or without an unknown cause.
-            i: Index of the effect.
             names: Coordinates to widen; None: the statistical sd alone.
         """
         effect = self.search.wide.effects[i]

@@ -192,7 +192,6 @@ def band_of(
     Args:
         channels: Columns of ``measured``.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
-        select: Runs with use: select.
         validation: What names were held against; fits without a part are not made again.
         plain: Fit without effects; None: no part is held against it.
 
@@ -444,7 +443,6 @@ def _posterior_variance(
     """Variance of a run's readings by the posterior, (num_samples, num_channels).
 
     Args:
-        names: Coordinates that runs share.
         correlation: Posterior correlation of these, (n, n).
         sd: Posterior standard deviation of its standardized coordinates.
         run: Run that was not fitted; its own values are fitted to it.

@@ -97,7 +97,6 @@ def outside_rows(
     """Quantities of runs outside of fitted ranges, the farthest first.
 
     Args:
-        runs: Runs that are judged.
         channels: Columns of their ``measured``.
         spans: Ranges of the fitted runs, as ``spans_of`` returns them.
         commands: What is known of commands: their units.
@@ -255,30 +254,29 @@ class Unseen:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Content of ``judge.json``."""
+        """Content of ``judge.json``, as ``write_json_atomic`` takes it."""
         return {
-            "runs": list(self.runs),
-            "errors": [asdict(row) for row in self.errors],
+            "runs": self.runs,
+            "errors": self.errors,
             "band": band_words(self.errors),
-            "gain": None if self.gain is None else gain_to_dict(self.gain),
-            "gains": {name: gain_to_dict(g) for name, g in self.gains.items()},
+            **self._gains(),
             "kinds": {name: gain_to_dict(g) for name, g in self.kinds.items()},
             "causes": {
-                name: {
-                    "errors": [asdict(row) for row in without.errors],
-                    "gain": None if without.gain is None else gain_to_dict(without.gain),
-                    "gains": {run: gain_to_dict(g) for run, g in without.gains.items()},
-                }
+                name: {"errors": without.errors, **without._gains()}
                 for name, without in self.causes.items()
             },
-            "outside": [asdict(row) for row in self.outside],
-            "fitted": [asdict(row) for row in self.own],
-            "differences": list(self.differences),
-            "left_out": list(self.left_out),
+            "outside": self.outside,
+            "fitted": self.own,
+            "differences": self.differences,
+            "left_out": self.left_out,
             "num_spikes": self.num_spikes,
             "num_misread": self.num_misread,
-            "failed": dict(self.failed),
+            "failed": self.failed,
         }
+
+    def _gains(self) -> dict[str, Any]:
+        gains = {name: gain_to_dict(g) for name, g in self.gains.items()}
+        return {"gain": None if self.gain is None else gain_to_dict(self.gain), "gains": gains}
 
 
 def gain_to_dict(gain: Gain) -> dict[str, Any]:
@@ -304,12 +302,10 @@ def on_unseen(
     """Judge a model and its extension on runs; each at its own coordinates, which stay.
 
     Args:
-        plain: Plain model at its own fit.
         extended: Extended model at its fit; the plain one where nothing was named.
         channels: Columns of their ``measured``.
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
         spans: What the fitted runs covered, as ``spans_of`` returns it.
-        seed: Seed of the bootstraps.
         use: What the runs are for, as the rows say it.
         commands: What is known of commands: their units.
         unmet: Parameters of facts that no fitted run has: a run with such a fact tells its own.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -148,22 +148,6 @@ class Report(Answer):
         first = ("headline", "verdict")  # before the tables: of a long file, lists read the head
         names = (*first, *own, *more, "noise", "findings")
         plain = {name: getattr(self, name) for name in names}
-        for name in (
-            "hypotheses",
-            "table",
-            "gates",
-            "causes",
-            "base",
-            "plain_twin",
-            "errors",
-            "outside",
-            "own",
-            "apart",
-        ):
-            plain[name] = [asdict(row) for row in plain[name]]
-        for name in ("next_run", "force_map", "gain", "before_test", "described"):
-            value = getattr(self, name)
-            plain[name] = None if value is None else asdict(value)
         plain["band"] = None if self.band is None else self.band.to_dict()
         plain["study"], plain["model"] = self.study.name, self.model.name
         plain["runs"] = {use: [r.name for r in self.study.runs_for(use)] for use in USES}
@@ -212,10 +196,6 @@ def save_model(
     """Write extended_model.yaml with all that judging new runs needs.
 
     Args:
-        null: Fit of the plain model to the same runs.
-        folder: Folder of the file.
-        verdict: Verdict of the diagnosis.
-        band: What bands of unseen runs are made from.
         ranges: 90 % intervals of parameters and sizes, by name, each in its unit.
     """
     noise = null.problem.whitener

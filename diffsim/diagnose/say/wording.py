@@ -146,7 +146,6 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
     """Sizes of a cause with their 90 % intervals, or between which values many of them lie.
 
     Args:
-        row: Cause with one size or more.
         brief: Say of two or more sizes, too, only between which values they lie.
     """
     row = row.as_read()
@@ -476,8 +475,6 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
     """The nearest rival sets in words, and how many more there are.
 
     Args:
-        answer: What the page says.
-        rivals: Sets of names.
         nothing: What a set without a cause is called.
     """
     words = [[plain_name(answer, name) for name in names] for names in rivals[:MOST_LISTED]]

@@ -147,6 +147,10 @@ class Search:
         """The search with one more set that nobody fitted, as a budget was spent."""
         return replace(self, num_late=self.num_late + 1)
 
+    def with_failed(self, key: Hypothesis, why: str) -> Search:
+        """The search with a set that cannot be simulated where it ends: what it is must be said."""
+        return replace(self, failed={**self.failed, key: why})
+
     def with_fit(self, members: Members, fit: Fit) -> Search:
         """The search with the evidence of a fit, which needs the set's own columns only."""
         own = LaplaceEvidence(fit.problem, fit.x, fit.residual, fit.jacobian, [], self.num_families)
@@ -219,9 +223,6 @@ def _could_decide(search: Search, key: Hypothesis, best: Members) -> bool:
 def _simulated_beside(search: Search, key: Hypothesis, place: Center, best: Members) -> Search:
     """A set with an unknown cause, weighed by a simulation where linear evidence leads, if that
     leaves it no chance: where all slopes take simulations of their own, one tells first.
-
-    Args:
-        search: Sets that were weighed so far.
     """
     if not slopes_are_simulated(search.wide.model) or key.effects >= best:
         return search
@@ -264,7 +265,7 @@ def relinearized(search: Search, key: Hypothesis, evidence: LaplaceEvidence) -> 
             simulated = _weigh_beside(search, problem, there, last[1], own)
             posterior = min(posterior, simulated, key=lambda w: w.nats)
     except DiffsimError as error:  # the step left what can be simulated: keep the last
-        search = replace(search, failed={**search.failed, key: str(error)})
+        search = search.with_failed(key, str(error))
     return replace(search, posteriors={**search.posteriors, key: posterior})
 
 

@@ -16,9 +16,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
-from diffsim.diagnose.search.scan import BORROWED, Scan, costs_of, narrowed
+from diffsim.diagnose.search.scan import Scan, costs_of, linearized, narrowed
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, Locator, coordinate_of
 from diffsim.identify.gaussian import Gaussian
@@ -34,9 +33,7 @@ def course_at(wide: Problem, own: Sequence[int], center: Linearization, locator:
     """What any course in time would gain at a center.
 
     Args:
-        wide: Problem with all candidate effects.
         own: Wide coordinates of base parameters and of the set at the center.
-        center: Linearization there, with all slopes.
         locator: How the effect finds where it lies.
     """
     residual = wide.residual_of(center.record)
@@ -66,10 +63,7 @@ def scan_located(
     """Simulate the places that an effect proposes, and linearize at the best.
 
     Args:
-        wide: Problem with all candidate effects.
         own: Wide coordinates of base parameters and of the set at the center.
-        center: Linearization there, with all slopes.
-        effect: Effect with a locator.
         course: What any course in time would gain at the center.
     """
     assert effect.locate is not None
@@ -80,23 +74,14 @@ def scan_located(
     columns = [*placed, *wide.columns_of(effect)]
     coordinates = sorted({*own, *columns})
     points = np.stack([_point(wide, center.x, effect, p) for p in proposals])
-    narrow = narrowed(wide, coordinates)
-    records = records_at(narrow, points[:, coordinates])
+    records = records_at(narrowed(wide, coordinates), points[:, coordinates])
     rest = [c for c in own if c not in columns]
     costs = costs_of(wide, center, rest, records, points[:, columns])
     here = costs_of(wide, center, rest, center.record[None], center.x[None, columns])[0]
     best = int(np.argmin(costs))
     if not costs[best] < here - 2.0:
         return Scan(None, len(points))
-    try:
-        place = {c: k for k, c in enumerate(coordinates)}
-        at = linearization_at(narrow, points[best][coordinates], [place[c] for c in columns])
-    except DiffsimError:  # it cannot be moved there: fits start elsewhere
-        return Scan(None, len(points))
-    slopes = center.slopes(range(len(center.x))).copy()
-    slopes[:, columns] = at.columns
-    everything = tuple(range(len(center.x)))
-    return Scan(Linearization(points[best], at.record, everything, slopes, BORROWED), len(points))
+    return Scan(linearized(wide, own, center, columns, points[best]), len(points))
 
 
 def _inside(times: Array, run: Run) -> NDArray[np.int64]:

@@ -57,8 +57,6 @@ def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[M
     mask each other.
 
     Args:
-        effects: All candidates.
-        members: The set at the center.
         room: Number of effects that may still be added.
     """
     if room < 1:
@@ -97,7 +95,6 @@ def num_points(effects: Sequence[Effect], num_runs: int = 1) -> int:
     """Number of sizes that a scan of a group tries.
 
     Args:
-        effects: The group.
         num_runs: Runs that are simulated for each size; one in one run alone counts by its share.
     """
     count = len(_combine_tries(effects))
@@ -114,8 +111,6 @@ def run_for_scans(
     A scan finds where fits start, and these have all runs.
 
     Args:
-        wide: Problem with all candidate effects.
-        center: Linearization with all slopes.
         tried: Groups of effects whose sizes are tried; those that are located have none.
         most: Sizes, and weighted steps that they may take.
     """
@@ -146,9 +141,7 @@ def scan(
     """Try sizes of a group of effects at a center.
 
     Args:
-        wide: Problem with all candidate effects.
         own: Wide coordinates of base parameters and of the set at the center.
-        center: Linearization there, with all slopes.
         group: Indices of the effects whose sizes are tried, ascending.
         run: Index of the run that they are tried in; None, or none that they move: all.
     """
@@ -166,19 +159,27 @@ def scan(
     best = int(np.argmin(costs))
     if not costs[best] < here - 2.0:  # within a nat of what no size of theirs does
         return Scan(None, count)
-    coordinates = sorted({*own, *columns})
-    x, place = center.x.copy(), {c: k for k, c in enumerate(coordinates)}
+    x = center.x.copy()
     x[columns] = tried[best]
+    return Scan(linearized(wide, own, center, columns, x), count)
+
+
+def linearized(
+    wide: Problem, own: Sequence[int], center: Linearization, columns: Sequence[int], x: Array
+) -> Linearization | None:
+    """Linearization at sizes that were tried, all other slopes borrowed from the center; None: the
+    problem cannot be moved there, and fits start elsewhere."""
+    coordinates = sorted({*own, *columns})
+    place = {c: k for k, c in enumerate(coordinates)}
     try:
         narrow = narrowed(wide, coordinates)
         at = linearization_at(narrow, x[coordinates], [place[c] for c in columns])
-    except DiffsimError:  # it cannot be moved there: fits start elsewhere
-        return Scan(None, count)
-    slopes = center.slopes(range(len(center.x))).copy()
-    slopes[:, columns] = at.columns
+    except DiffsimError:
+        return None
     everything = tuple(range(len(center.x)))
-    found = Linearization(x, at.record, everything, slopes, BORROWED)
-    return Scan(found, count)
+    slopes = center.slopes(everything).copy()
+    slopes[:, columns] = at.columns
+    return Linearization(x, at.record, everything, slopes, BORROWED)
 
 
 def _costs_at(
@@ -305,7 +306,6 @@ def records_for(narrow: Problem, points: Array, here: Array) -> Array:
     gain or offset is small, and a scan only finds where fits start.
 
     Args:
-        narrow: Problem of the coordinates that are moved.
         points: Standardized coordinates, (K, n).
         here: Record at the center, (N,).
     """

@@ -77,7 +77,6 @@ def begin_from(search: Search, members: Members, x: Array) -> Search:
 
     Args:
         search: The plain model weighed.
-        members: Effects of the set, by index.
         x: Its end there, standardized coordinates of its own problem, (n,).
     """
     made, names = search.simulations, (search.wide.effects[i].name for i in sorted(members))
@@ -133,7 +132,6 @@ def with_numerics(search: Search, members: Members, *, is_late: bool = False) ->
 
     Args:
         search: Sets that were weighed so far.
-        members: Effects of the set, by index.
         is_late: Nobody will search with finer settings.
     """
     case = search.null.case
@@ -191,8 +189,6 @@ def refit(
     """Fit a set and weigh it there, once; recorded under ``failed`` where it cannot be simulated.
 
     Args:
-        search: Sets that were weighed so far.
-        members: Effects of the set, by index.
         near: Center to start from; the plain model if None, or if it cannot be simulated from
             there.
         begin: Finds where a fit begins, from a start of its own.
@@ -234,7 +230,7 @@ def refit(
         if not _disappoints(search, best[0], promised):
             break
     if best is None:
-        return replace(search, failed={**search.failed, key: message})
+        return search.with_failed(key, message)
     made = search.simulations.kept(members, best[1])
     return replace(search, simulations=made).with_fit(members, best[0])
 
@@ -289,7 +285,6 @@ def _fitted_along_weak(
 
     Args:
         made: Simulations made so far, the set's fit among them.
-        members: Effects of the set, by index.
         until: Count of weighted steps after which no further step is tried.
     """
     tally = made.wide.model.simulations
@@ -314,7 +309,6 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
     as long as one more budget of a fit lasts.
 
     Args:
-        search: Search that has fitted all of them.
         whole: Set whose parts they are; one that ended far above what slopes promise at the whole's
             end is fitted once more from there.
     """
@@ -336,9 +330,8 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
             if near is not None and falls_short:
                 start = made.start(members, near.at, promised.x, anew=True)
             better, at = made.fitted_from(members, start, search.best_cost(), most=most)
-        except DiffsimError as error:  # that end cannot be moved: what it is must be said
-            failed = {**search.failed, Hypothesis(members): str(error)}
-            search = replace(search, failed=failed)
+        except DiffsimError as error:  # that end cannot be moved
+            search = search.with_failed(Hypothesis(members), str(error))
             continue
         if better.chi2 + better.prior <= fit.chi2 + fit.prior:
             search = replace(search, simulations=made.kept(members, at)).with_fit(members, better)
@@ -380,12 +373,10 @@ def repaired(search: Search) -> Search:
             start = replace(made.fitted[subset].joined(slopes), slope_error=BORROWED)
             most = min(search.null.case.settings.plain_steps, search.ends - search.steps)
             fit, at = made.fitted_from(members, start, search.best_cost(), most=most)
-        except DiffsimError as error:  # that end cannot be moved: what it is must be said
-            failed = {**search.failed, Hypothesis(members): str(error)}
-            search = replace(search, failed=failed)
+        except DiffsimError as error:  # that end cannot be moved
+            search = search.with_failed(Hypothesis(members), str(error))
             continue
-        made = made.kept(members, at)
-        search = replace(search, simulations=made).with_fit(members, fit)
+        search = replace(search, simulations=made.kept(members, at)).with_fit(members, fit)
     return search
 
 
@@ -453,8 +444,6 @@ def _refit_promising(
 
     Args:
         search: Sets that were weighed so far.
-        center: The best set.
-        ranked: Its neighbors, best first.
         until: Weighted steps after which the rest keeps its linear evidence. Where no refit so far
             stayed near the data sheet, linear evidence was no guide, and a few more are made.
     """

@@ -166,7 +166,6 @@ class Simulations:
         """Fit a set of effects.
 
         Args:
-            members: Effects of the set, by index.
             start: Start point in coordinates of all candidates, zero outside the set.
             best_cost: Least cost of all sets so far; a set that cannot reach it ends early [nats].
             begin: Finds a better start from there; None: the fit begins there.
@@ -217,7 +216,6 @@ class Simulations:
         """A set's linearization beside some unknown cause, no further away in any coordinate.
 
         Args:
-            members: Effects of the set, by index.
             x: Point in the coordinates of ``narrow``, (n,).
             step: Largest distance [prior sd].
         """
@@ -262,7 +260,6 @@ class Simulations:
         """All slopes at the fit of a set.
 
         Args:
-            members: A fitted set.
             last: Slopes of all candidates at another set. They serve for effects that are neither
                 significant with them nor like a member; None: all are simulated.
         """
@@ -300,9 +297,7 @@ class Simulations:
         """A center with the scans of effects with kinks, and of pairs that mask each other.
 
         Args:
-            center: A fitted set.
             settings: Largest number of effects in one set, of sizes and of weighted steps.
-            num_families: Families of effects, for the evidence.
         """
         made, found = self, {}
         courses: dict[Effect, Course] = {}
@@ -341,7 +336,6 @@ class Simulations:
         """Sizes of a group at a center, from this process or an earlier one.
 
         Args:
-            center: A fitted set.
             group: Indices of effects that are tried together.
             courses: Courses at this center that are known, which grow.
             run: Index of the run that sizes are tried in; None: all.

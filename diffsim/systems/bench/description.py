@@ -97,13 +97,7 @@ class BenchDescription(FormulaKeys):
             chosen_effects(found, self.effects, study, plant),
             unknowns=unknown_laws(library),
             settings=settings_with(advised, self.effort),
-            laws=OdeLaws(
-                library=library,
-                model=library.model,
-                study=library.study,
-                whole=library.study,
-                make=self.setup,
-            ),
+            laws=OdeLaws.of(library, self.setup),
         )
 
 

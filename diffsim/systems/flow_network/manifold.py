@@ -195,11 +195,7 @@ class StokesScene(SteadyScene):
 
 
 class Manifold:
-    """Inlets, a manifold across them, and outlets; flows per depth.
-
-    Args:
-        given: Description.
-    """
+    """Inlets, a manifold across them, and outlets; flows per depth."""
 
     kind = "manifold"
     narrowest = None  # usual sizes are stated

@@ -23,7 +23,6 @@ class NetworkFlow:
     """Stokes flow of a network on a grid.
 
     Args:
-        device: Network to be simulated.
         refine: Factor on the cell size [-].
 
     Attributes:

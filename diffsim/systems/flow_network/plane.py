@@ -33,11 +33,7 @@ _SINGLE = (
 
 
 class PlaneNetwork:
-    """One pump and straight channels between nodes.
-
-    Args:
-        given: Description.
-    """
+    """One pump and straight channels between nodes."""
 
     kind = "flow_device"
     drives_flow = True

@@ -121,12 +121,7 @@ def copter_plant(
 def plant_of(
     given: MulticopterKeys, flights: DescribedFlights, study: Study, scales: Scales
 ) -> Plant:
-    """What a described multicopter tells of itself.
-
-    Args:
-        given: Description of the multicopter.
-        scales: Usual magnitudes.
-    """
+    """What a described multicopter tells of itself."""
     functions = dict(FUNCTIONS)
     if given.battery is not None:
         functions["voltage_exponent"] = partial(effects.follow_voltage, name=given.battery)

@@ -188,7 +188,6 @@ class _ShownStates:
         return matrix_from_quaternion(self.turn[:, :, :-1]) @ self.halfway
 
     def _estimate(self, estimator: BlindEstimator) -> _ShownStates:
-        """As an estimator shows it."""
         gravity = self.position.new_tensor([0.0, 0.0, GRAVITY])
         axis = self.halfway[..., 2]
         force = ((self.acceleration - gravity) * axis).sum(-1, keepdim=True) * axis

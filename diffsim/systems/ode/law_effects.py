@@ -60,11 +60,7 @@ def _share_of_samples(run: Run) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _FollowedPath:
-    """Gives x of a law in a run, by the plain model as it is described.
-
-    Attributes:
-        read: Its formulas, which read x.
-    """
+    """Gives x of a law in a run, by the plain model as it is described."""
 
     model: SimModel
     read: Network
@@ -132,12 +128,7 @@ def _list_letters(
 
 @dataclass(frozen=True, eq=False)
 class _BentLaw:
-    """Applies a change of a law, with the signals that it needs beside the formulas.
-
-    Attributes:
-        further: Names of those signals.
-        swept: Formulas that read x.
-    """
+    """Applies a change of a law, with the signals that it needs beside the formulas."""
 
     plain: Apply
     further: tuple[str, ...]

@@ -97,7 +97,6 @@ class JointDrive:
 
     Args:
         constants: As exported, with those of a run.
-        joint: Name of the hinge.
         actuator: Name of its ``<position>`` actuator.
     """
 
@@ -125,7 +124,6 @@ class JointDrive:
 
         Args:
             model: MuJoCo's model.
-            data: Its state.
             goal: What is commanded now [rad].
             powered: 1, or 0 where the torque is off.
         """

@@ -322,7 +322,6 @@ class OutsideModel(SimModel):
         """Weighted steps of a prediction.
 
         Args:
-            run: Run that is simulated.
             numerics: Factors on the simulator's own settings.
             forces: Forces of causes, if any.
         """

@@ -161,12 +161,7 @@ class Measure(Part):
             names = getattr(self, key)
             if names and len(names) != count:
                 raise ValueError(f"{key} needs {count} channels, got {len(names)}")
-        for key, axes in (
-            ("position", AXES),
-            ("velocity", AXES),
-            ("spin", AXES),
-            ("angles", ANGLES),
-        ):
+        for key, axes in _BY_AXIS.items():
             for axis in getattr(self, key):
                 if axis not in axes:
                     raise ValueError(f"{key} has no {axis!r}; known: {', '.join(axes)}")
@@ -174,12 +169,7 @@ class Measure(Part):
 
     def rows(self) -> Iterator[tuple[str, int, str]]:
         """Kind, component and channel of every entry."""
-        for key, axes in (
-            ("position", AXES),
-            ("velocity", AXES),
-            ("spin", AXES),
-            ("angles", ANGLES),
-        ):
+        for key, axes in _BY_AXIS.items():
             for axis, channel in getattr(self, key).items():
                 yield key, axes.index(axis), channel
         for key in ("quaternion", "pixels"):
@@ -189,6 +179,7 @@ class Measure(Part):
 
 KINDS = ("position", "velocity", "quaternion", "angles", "spin", "pixels")
 ANGLES = ("roll", "pitch", "yaw")
+_BY_AXIS = {"position": AXES, "velocity": AXES, "spin": AXES, "angles": ANGLES}
 
 
 class Points(Part):
@@ -313,7 +304,6 @@ class RigidBodyKeys(Description):
         """Places that a run shows of a body in the recorded frame, (num_samples, 3) [m].
 
         Args:
-            names: Names of its channels.
             body: Name of the body; NaN where nothing shows it.
         """
         place = np.full((len(run.time_s), 3), np.nan)

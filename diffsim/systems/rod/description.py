@@ -15,7 +15,13 @@ from diffsim.core.check import did_you_mean
 from diffsim.data.study import Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
-from diffsim.systems.description import MAX_EFFECTS, BaseParameters, unstated_facts
+from diffsim.systems.description import (
+    MAX_EFFECTS,
+    BaseParameters,
+    missing_commands,
+    undescribed_channels,
+    unstated_facts,
+)
 from diffsim.systems.rod.keys import RodKeys
 from diffsim.systems.rod.layout import TIP
 from diffsim.systems.rod.model import RodModel
@@ -32,28 +38,13 @@ class RodDescription(RodKeys):
 
     def find_problems(self, study: Study) -> Iterator[Problem]:
         """Channels and commands without a meaning, facts that runs do not state."""
-        for channel in study.channels:
-            if self.reading(channel.name) is None:
-                guess = did_you_mean(
-                    channel.name, [f"{m}_{a}" for m in self.markers for a in "xyz"]
-                )
-                yield Problem(
-                    "error",
-                    f"model.channels.{channel.name}",
-                    f"is not described{guess}; say which marker and axis it shows",
-                )
-        for name in self.channels:
-            if name not in [c.name for c in study.channels]:
-                yield Problem("error", f"model.channels.{name}", "the study has no such channel")
+        usual = [f"{m}_{a}" for m in self.markers for a in "xyz"]
+        yield from undescribed_channels(
+            study, self.channels, lambda name: self.reading(name) is not None, usual
+        )
+        wanted = [(f"model.tendons[{i}].command", t.command) for i, t in enumerate(self.tendons)]
+        yield from missing_commands(wanted, study.runs)
         for run in study.runs:
-            for i, tendon in enumerate(self.tendons):
-                if tendon.command not in run.command:
-                    guess = did_you_mean(tendon.command, run.command)
-                    yield Problem(
-                        "error",
-                        f"model.tendons[{i}].command",
-                        f"run {run.name} has no command {tendon.command!r}{guess}",
-                    )
             if self.sessions is not None and self.sessions not in run.setup:
                 guess = did_you_mean(self.sessions, run.setup)
                 yield Problem(

@@ -141,7 +141,6 @@ class RodStatics:
     def _op_arguments(
         self, start: Tensor, seen: RodPoints | None = None, offset: Tensor | None = None
     ) -> dict[str, Any]:
-        """Arguments of an op, by name."""
         points, offsets = self.points, [_with_lead(self.points.offset, 2)]
         at, around = [points.at], [points.element]
         if seen is not None and offset is not None:

@@ -116,7 +116,6 @@ def _list_numbers(given: SoftBodyKeys, scales: Scales, *, moves: bool) -> tuple[
 
 
 def _list_ways(given: SoftBodyKeys, study: Study, scales: Scales) -> tuple[CommandGroup, ...]:
-    """All commands together."""
     if not given.commands:
         return ()
     # of a command that only pulls, slack and dead band are one
@@ -231,11 +230,7 @@ def scales_of(given: SoftBodyKeys, study: Study, mass_kg: float) -> Scales:
 
 
 def usual_motion(given: SoftBodyKeys, scales: Scales) -> dict[str, float]:
-    """How far markers move: the widest channel; how fast: as far in a tenth of the longest run.
-
-    Args:
-        scales: Usual magnitudes of the recordings.
-    """
+    """How far markers move: the widest channel; how fast: as far in a tenth of the longest run."""
     seen = [name for name, reading in given.channels.items() if reading.axis is not None]
     distance = max((scales.of_channels([name])["width"] for name in seen), default=1.0)
     return {"distance": distance, "speed": 10.0 * distance / (scales.longest_s or 1.0)}

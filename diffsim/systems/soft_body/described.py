@@ -37,7 +37,6 @@ class DescribedModel:
     """Makes scenes of a described soft body.
 
     Args:
-        folder: Folder that files are relative to.
         channels: Names of the channels, in the order of the study.
         parameters: Quantities of the description: base parameters, and values of a run.
         pose_commands: Values of the only command at which slow motions are computed, (num_poses,);
@@ -249,7 +248,6 @@ class DescribedModel:
         return activation, pressure
 
     def _make_start(self, rig: BodyRig, scene: SoftScene, own: Values) -> dict[str, Any]:
-        """How the body starts."""
         start = self.given.start
         if start.shape != "held":
             return {"start": start.shape}

@@ -11,7 +11,6 @@ from diffsim.causes.channel_groups import channels_of, clock_of, clock_problems
 from diffsim.causes.listing import list_causes
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import SCALES
-from diffsim.core.check import did_you_mean
 from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify import Jacobian
@@ -23,6 +22,7 @@ from diffsim.systems.description import (
     fact_in,
     missing_commands,
     settings_with,
+    undescribed_channels,
     unstated_facts,
 )
 from diffsim.systems.soft_body.body_keys import SoftBodyKeys
@@ -45,26 +45,15 @@ class SoftBodyDescription(SoftBodyKeys):
 
     def find_problems(self, study: Study) -> Iterator[Problem]:
         """Channels and commands without a meaning."""
-        yield from self._find_problems_of_channels(study)
+        yield from undescribed_channels(
+            study, self.channels, self.channels.__contains__, self.channels
+        )
         yield from clock_problems(study.channels, self.clocks)
         yield from self._find_problems_of_runs(study.runs)
 
     def build(self, study: Study) -> BodyRig:
         """The body: no region is without nodes, no point outside."""
         return self._build_model(study).rig()
-
-    def _find_problems_of_channels(self, study: Study) -> Iterator[Problem]:
-        for channel in study.channels:
-            if channel.name not in self.channels:
-                guess = did_you_mean(channel.name, self.channels)
-                yield Problem(
-                    "error",
-                    f"model.channels.{channel.name}",
-                    f"is not described{guess}; say which marker and axis it shows",
-                )
-        for name in self.channels:
-            if name not in [c.name for c in study.channels]:
-                yield Problem("error", f"model.channels.{name}", "the study has no such channel")
 
     def _find_problems_of_runs(self, runs: Sequence[Run]) -> Iterator[Problem]:
         wanted = [(f"model.{k}[{i}].command", d.command) for k in ("tendons", "muscles", "chambers")

@@ -29,7 +29,6 @@ class OfScene(Generic[_Value]):
         self._known: tuple[SoftScene, _Value] | None = None
 
     def __call__(self, scene: SoftScene) -> _Value:
-        """The value of a scene."""
         if self._known is None or self._known[0] is not scene:
             self._known = scene, self._compute(scene)
         return self._known[1]

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from scipy.interpolate import make_interp_spline
 from torch import Tensor
 
+from diffsim.data.study import Run
 from diffsim.systems.soft_body.kept import OfScene, OfTime
 from diffsim.systems.soft_body.scene import Force, Moment, SoftScene
-
-if TYPE_CHECKING:
-    from diffsim.data.study import Run
 
 
 def move_support(
@@ -66,7 +64,6 @@ class _Path:
 
     Args:
         places: (num_samples, 2) recorded places of the support, forward and up [m].
-        run: Run with the times of the record.
         scene: Scene whose fixed nodes are the support.
         size: Shift [m] and turn [rad] of the support, (2,).
 

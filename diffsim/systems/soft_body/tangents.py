@@ -77,7 +77,6 @@ class _Motion:
     """The motion of a scene and its tangents along those lines that move it.
 
     Args:
-        base: Scene that the lines start from.
         lines: All lines, those that do not move the body included.
     """
 
@@ -209,12 +208,7 @@ class _PhysicsRates:
 
 
 class _Observer:
-    """Channels of a state, and their slopes along lines by differences (exact where linear).
-
-    Args:
-        scene: Scene whose channels are observed.
-        lines: K lines to differentiate along.
-    """
+    """Channels of a state, and their slopes along lines by differences (exact where linear)."""
 
     def __init__(self, scene: SoftScene, lines: Sequence[SceneLine]):
         self._observe, self._points = scene.observe, LinePoints(lines)
