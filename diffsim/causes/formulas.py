@@ -232,6 +232,7 @@ def parse_formula(
     Args:
         known: Names that it may use beside the following.
         scales: Usual magnitudes by name.
+        memories: What it remembers.
         shapes: Its further numbers.
 
     Raises:

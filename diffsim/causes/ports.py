@@ -86,6 +86,7 @@ class SignalMapper:
             row: Cause of commands or readings.
             scales: Numbers that the formula may use, by name.
             between: What a command does between samples.
+            system: Kind of system.
 
         Raises:
             ValueError: a formula with names that there are not.
@@ -157,6 +158,8 @@ def on_commands(
     Args:
         row: Cause with ``at: command``.
         scales: Numbers that its formula may use.
+        between: What the commands do between samples.
+        system: Kind of system.
     """
     mapper = SignalMapper.of(row, scales or {}, between, system)
     return partial(_change_commands, names=tuple(names), mapper=mapper)
@@ -192,6 +195,7 @@ def on_clock(channels: Sequence[int], *, in_turn: bool = False) -> Apply:
     """How lateness acts on channels of one instrument.
 
     Args:
+        channels: Indices of the channels.
         in_turn: Whether each is late by one size more than the one before, the first by none.
     """
     if in_turn:

@@ -52,7 +52,12 @@ class Instrument:
 
 
 def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
-    """A cause in an instrument, by its row."""
+    """A cause in an instrument, by its row.
+
+    Args:
+        of: Instrument that the cause changes.
+        system: Kind of system.
+    """
     is_in_unit = row.unit == "channel"
     is_in_turn = row.name in _IN_TURN
     several = row.name in _OF_EACH and len(of.channels) > 1
@@ -88,7 +93,12 @@ def instrument_of(group: ChannelGroup, channels: Sequence[Channel], scales: Scal
 def with_ending(
     of: Instrument, cause: str, group: ChannelGroup, channels: Sequence[Channel]
 ) -> Instrument:
-    """An instrument with what one of its causes is called, where there are others."""
+    """An instrument with what one of its causes is called, where there are others.
+
+    Args:
+        of: Instrument of the group.
+        cause: Name of the row.
+    """
     is_whole = not group.name or len(of.channels) == len(channels)
     is_one_kind = len({c.kind for c in channels}) == 1
     is_named = not is_whole or (cause in _NAMED and is_one_kind)
@@ -96,7 +106,11 @@ def with_ending(
 
 
 def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tensor]:
-    """Values of base parameters; a run that the model was not made for starts in the middle."""
+    """Values of base parameters; a run that the model was not made for starts in the middle.
+
+    Args:
+        values: Values by name.
+    """
     name = f"{PLAY_START}@{run.name}"
     if name in values:
         return values

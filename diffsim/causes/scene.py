@@ -101,7 +101,11 @@ class Instruments:
         return not self.acts
 
     def num_points(self, num_channels: int) -> int:
-        """Number of points K of what causes do; 0 where sizes have no axis of points."""
+        """Number of points K of what causes do; 0 where sizes have no axis of points.
+
+        Args:
+            num_channels: Number of channels that are read.
+        """
         leads = [delay.shape for _, delay in self.clocks]
         for channels, change in self.readings:
             try_out = torch.zeros(len(channels) or num_channels, 2, dtype=torch.float64)

@@ -129,6 +129,7 @@ def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: 
         signals: (..., num_signals, num_times).
         which: Indices of those that change; empty: all.
         change: Function of them (..., width, num_times) and of the grid.
+        grid: Times of the signals.
     """
     places = torch.tensor(list(which) or list(range(signals.shape[-2])))
     changed = change(signals[..., places, :], grid)
@@ -341,6 +342,9 @@ def accelerated(
         cruise: Way above which a step is done at the greatest speed for a while, () or (K,) [unit];
             None: no speed is too great.
         held: Whether the signal is held over each step.
+
+    Returns:
+        Where it is at each time.
     """
     if _is_alone(grid):
         return _alone(u, slowness)

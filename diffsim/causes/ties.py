@@ -95,7 +95,11 @@ def ties(members: Sequence[Member], what: str) -> Iterator[Effect]:
 
 
 def pairs(units: dict[str, str | None]) -> Iterator[tuple[str, str]]:
-    """Pairs of commands or channels of one unit that may be exchanged, where these are few."""
+    """Pairs of commands or channels of one unit that may be exchanged, where these are few.
+
+    Args:
+        units: Units by name, in order.
+    """
     for unit in dict.fromkeys(units.values()):
         names = [name for name, own in units.items() if own == unit]
         if len(names) <= MAX_PAIRED:

@@ -44,6 +44,7 @@ def check(study: Study, given: str, *, accept_record: bool = False) -> None:
     """Show a study and what is wrong with it.
 
     Args:
+        study: Study as it was read.
         given: What the user called it, for messages.
         accept_record: Whether faults of the record itself are no errors.
 
@@ -93,6 +94,7 @@ def require_ready(
     """Print what is wrong with a study, and refuse one with errors.
 
     Args:
+        study: Study to be used.
         given: What the user called it, for messages.
         plan: Whether uses and commands of its runs matter, as they do for a fit.
         accept_record: Whether faults of the record itself are no errors.
@@ -284,7 +286,12 @@ def _summary(study: Study) -> Iterator[str]:
 
 
 def done_by_setup(given: Study, used: Study) -> Iterator[str]:
-    """Lines on what was done to a record, and what of it is not used, the first of them in full."""
+    """Lines on what was done to a record, and what of it is not used, the first of them in full.
+
+    Args:
+        given: Study before.
+        used: The same as a setup uses it.
+    """
     mended = used.mended[len(given.mended) :]
     yield from (f"done to the record: {sentence}" for sentence in mended)
     sentences = used.left_out[len(given.left_out) :]

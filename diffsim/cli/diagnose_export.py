@@ -70,6 +70,10 @@ def constants_of(study: Study, saved: SavedModel) -> list[ProgramConstants]:
 
     Numbers that are known have their stated value, causes that the model has not have size 0.
 
+    Args:
+        study: The study with its `export`.
+        saved: Its answer.
+
     Raises:
         ValueError: no `export`, or a formula with a name that there is not.
     """
@@ -94,7 +98,12 @@ def constants_of(study: Study, saved: SavedModel) -> list[ProgramConstants]:
 
 
 def flown_constants(study: Study, saved: SavedModel, program: str, run: Run) -> dict[str, float]:
-    """Constants of a program in a run, by name; facts of the run are numbers, too."""
+    """Constants of a program in a run, by name; facts of the run are numbers, too.
+
+    Args:
+        study: The study with its `export`.
+        saved: Its answer.
+    """
     known = _ModelNumbers.of(study, saved)
     facts = {n: float(v) for n, v in run.setup.items() if _is_number(v)}
     group = {str(n): str(v) for n, v in run.setup.items()}

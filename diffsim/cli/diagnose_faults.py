@@ -97,6 +97,7 @@ def judged(
 
     Args:
         study: Study with ``faults``.
+        out: Folder of the results.
         groups: Groups to judge; none: those whose fault is not known, or all where all are.
         everything: Judge all groups, those that teach by the others.
         seed: Of the draws of scatter and sizes.

@@ -28,6 +28,7 @@ def lacking(out: Path, before: Mapping[str, Any] | None) -> list[str]:
     """Files that an explanation should have and has not: a run is finished when all are there.
 
     Args:
+        out: Folder of the explanation.
         before: Content of its ``inputs.json``, which is written last; None: there is none.
 
     Returns:
@@ -48,6 +49,7 @@ def against_before(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
 
     Args:
         before: Content of its ``report.json``.
+        after: That of the new answer.
     """
     if "causes" not in before:
         return ""
@@ -99,6 +101,8 @@ def write_judged(out: Path, study: Study, found: Unseen) -> list[Path]:
     """One CSV file per judged run: time, and each channel as measured, before and after.
 
     Args:
+        out: Folder of the results.
+        study: Study that holds the runs.
         found: Answer about them.
 
     Returns:

@@ -61,10 +61,15 @@ def init(
     """Write a first study of a folder; what was guessed is printed and stands in the file.
 
     Args:
+        folder: Folder with the recordings.
         out: File to be written; by default study.yaml in the folder.
         system: Kind of system, one of ``known_systems()``; None: ``outside`` where an MJCF lies in
             the folder, else ``ode``.
         parts: Tables of files that hold several, the record first; empty: as they look.
+        force: Replace a file that is there.
+
+    Returns:
+        The file written.
 
     Raises:
         FileExistsError: the file is there, and ``force`` is not given.
@@ -130,7 +135,9 @@ def study_text(
 
     Args:
         guess: What the folder seems to hold.
+        folder: Folder of the recordings.
         out: File that the text is for; paths are relative to its folder.
+        system: Kind of system.
         model: Keys of ``model`` that were guessed; None: none, they are listed.
     """
     lines = [

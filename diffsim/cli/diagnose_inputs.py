@@ -139,6 +139,8 @@ def inputs_of(
     """The setup of a study with the user's choices.
 
     Args:
+        study: Study as it was read.
+        seed: Seed of the bootstrap.
         setup_file: Python file with the user's own ``setup(study)``; None: that of the study.
         only: Names of the effects to keep; empty: all.
         without: Names of the effects to leave out.

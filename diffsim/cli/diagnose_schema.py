@@ -80,6 +80,9 @@ def definitions(part: type[Part]) -> dict[str, Schema]:
 
     What a key's own reader takes in short (a number with its unit as text, a name in place of a
     block) is allowed everywhere: the schema knows names and shapes, ``check`` knows values.
+
+    Args:
+        part: The outermost block.
     """
     return {name_of(block): _block(block) for block in blocks_of(part)}
 

@@ -19,6 +19,7 @@ def trial_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
 
     Args:
         study: Study with the description; only systems of formulas are tried.
+        setup: What the description made.
     """
     if (study.model or {}).get("system") not in _FORMULAS:
         return

@@ -150,6 +150,7 @@ def list_carried(answer: Answer, program: str) -> list[CarriedCause]:
     """Each named cause, the constants that carry it, and what it is worth.
 
     Args:
+        answer: The saved model.
         program: Name of the program in the study's `export`.
     """
     formulas = answer.study.export.get(program, {})
@@ -200,6 +201,7 @@ def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
     """Errors of the exported drive and of the model, run by run; or why it cannot be flown.
 
     Args:
+        answer: The saved model.
         formulas: Constants of the drive that the target has.
     """
     lacks = [n for n in FLOWN if n not in formulas]

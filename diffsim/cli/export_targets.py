@@ -82,6 +82,9 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
 
     Args:
         target: One of "mujoco", "bam", "urdf", "yaml".
+        study: The study with all of its formulas.
+        saved: Its answer.
+        out: Folder to write to.
 
     Raises:
         ValueError: the target needs what the study does not state.
@@ -185,6 +188,8 @@ def restate_mjcf(
     """Write the MJCF that moves as the answer does, or what a URDF has of it.
 
     Args:
+        answer: The saved model.
+        out: Folder to write to.
         target: "mujoco" or "urdf".
 
     Returns:

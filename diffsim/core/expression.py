@@ -239,6 +239,9 @@ def parse_expression(text: str | float, known: Iterable[str] | None = None) -> E
         text: Such as ``"k * x + c * tanh(v / 0.01)"``; a plain number is a constant formula.
         known: Names that the formula may use; None: any name.
 
+    Returns:
+        The formula.
+
     Raises:
         ValueError: not a formula, or an unknown name; the message shows the column and offers the
             closest names.
@@ -264,6 +267,12 @@ def syntax_tree(text: str) -> ast.expr:
 
     Python 3.11 and 3.12 count the depth of a tree in one place for all threads: two that parse at
     once end in ``SystemError: AST constructor recursion depth mismatch`` (CPython issue 106905).
+
+    Args:
+        text: The expression.
+
+    Returns:
+        Its outermost node.
 
     Raises:
         SyntaxError: not an expression.

@@ -34,6 +34,9 @@ def inertia_matrix(entries: Sequence[float]) -> Array:
 def entries_of_matrix(given: Any) -> Any:
     """What a user states, with three rows of three as their six entries; all else as it is.
 
+    Args:
+        given: As YAML reads it.
+
     Raises:
         ValueError: two entries that are one number differ.
     """

@@ -357,6 +357,10 @@ def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
     """Unit in which values are read: small ones with the prefix m or u, such as mrad or um, small
     masses in g, small flows in ml/s.
 
+    Args:
+        unit: SI unit of the values.
+        values: Values that are read together.
+
     Returns:
         The unit, and what values are multiplied by to be in it.
     """

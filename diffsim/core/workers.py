@@ -153,6 +153,9 @@ class Processes(ThreadPoolExecutor):
 
     Other than with ``ProcessPoolExecutor`` a worker that dies takes no other with it: its call
     raises ``LostWorkerError``, the next call starts a new worker.
+
+    Args:
+        count: Number of workers.
     """
 
     def __init__(self, count: int):

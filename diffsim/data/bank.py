@@ -61,6 +61,9 @@ def generated_bank(study: Study) -> tuple[Run, ...]:
     amplitude and speed, under other values of the facts that ``allows`` names or that differ
     between runs, and once more as they were. Of what flies, or has no command that can be set,
     the last two only.
+
+    Args:
+        study: Study with at least one fit run.
     """
     if not study.fit_runs:
         return ()
@@ -292,7 +295,11 @@ def _facts(setup: Mapping[str, Any], words: set[str]) -> tuple[tuple[str, Any], 
 
 
 def command_table(run: Run, study: Study) -> str:
-    """Commands of a run as CSV, in the units in which the user reads them."""
+    """Commands of a run as CSV, in the units in which the user reads them.
+
+    Args:
+        run: Run of the bank.
+    """
     known = {c.name: c for c in study.commands}
     header, columns = ["time_s"], [run.time_s - run.time_s[0]]
     for name, values in run.command.items():

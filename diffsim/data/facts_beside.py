@@ -98,7 +98,11 @@ def _is_named(name: str, said: str) -> bool:
 
 
 def facts_of(path: Path) -> dict[str, Any]:
-    """Numbers and words of a sheet by name, with those of blocks in it; empty where it is none."""
+    """Numbers and words of a sheet by name, with those of blocks in it; empty where it is none.
+
+    Args:
+        path: Any file.
+    """
     return _facts_among(_leaves_of(path))
 
 

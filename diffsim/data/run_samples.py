@@ -87,6 +87,7 @@ class RunSamples:
         """Numbers of a column, (num_samples,); of a further file, in between its samples.
 
         Args:
+            name: Header of the column.
             file: Which of the run's files holds it, from 1; None: the first that has it.
         """
         place = self.place_of(name, file)
@@ -199,6 +200,7 @@ def zero_of(
 
     Args:
         entry: Entry of ``runs:``, with defaults.
+        samples: All samples of the run, on the clock of the file.
         labels: What the run is called where a number is stated by run.
         where: What messages call the entry.
         channels: What makes a channel's samples, in SI units, by its name.

@@ -18,6 +18,7 @@ def shown(of: Channel | Command, values: Array) -> Array:
     """Values in the unit in which a user reads them.
 
     Args:
+        of: What was measured or commanded.
         values: In its ``unit``, any shape.
 
     Returns:
@@ -35,6 +36,7 @@ def shown_change(of: Channel, at: Array, change: Array) -> Array:
     """How far values shown lie above those of ``at - change``.
 
     Args:
+        of: What was measured.
         at: Values in its ``unit``, any shape.
         change: What they have more than others, in its ``unit``, of the same shape.
 

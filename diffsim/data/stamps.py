@@ -206,7 +206,9 @@ def stamp_words(path: object, lines: Sequence[int], now: Array, column: str) -> 
     """Why the stamps of rows cannot be right, at which row, and what mends it; None: they can.
 
     Args:
+        path: File, for the message.
         now: Their stamps, (num_rows,) [s].
+        column: Column of the clock.
     """
     if (fault := stamp_fault(now)) is None:
         return None

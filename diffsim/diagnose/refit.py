@@ -178,6 +178,10 @@ def extend(inputs: Inputs, saved: SavedModel) -> Extension:
     does not end above it. The priors are those of the setup, not the saved posterior: the same runs
     must not count twice.
 
+    Args:
+        inputs: Study and setup.
+        saved: Content of the model's file.
+
     Raises:
         ValueError: the setup does not have an effect of the saved model.
     """
@@ -353,6 +357,7 @@ def advise(
     """Refit each set and take the run of the setup's bank on which they differ most.
 
     Args:
+        sets: Names of the effects of every set.
         numerics: Refined numerical settings of the report; None: the model's own.
 
     Raises:

@@ -86,6 +86,9 @@ class Parameter:
 class BaseValues:
     """Values of many base parameters at once: those without a logarithm in a few vector operations.
 
+    Args:
+        base: The base parameters, in the order of the coordinates.
+
     Attributes:
         low, high: Bounds of the standardized coordinates, (num_base,).
     """

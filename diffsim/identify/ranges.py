@@ -111,6 +111,9 @@ def range_of(formula: Formula, names: Sequence[str], saved: Numbers) -> Range:
     Args:
         formula: Takes numbers by name, () or (num_draws,) each, and returns as many values.
         names: Numbers of the file that it needs.
+
+    Returns:
+        The formula at the saved values, within its interval.
     """
     at = {name: torch.tensor(saved.values[name], dtype=torch.float64) for name in names}
     value = float(formula(at))

@@ -45,6 +45,7 @@ def grid(rows: int, columns: int = 1, *, titles: Sequence[str] = (), **options: 
 
     Args:
         rows, columns: Number of panels down and across.
+        titles: Title of each panel, row by row.
         **options: Passed to plotly's ``make_subplots``.
     """
     subplots = optional("plotly.subplots", purpose="an interactive page")
@@ -140,6 +141,7 @@ def chooser(
         labels: Entries of the menu; the first is shown at the start.
         owners: Index of the label that each line belongs to, in the order of the lines.
         num_always: Number of lines before them that always show.
+        name: What is chosen.
     """
     buttons = [
         {

@@ -101,6 +101,7 @@ def law_over_variable(
 
     Args:
         study: Study that knows units.
+        law: The law.
         curve: The term before it has a form.
         values: Numbers of the formula by name; None: it is not drawn.
         kept: Points of the curve that are drawn.
@@ -300,6 +301,7 @@ def write_formula(
 
     Args:
         formula: Such as ``"size*sin(k*u)"``.
+        values: Numbers by name.
         words: What other names are called, such as "heat of current^2".
 
     Returns:

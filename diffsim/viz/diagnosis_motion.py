@@ -22,7 +22,12 @@ _COLORS = {_MEASURED: INK, _BEFORE: NULL, _AFTER: EXTENDED}
 
 
 def moving_runs(report: Report, runs: Sequence[PredictedRun]) -> MovingChoice | None:
-    """Bodies or vehicles of runs, the models on top of each other; None where nothing is to see."""
+    """Bodies or vehicles of runs, the models on top of each other; None where nothing is to see.
+
+    Args:
+        report: The diagnosis, with its fits.
+        runs: Runs with their predictions.
+    """
     views = {}
     for run in runs[:MAX_RUNS]:
         shapes = _shapes(report, run)

@@ -50,6 +50,8 @@ def predicted_runs(
         study: Recorded runs with their channels.
         null: Fit without effects.
         extended: Fit with effects; None where nothing was named.
+        uses: Uses of the runs to predict.
+        bands: Half of the width of the band by run.
     """
     return [
         _predicted_run(run, null, extended, bands.get(run.name))
@@ -93,6 +95,7 @@ def with_noise(channels: Sequence[Channel], sd: Mapping[str, float]) -> list[Cha
     """Channels with the noise that was estimated.
 
     Args:
+        channels: Channels of a study.
         sd: Standard deviation by name of the channel [unit of the channel].
     """
     return [replace(c, sd=float(sd[c.name])) for c in channels]

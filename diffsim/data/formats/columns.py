@@ -40,7 +40,11 @@ def most_unpacked(path: Path) -> int:
 
 
 def require_room(path: Path, unpacked: int) -> None:
-    """Refuse a file that says of itself that it unpacks to more than ``most_unpacked``."""
+    """Refuse a file that says of itself that it unpacks to more than ``most_unpacked``.
+
+    Args:
+        unpacked: Bytes that it says it has.
+    """
     if unpacked > (most := most_unpacked(path)):
         raise ValueError(f"it unpacks to {unpacked:,} bytes, at most {most:,} are read")
 
@@ -51,6 +55,9 @@ def require_text(names: Iterable[str], *values: NDArray[Any]) -> list[str]:
     Args:
         names: Of columns or parts.
         values: Columns; those of text are looked through.
+
+    Returns:
+        The names.
     """
     names = list(names)
     texts = [np.asarray(column) for column in (names, *values)]
@@ -73,7 +80,12 @@ def text_of(cells: Sequence[str]) -> NDArray[Any]:
 
 
 def require_text_room(longest: int, count: int) -> None:
-    """Refuse an array of text of more than ``MOST_UNPACKED`` bytes."""
+    """Refuse an array of text of more than ``MOST_UNPACKED`` bytes.
+
+    Args:
+        longest: Letters of its longest cell.
+        count: Of cells.
+    """
     if (needed := LETTER * longest * count) > MOST_UNPACKED:
         raise ValueError(
             f"a text of {longest:,} letters in a column of {count:,} rows: {needed:,} bytes, at "

@@ -41,6 +41,7 @@ def read(path: Path, part: str, *, upright: bool = False) -> Columns:
     name of the column.
 
     Args:
+        path: The file.
         upright: Whether the longer side of a matrix is that of the samples, as in MATLAB's files.
     """
     h5py = _h5py()

@@ -152,7 +152,11 @@ def _leaf_names(message: Mapping[str, Any], name: str = "") -> Iterator[str]:
 
 
 def is_log(path: Path) -> bool:
-    """Whether a file holds messages of several topics, a table each, recorded at the same time."""
+    """Whether a file holds messages of several topics, a table each, recorded at the same time.
+
+    Args:
+        path: A file of JSON or JSON lines.
+    """
     content = _content(path)
     messages = isinstance(content, list) and all(isinstance(m, Mapping) for m in content)
     return bool(messages and content and not _are_runs(content) and _topic_key(content))

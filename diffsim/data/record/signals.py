@@ -163,7 +163,11 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A study as its rules see it."""
+    """A study as its rules see it.
+
+    Attributes:
+        channels: What was measured.
+    """
 
     study: Study
     channels: tuple[Signal, ...]

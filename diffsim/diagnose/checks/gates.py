@@ -244,7 +244,11 @@ def data_gate(study: Study) -> tuple[GateResult, ...]:
 
 
 def cuts_gate(model: SimModel) -> tuple[GateResult, ...]:
-    """Where runs are cut because their start states stop telling; nothing where none is."""
+    """Where runs are cut because their start states stop telling; nothing where none is.
+
+    Args:
+        model: The plain model.
+    """
     if not model.cuts:
         return ()
     times = ", ".join(

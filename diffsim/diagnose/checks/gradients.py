@@ -86,6 +86,7 @@ def gradient_gate(
     """Adjoint score of every effect against differences; skipped where the scene has no gradient.
 
     Args:
+        problem: Problem with all candidates.
         x: Standardized coordinates of the null fit, (n,).
         residual, jacobian: Whitened, with the slopes of all candidates, (num_valid,) and
             (num_valid, n).

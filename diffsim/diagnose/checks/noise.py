@@ -119,6 +119,7 @@ def noise_floor(
     independent samples a stated sd is the better estimate, and they tell its color alone.
 
     Args:
+        runs: Runs to be fitted.
         channels: Columns of their ``measured``.
         left: Measured minus predicted by run, (num_samples, num_channels) [unit of the channel];
             set-up nuisances of each run must have been fitted, or they would pass as scatter.
@@ -309,6 +310,10 @@ def without_misread(run: Run, commands: Sequence[Command]) -> tuple[Run, int]:
 
     What is commanded may jump, so that other commands stay.
 
+    Args:
+        run: Run as it was recorded.
+        commands: What is known of commands.
+
     Returns:
         The run, the same object where nothing jumps, and the number of jumps.
     """
@@ -331,6 +336,8 @@ def choose_commands(
     motion cannot jump, and what a record shows of a jump is seen in the channels.
 
     Args:
+        run: Run as it was recorded.
+        commands: What is known of commands.
         left: Measured minus predicted in a run, (num_samples, num_channels) [unit of the channel].
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
 
@@ -354,6 +361,7 @@ def without_spikes(
     more than chance makes of the largest share is simulated wrongly there, and keeps all.
 
     Args:
+        runs: All runs of a study.
         lefts: Measured minus predicted, (num_samples, num_channels) for each.
         usual: Noise that is stated, (num_channels,) [unit of the channel]: a sensor that stands
             still for a while, between two counts, has none of its own there. None: not stated.

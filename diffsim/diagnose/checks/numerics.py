@@ -45,6 +45,7 @@ def numerics_changes(
     Args:
         problem: Fitting problem whose runs are simulated again.
         at: Record with the settings in use, and where.
+        names: Settings that are refined, one at a time.
     """
     out = {}
     for name in names:
@@ -222,10 +223,12 @@ def refine_within(
     ones within it, where these are enough.
 
     Args:
+        fit: Fit whose parameters are kept.
         budget: Cost of a simulation over the plain one, at most.
         changes: Change of the record by refining each setting, by its name, (N,) each.
         gates: The numerics gate, which fails.
         once: Weighted steps of a plain simulation.
+        is_any_enough: Whether any finer settings are.
 
     Returns:
         The settings, the changes and gates there, and the cost of a simulation over the plain one.

@@ -77,6 +77,9 @@ def causes_along(
 def best_pairs(screen: Screen, causes: Sequence[CauseAlong]) -> tuple[list[Pair], int]:
     """Pairs that explain more than every law and every cause alone; fits decide between them.
 
+    Args:
+        screen: Laws along the recordings.
+
     Returns:
         The pairs, the best first, and how many were weighed.
     """

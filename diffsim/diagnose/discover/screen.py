@@ -531,6 +531,7 @@ class Weigher:
 
         Args:
             columns: Slopes by the factors of each, side by side, (N, sum of ``counts``).
+            counts: Number of factors of each.
 
         Yields:
             Nats, and the most probable amplitude; None of a law that does nothing.

@@ -182,7 +182,11 @@ class Rows(Goals):
         return square, told
 
     def set_aside(self, choice: Choice, names: Sequence[str]) -> tuple[str, ...]:
-        """What an explanation does not trust, in words."""
+        """What an explanation does not trust, in words.
+
+        Args:
+            names: Names of the channels.
+        """
         out = []
         for k in np.flatnonzero(choice.part == 2):
             run, start, end = self.places[k]
@@ -337,7 +341,12 @@ def _stretches(run: Run) -> tuple[Index, bool]:
 
 
 def learned_tails(found: Iterable[tuple[Rows, Fit]], before: Tails) -> Tails:
-    """How far goals are off in groups that teach: the next step of expectation maximization."""
+    """How far goals are off in groups that teach: the next step of their expectation maximization.
+
+    Args:
+        found: Each group, and its best fit.
+        before: What was thought before.
+    """
     num_channels = len(before.narrow)
     total, count = np.zeros(num_channels), np.zeros(num_channels)
     missed = 0.0

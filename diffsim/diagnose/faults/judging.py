@@ -104,6 +104,7 @@ def judged_group(
         group: The group; it is not among those that taught.
         keys: ``faults`` of the study.
         sets: Sets of causes that may act at once.
+        seed: Of the draws of sizes.
     """
     rng = np.random.default_rng(seed)
     effects = {e.name: e for e in learned.problem.effects}

@@ -82,6 +82,7 @@ class GroupPosterior:
         """What is known of the shared parameters of a group for one draw: mean and covariance.
 
         Args:
+            draw: Number of the draw.
             new_state: Whether the group is in a state that was never seen.
             factor: Factor on the spreads of such a state.
         """
@@ -145,6 +146,7 @@ def learn(
     Args:
         problem: Model, all runs, noise and effects.
         groups: All groups; those that do not teach are left out.
+        seed: Of the draws of spreads.
         state: Fact of the runs that says which state of the rig they share; None: none.
 
     Raises:

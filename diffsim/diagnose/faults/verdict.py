@@ -253,6 +253,7 @@ def verdict_of(
     """What may be said of a group.
 
     Args:
+        effects: Causes by name.
         smallest_visible: Smallest size of each cause that would be visible alone.
     """
     level = np.array([w.evidence.log_evidence for w in evidences])

@@ -152,6 +152,7 @@ def apart_words(rows: Sequence[ApartRow], shared: Sequence[str]) -> tuple[str, .
     """What groups share and in what they differ, in sentences; none where nothing may differ.
 
     Args:
+        rows: Numbers of groups.
         shared: Names of parameters and causes that are one number for all.
     """
     if not rows:

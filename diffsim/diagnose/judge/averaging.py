@@ -177,6 +177,7 @@ class ModelAverage:
         are.
 
         Args:
+            i: Index of the effect.
             alone: As of ``_sizes``.
         """
         sizes = self._sizes(i, widened=True, alone=alone)

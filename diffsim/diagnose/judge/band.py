@@ -192,6 +192,7 @@ def band_of(
     Args:
         channels: Columns of ``measured``.
         noise: Standard deviation of the noise, (num_channels,) [unit of the channel].
+        select: Runs with use: select.
         validation: What names were held against; fits without a part are not made again.
         plain: Fit without effects; None: no part is held against it.
 

@@ -32,6 +32,7 @@ def repeated_gate(fit: Fit, seed: int) -> tuple[GateResult, ...]:
 
     Args:
         fit: Fit whose residual is asked about.
+        seed: Seed of the draws.
     """
     p = swap_probability(fit.problem, fit.residual, seed=seed)
     if p is None:

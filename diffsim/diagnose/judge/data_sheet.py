@@ -76,6 +76,7 @@ def base_rows(
     intervals hold what is found both with it and without.
 
     Args:
+        fit: Fit of the best set.
         judged: Whether findings may be stated: repeats and numerical settings are in order.
         wrong: Value and sd of parameters without the pull of a data sheet that is wrong, in its
             standard deviations, by name; None: none.

@@ -32,6 +32,7 @@ def require_same_kind(saved: SavedModel, study: Study) -> None:
 
     Args:
         saved: Model that was fitted; files of before say less of their study.
+        study: Study of new runs.
 
     Raises:
         ValueError: it is one; the message says which study it was fitted to.
@@ -55,6 +56,7 @@ def differences(saved: SavedModel, study: Study) -> tuple[str, ...]:
 
     Args:
         saved: Model that was fitted to one of them; files of before hold none.
+        study: The other one.
 
     Raises:
         ValueError: a difference that cannot be meant.

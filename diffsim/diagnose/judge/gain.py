@@ -170,6 +170,7 @@ def compared(
         null: A fit whose noise floor whitened the residuals.
         before: Residuals without the effects, (num_valid,) by run.
         after: Residuals with the effects, (num_valid,) by run.
+        seed: Seed of the bootstrap.
     """
     times = [time_of_rows(null.problem, run) for run in runs]
     squares = [(a**2, b**2) for a, b in zip(before, after, strict=True)]
@@ -279,7 +280,11 @@ class Validation(Protocol):
 
 @dataclass(eq=False)
 class SelectRuns:
-    """Runs with use: select, to which nothing is fitted but what is their own."""
+    """Runs with use: select, to which nothing is fitted but what is their own.
+
+    Args:
+        runs: These runs.
+    """
 
     runs: Sequence[Run]
     words: str = "runs with use: select"
@@ -299,7 +304,11 @@ class SelectRuns:
 
 @dataclass(eq=False)
 class LeftOut:
-    """Parts of the fit runs, each predicted by a fit without it."""
+    """Parts of the fit runs, each predicted by a fit without it.
+
+    Args:
+        problem: Problem with the runs that are fitted.
+    """
 
     problem: Problem
     folds: Folds
@@ -324,7 +333,11 @@ class LeftOut:
 
 
 def validation_of(plain: Fit, select: Sequence[Run]) -> Validation | None:
-    """Select runs if there are any, else fit runs left out; None where they are too few."""
+    """Select runs if there are any, else fit runs left out; None where they are too few.
+
+    Args:
+        select: Runs with use: select.
+    """
     if select:
         return SelectRuns(select)
     folds = folds_of(plain)

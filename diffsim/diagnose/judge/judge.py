@@ -201,7 +201,9 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
     of them is gone. What is withdrawn takes all sets with it, so evidence decides anew.
 
     Args:
+        search: Search with all sets that were weighed.
         validation: What names are held against; None: the evidence alone decides.
+        seed: Seed of the bootstraps.
     """
     gains: dict[int, Gain] = {}
     gates: tuple[GateResult, ...] = ()
@@ -274,6 +276,11 @@ def as_good(judgment: Judgment, validation: Validation, seed: int) -> dict[int, 
 
     Evidence tells which of two laws is the better one, not that the worse one is not what acts:
     both may be a little wrong. So no cause is refuted by such a neighbor.
+
+    Args:
+        judgment: Verdict with the gains of the members.
+        validation: What these were computed on.
+        seed: Seed of the bootstraps.
     """
     search, best = judgment.search, judgment.decision.best
     assert search is not None  # gains come of a search

@@ -116,6 +116,7 @@ def held_out_point(fit: Frozen, run: Run, unmet: Collection[str] | None = None) 
 
     Args:
         fit: Model, noise and coordinates, which stay.
+        run: Run that was not fitted.
         unmet: Parameters that no fitted run has, as of ``own_names``; None: those of the problem.
     """
     known = tuple(unmet_by(fit.problem) if unmet is None else unmet)
@@ -141,6 +142,7 @@ def own_names(names: Sequence[str], run: Run, unmet: Collection[str] = ()) -> tu
     """Parameters that are fitted to a run whatever it is used for.
 
     Args:
+        names: Names of all coordinates.
         unmet: Parameters that no fitted run has; those of this run's facts are its own.
     """
     at_run = f"@{run.name}"
@@ -221,7 +223,11 @@ def own_point(
 
 
 def own_words(rows: Sequence[OwnRow]) -> list[str]:
-    """Values that ended far from what is stated of them, a sentence for each parameter."""
+    """Values that ended far from what is stated of them, a sentence for each parameter.
+
+    Args:
+        rows: Values of all runs.
+    """
     far: dict[str, list[OwnRow]] = {}
     for row in rows:
         if abs(row.pull) > FAR_OFF:

@@ -291,7 +291,11 @@ def wrong_gradients(gates: Sequence[GateResult]) -> frozenset[str]:
 
 
 def said_gradient(gate: GateResult, whose: str = "its derivative") -> str:
-    """What a failed gradient check means for sizes."""
+    """What a failed gradient check means for sizes.
+
+    Args:
+        whose: The derivative of what.
+    """
     if gate.value < USEFUL:
         good = f"sizes are good to {100 * gate.value:.1g} %"
         return f"{whose} could not be confirmed to {gate.limit:g}; {good}"
@@ -388,6 +392,7 @@ def doubts_of_unseen(gain: Gain | None, errors: Sequence[ErrorRow]) -> Iterator[
 
     Args:
         gain: Gain on test runs; None without such runs, or where one could not be simulated.
+        errors: Errors on runs that were not fitted.
     """
     if gain is not None and (why := why_unconfirmed(gain)):
         yield f"{why} on test runs"

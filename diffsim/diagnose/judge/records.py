@@ -232,7 +232,11 @@ class ErrorRow:
 
 
 def in_small_units(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
-    """Rows in the unit in which they are read, one for each kind of channel."""
+    """Rows in the unit in which they are read, one for each kind of channel.
+
+    Args:
+        errors: Of the runs.
+    """
     scales = {
         (row.kind, row.unit): small_scale(row.unit, (row.after, row.noise))
         for row in pooled_by_kind(errors)

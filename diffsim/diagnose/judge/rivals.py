@@ -37,6 +37,10 @@ def beside_no_skill(found: Unseen, study: Study) -> tuple[ErrorRow, ...]:
 
     A constant has its zero fitted to the run where a value in the channel's unit was, and the
     command itself its delay and zero, where one has the unit of the channel.
+
+    Args:
+        found: Answer about the runs.
+        study: Study that holds them.
     """
     runs = {run.name: run for run in study.runs}
     out = []

@@ -97,6 +97,7 @@ def outside_rows(
     """Quantities of runs outside of fitted ranges, the farthest first.
 
     Args:
+        runs: Runs that are judged.
         channels: Columns of their ``measured``.
         spans: Ranges of the fitted runs, as ``spans_of`` returns them.
         commands: What is known of commands: their units.
@@ -302,10 +303,12 @@ def on_unseen(
     """Judge a model and its extension on runs; each at its own coordinates, which stay.
 
     Args:
+        plain: Plain model at its own fit.
         extended: Extended model at its fit; the plain one where nothing was named.
         channels: Columns of their ``measured``.
         sd: Standard deviation of the noise, (num_channels,) [unit of the channel].
         spans: What the fitted runs covered, as ``spans_of`` returns it.
+        seed: Seed of the bootstraps.
         use: What the runs are for, as the rows say it.
         commands: What is known of commands: their units.
         unmet: Parameters of facts that no fitted run has: a run with such a fact tells its own.

@@ -125,6 +125,7 @@ def report_of(
         checks: Gates, and what they simulated.
         judgment: The verdict and the search behind it.
         screened: Scores of all candidates at the plain model.
+        seed: Seed of the bootstraps.
         validation: What names were held against.
     """
     judgment, checks, members = _settle_best_set(judgment, checks)
@@ -260,6 +261,7 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
 
     Args:
         frozen: Report whose answer does not change any more but by what is taken back.
+        seed: Seed of the bootstrap.
         laws: Names of the causes that no library holds.
     """
     seen, is_test = frozen.study, bool(study.test_runs)
@@ -330,6 +332,7 @@ def taken_back(frozen: Report, gained: Gain | None, errors: Sequence[ErrorRow]) 
     Args:
         frozen: Report before they were looked at.
         gained: Gain on test runs; None without such runs or without a cause.
+        errors: Errors on runs that were not fitted.
     """
     if frozen.verdict == "none":
         off = [(row.run, row.after / row.noise) for row in errors if row.noise > 0.0]

@@ -124,6 +124,7 @@ def cause_rows(known: CauseEvidence, base: Sequence[BaseRow]) -> tuple[CauseRow,
     """One row per candidate, per data sheet that is contradicted, and per unknown cause in play.
 
     Args:
+        known: Verdict, probabilities and candidates.
         base: Base parameters, findings among them.
     """
     values = {row.name: row.value for row in base}

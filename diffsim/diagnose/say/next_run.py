@@ -95,6 +95,7 @@ def narrowing(fit: Fit, bank: Sequence[Run], names: Sequence[str]) -> Narrowing:
     """Posterior sd of parameters with each run of a bank, over that without it.
 
     Args:
+        fit: Fit of the answer.
         bank: Runs that could be recorded; ``measured`` only gives the shape (any finite values).
         names: Parameters and sizes of the fit, one or more.
 

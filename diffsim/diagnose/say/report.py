@@ -196,6 +196,10 @@ def save_model(
     """Write extended_model.yaml with all that judging new runs needs.
 
     Args:
+        null: Fit of the plain model to the same runs.
+        folder: Folder of the file.
+        verdict: Verdict of the diagnosis.
+        band: What bands of unseen runs are made from.
         ranges: 90 % intervals of parameters and sizes, by name, each in its unit.
     """
     noise = null.problem.whitener

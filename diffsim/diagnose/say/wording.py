@@ -146,6 +146,7 @@ def size_range(row: CauseRow, *, brief: bool = False) -> str:
     """Sizes of a cause with their 90 % intervals, or between which values many of them lie.
 
     Args:
+        row: Cause with one size or more.
         brief: Say of two or more sizes, too, only between which values they lie.
     """
     row = row.as_read()

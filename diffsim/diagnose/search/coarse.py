@@ -196,6 +196,9 @@ def renewed_at(fit: Fit) -> tuple[Correction, float]:
     A plain model that lacks a large cause may end where finer steps ask for another damping; at
     the answer they ask for none.
 
+    Args:
+        fit: Fit of a corrected problem.
+
     Returns:
         The new correction; and the length of what it changes of the record there, as the numerics
         gate measures it [noise and prior sd].

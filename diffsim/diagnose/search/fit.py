@@ -63,6 +63,7 @@ def first_fit(problem: Problem, windows: Sequence[float], until: float = math.in
     ones, ``SimModel.shortened``; the fit's problem holds the model that was used.
 
     Args:
+        problem: The plain model on the runs to be fitted.
         windows: Shares of each run that are fitted first, ascending; (): only whole runs.
         until: Count of weighted steps of the model after which fits end where they are.
 
@@ -83,7 +84,12 @@ def first_fit(problem: Problem, windows: Sequence[float], until: float = math.in
 
 
 def cut(run: Run, share: float) -> Run:
-    """The first part of a run."""
+    """The first part of a run.
+
+    Args:
+        run: Recorded run.
+        share: Share of its samples that is kept.
+    """
     count = len(run.time_s)
     keep = min(max(int(np.ceil(share * count)), MIN_SAMPLES), count)
     return run.part(slice(keep))

@@ -41,6 +41,7 @@ def is_prior_too_dear(
 
     Args:
         simulations: Simulations made so far.
+        settings: Effort of the search.
         most_scanned: Number of effects that are scanned together, at most; 0: none are. With
             them it is what is for scans and slopes, and fits from there.
     """
@@ -69,6 +70,8 @@ def center_at_prior(
 
     Args:
         simulations: Simulations made so far.
+        settings: Effort of the search.
+        num_families: Families of effects, for the evidence.
 
     Returns:
         The center, None where it cannot be simulated, and the simulations with the work it took.
@@ -119,6 +122,10 @@ def cooled(problem: Problem, start: Linearization) -> Linearization:
 
     Under noise so large that the record at the start is no surprise, the base parameters stay near
     their priors and the sizes move; then under the geometric mean of that noise and the true one.
+
+    Args:
+        problem: Problem of a set.
+        start: Start point in its coordinates.
     """
     residual = problem.residual_of(start.record)
     excess = float(residual @ residual) / max(len(residual), 1)

@@ -166,6 +166,7 @@ def has_exact_slopes(at: Linearization, misfit: float) -> bool:
     """Whether the error of slopes is below tolerance, relative and for a misfit.
 
     Args:
+        at: Where a fit ended.
         misfit: chi2 above what noise alone leaves.
     """
     return at.slope_error < SLOPE_RTOL and at.slope_error * np.sqrt(misfit) < SLOPE_ATOL
@@ -276,6 +277,7 @@ def unfitted_shapes(problem: Problem, x: Array) -> NDArray[np.bool_]:
     """Which coordinates are shapes of a problem's effects at their values beforehand.
 
     Args:
+        problem: Problem of a set.
         x: Standardized coordinates, (n,).
 
     Returns:

@@ -33,7 +33,9 @@ def course_at(wide: Problem, own: Sequence[int], center: Linearization, locator:
     """What any course in time would gain at a center.
 
     Args:
+        wide: Problem with all candidate effects.
         own: Wide coordinates of base parameters and of the set at the center.
+        center: Linearization there, with all slopes.
         locator: How the effect finds where it lies.
     """
     residual = wide.residual_of(center.record)
@@ -63,7 +65,10 @@ def scan_located(
     """Simulate the places that an effect proposes, and linearize at the best.
 
     Args:
+        wide: Problem with all candidate effects.
         own: Wide coordinates of base parameters and of the set at the center.
+        center: Linearization there, with all slopes.
+        effect: Effect with a locator.
         course: What any course in time would gain at the center.
     """
     assert effect.locate is not None

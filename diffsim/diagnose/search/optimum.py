@@ -178,6 +178,7 @@ def log_tilt(mean: float, sd: float, precision: float, signed: bool) -> float:
 
     Args:
         mean, sd: Posterior under the stand-in, without bounds, in units of the stand-in's sd.
+        precision: Of the stand-in, in scaled sizes.
         signed: Whether the size may be negative; else twice the prior above zero.
     """
     width = 1.0 / np.sqrt(precision)

@@ -57,6 +57,8 @@ def groups(effects: Sequence[Effect], members: Members, room: int) -> Iterator[M
     mask each other.
 
     Args:
+        effects: All candidates.
+        members: The set at the center.
         room: Number of effects that may still be added.
     """
     if room < 1:
@@ -95,6 +97,7 @@ def num_points(effects: Sequence[Effect], num_runs: int = 1) -> int:
     """Number of sizes that a scan of a group tries.
 
     Args:
+        effects: The group.
         num_runs: Runs that are simulated for each size; one in one run alone counts by its share.
     """
     count = len(_combine_tries(effects))
@@ -111,6 +114,8 @@ def run_for_scans(
     A scan finds where fits start, and these have all runs.
 
     Args:
+        wide: Problem with all candidate effects.
+        center: Linearization with all slopes.
         tried: Groups of effects whose sizes are tried; those that are located have none.
         most: Sizes, and weighted steps that they may take.
     """
@@ -141,7 +146,9 @@ def scan(
     """Try sizes of a group of effects at a center.
 
     Args:
+        wide: Problem with all candidate effects.
         own: Wide coordinates of base parameters and of the set at the center.
+        center: Linearization there, with all slopes.
         group: Indices of the effects whose sizes are tried, ascending.
         run: Index of the run that they are tried in; None, or none that they move: all.
     """
@@ -306,6 +313,7 @@ def records_for(narrow: Problem, points: Array, here: Array) -> Array:
     gain or offset is small, and a scan only finds where fits start.
 
     Args:
+        narrow: Problem of the coordinates that are moved.
         points: Standardized coordinates, (K, n).
         here: Record at the center, (N,).
     """

@@ -77,6 +77,7 @@ def begin_from(search: Search, members: Members, x: Array) -> Search:
 
     Args:
         search: The plain model weighed.
+        members: Effects of the set, by index.
         x: Its end there, standardized coordinates of its own problem, (n,).
     """
     made, names = search.simulations, (search.wide.effects[i].name for i in sorted(members))
@@ -132,6 +133,7 @@ def with_numerics(search: Search, members: Members, *, is_late: bool = False) ->
 
     Args:
         search: Sets that were weighed so far.
+        members: Effects of the set, by index.
         is_late: Nobody will search with finer settings.
     """
     case = search.null.case
@@ -189,6 +191,8 @@ def refit(
     """Fit a set and weigh it there, once; recorded under ``failed`` where it cannot be simulated.
 
     Args:
+        search: Sets that were weighed so far.
+        members: Effects of the set, by index.
         near: Center to start from; the plain model if None, or if it cannot be simulated from
             there.
         begin: Finds where a fit begins, from a start of its own.
@@ -309,6 +313,7 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
     as long as one more budget of a fit lasts.
 
     Args:
+        search: Search that has fitted all of them.
         whole: Set whose parts they are; one that ended far above what slopes promise at the whole's
             end is fitted once more from there.
     """

@@ -166,6 +166,7 @@ class Simulations:
         """Fit a set of effects.
 
         Args:
+            members: Effects of the set, by index.
             start: Start point in coordinates of all candidates, zero outside the set.
             best_cost: Least cost of all sets so far; a set that cannot reach it ends early [nats].
             begin: Finds a better start from there; None: the fit begins there.
@@ -216,6 +217,7 @@ class Simulations:
         """A set's linearization beside some unknown cause, no further away in any coordinate.
 
         Args:
+            members: Effects of the set, by index.
             x: Point in the coordinates of ``narrow``, (n,).
             step: Largest distance [prior sd].
         """
@@ -260,6 +262,7 @@ class Simulations:
         """All slopes at the fit of a set.
 
         Args:
+            members: A fitted set.
             last: Slopes of all candidates at another set. They serve for effects that are neither
                 significant with them nor like a member; None: all are simulated.
         """
@@ -297,7 +300,9 @@ class Simulations:
         """A center with the scans of effects with kinks, and of pairs that mask each other.
 
         Args:
+            center: A fitted set.
             settings: Largest number of effects in one set, of sizes and of weighted steps.
+            num_families: Families of effects, for the evidence.
         """
         made, found = self, {}
         courses: dict[Effect, Course] = {}

@@ -67,6 +67,7 @@ class Store:
 
         Args:
             name: Says what they are, within this store.
+            make: Simulates them.
         """
         kept = self.load_arrays(name)
         if kept is not None:
@@ -127,6 +128,7 @@ def gauss_newton_kept(
 
     Args:
         store: Fits of this study, model and set of candidates.
+        problem: Fitting problem that is minimized.
         start: Start point, with the slopes of all coordinates.
         best_cost: As of ``gauss_newton`` [nats].
         until: As of ``gauss_newton``.

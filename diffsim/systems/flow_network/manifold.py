@@ -195,7 +195,11 @@ class StokesScene(SteadyScene):
 
 
 class Manifold:
-    """Inlets, a manifold across them, and outlets; flows per depth."""
+    """Inlets, a manifold across them, and outlets; flows per depth.
+
+    Args:
+        given: Description.
+    """
 
     kind = "manifold"
     narrowest = None  # usual sizes are stated

@@ -73,6 +73,7 @@ class Balance:
     """Mass and pressures of all levels; unknowns are flows over ``flow_scale`` and pump pressure.
 
     Args:
+        scene: Conditions under which the flow is balanced.
         drive: What the pump gives at each level, (levels, 1) [m^3/s].
         held: Commanded pressures beyond the outlets, (levels, m) [Pa].
     """

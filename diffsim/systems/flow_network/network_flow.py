@@ -23,6 +23,7 @@ class NetworkFlow:
     """Stokes flow of a network on a grid.
 
     Args:
+        device: Network to be simulated.
         refine: Factor on the cell size [-].
 
     Attributes:

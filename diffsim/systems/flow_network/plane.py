@@ -33,7 +33,11 @@ _SINGLE = (
 
 
 class PlaneNetwork:
-    """One pump and straight channels between nodes."""
+    """One pump and straight channels between nodes.
+
+    Args:
+        given: Description.
+    """
 
     kind = "flow_device"
     drives_flow = True

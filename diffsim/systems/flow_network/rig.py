@@ -21,6 +21,7 @@ class FlowRig:
     """Device on its grid; scenes of all runs share it.
 
     Args:
+        device: Device to be simulated.
         refine: Factor on the cell size (``Numerics.mesh``).
     """
 

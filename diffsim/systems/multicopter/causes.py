@@ -121,7 +121,12 @@ def copter_plant(
 def plant_of(
     given: MulticopterKeys, flights: DescribedFlights, study: Study, scales: Scales
 ) -> Plant:
-    """What a described multicopter tells of itself."""
+    """What a described multicopter tells of itself.
+
+    Args:
+        given: Description of the multicopter.
+        scales: Usual magnitudes.
+    """
     functions = dict(FUNCTIONS)
     if given.battery is not None:
         functions["voltage_exponent"] = partial(effects.follow_voltage, name=given.battery)

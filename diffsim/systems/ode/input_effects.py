@@ -54,6 +54,7 @@ def between_samples(name: str, own: str, *, held: bool) -> Apply:
     It comes after all that changes the input on its way, which it is a copy of.
 
     Args:
+        own: Name of the effect.
         held: Whether it is held, in place of going straight.
     """
     other = f"{name} {'held' if held else 'straight'}"
@@ -90,7 +91,11 @@ def _join_samples(u: Tensor, grid: Grid) -> Tensor:
 
 
 def come_slowly(name: str, own: str) -> Apply:
-    """A share of an input comes within the slow time."""
+    """A share of an input comes within the slow time.
+
+    Args:
+        own: Name of the effect.
+    """
     state = f"slow state of {own}"
     parts = {"u": named(name), "z": named(state), "size": named(symbol(own))}
     change = Change(
@@ -104,7 +109,12 @@ def come_slowly(name: str, own: str) -> Apply:
 
 
 def follow_profile(name: str, own: str, *, held: Mapping[str, bool]) -> Apply:
-    """An input that is a set point behind a profile: it is no longer held between samples."""
+    """An input that is a set point behind a profile: it is no longer held between samples.
+
+    Args:
+        own: Name of the effect.
+        held: Whether inputs are held, by name.
+    """
     other = f"{name} for {own}"
     parts = {"u": named(name), "other": named(other), "size": named(symbol(own))}
     change = Change(
@@ -122,7 +132,11 @@ def _accelerate_input(
 
 
 def drift_in_order(name: str, own: str) -> Apply:
-    """An input does more from run to run."""
+    """An input does more from run to run.
+
+    Args:
+        own: Name of the effect.
+    """
     parts = {"u": named(name), "size": named(symbol(own)), "n": named("run_order")}
     change = Change(names={name: filled(parse_expression("u*(1 + size*n)"), parts)})
     return by_formulas(change, symbol(own))

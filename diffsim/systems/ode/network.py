@@ -66,6 +66,8 @@ class Network:
     """Formulas of a system.
 
     Args:
+        rates: Rate of every state.
+        readings: Formula of every channel.
         definitions: Named formulas that others may use.
         inputs: Names of inputs, with whether they are held between samples.
         limits: Lower and upper limits of states.

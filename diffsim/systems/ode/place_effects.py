@@ -23,7 +23,11 @@ STOP_LIMIT = 2.0  # inertias per square of a step: what an explicit step follows
 
 
 def magnitudes_at(scale: PlaceScale) -> dict[str, float]:
-    """Usual magnitudes at a place, as the table of forces calls them."""
+    """Usual magnitudes at a place, as the table of forces calls them.
+
+    Args:
+        scale: Usual magnitudes in the plain model.
+    """
     return {
         "push": SHARE_OF_USUAL * scale.force,
         "distance": scale.position,
@@ -43,6 +47,9 @@ def shapes(place: Place) -> dict[str, Quantity]:
     """Numbers that some forces at a place have beside their size, known within decades.
 
     Where no such force acts they change nothing.
+
+    Args:
+        place: Where forces may act.
 
     Returns:
         Base parameters by name: the factor on the velocity below which dry friction fades, where
@@ -102,6 +109,7 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
     """How a force at a place enters the formulas.
 
     Args:
+        place: Where it acts.
         scale: Usual magnitudes there.
         row: Cause with ``at: force``, of the effect's name.
     """
@@ -158,7 +166,11 @@ def _holding(
 
 
 def add_inertia(library: Library, place: Place, name: str) -> Apply:
-    """How a larger inertia at a place enters the formulas."""
+    """How a larger inertia at a place enters the formulas.
+
+    Args:
+        name: Name of the effect.
+    """
     factor = filled(
         parse_expression("inertia/max(inertia + size, 0.05*inertia)"),
         {

@@ -97,6 +97,7 @@ class JointDrive:
 
     Args:
         constants: As exported, with those of a run.
+        joint: Name of the hinge.
         actuator: Name of its ``<position>`` actuator.
     """
 
@@ -124,6 +125,7 @@ class JointDrive:
 
         Args:
             model: MuJoCo's model.
+            data: Its state.
             goal: What is commanded now [rad].
             powered: 1, or 0 where the torque is off.
         """

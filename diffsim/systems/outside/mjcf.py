@@ -178,6 +178,7 @@ class Mjcf:
         """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``).
 
         Args:
+            run: Run that is simulated.
             force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
         _, asked = self._take_own({}, force)
@@ -190,6 +191,9 @@ class Mjcf:
         """What each commanded actuator with a name may push with, and its unit, by its name: no
         more than its gain times the largest command, of a servo a share of it, or than the file's
         limit.
+
+        Args:
+            reaches: Largest magnitude of each command, by its name.
         """
         out, plain = dict[str, tuple[float, str]](), self.plain
         hinge = int(self.mujoco.mjtJoint.mjJNT_HINGE)
@@ -623,7 +627,12 @@ MEANS_OTHERWISE = (
 
 
 def version_notes(text: str, version: str) -> list[str]:
-    """What a file means otherwise under other versions of MuJoCo, a sentence each."""
+    """What a file means otherwise under other versions of MuJoCo, a sentence each.
+
+    Args:
+        text: The file with what it includes.
+        version: Version that is installed.
+    """
     own = tuple(int(n) for n in re.findall(r"\d+", version)[:2])
     out = []
     for since, word, meaning in MEANS_OTHERWISE:

@@ -41,7 +41,14 @@ def _by_formula() -> Mapping[str, str]:
 
 
 def path_of_law(mujoco: Any, numbers: Numbers, law: str, joint: str) -> str | None:
-    """The number that is a cause at a joint; None: MuJoCo has none, or not there."""
+    """The number that is a cause at a joint; None: MuJoCo has none, or not there.
+
+    Args:
+        mujoco: The module.
+        numbers: Of the model.
+        law: Name of the cause.
+        joint: Name of the joint.
+    """
     what = OWN_LAWS.get(law)
     if what is None:
         return None
@@ -62,6 +69,12 @@ def take_own(
     """Parameters with the forces that MuJoCo has itself, and the forces that are left.
 
     A size that would make a number negative is left to Python.
+
+    Args:
+        mujoco: The module.
+        numbers: Of the model.
+        parameters: Values by path.
+        force: Forces that are asked for.
     """
     out = dict(parameters)
     if force is None or not force.acts:

@@ -168,6 +168,7 @@ class Numbers:
     """The numbers of one MJCF.
 
     Args:
+        mujoco: The module.
         plain: The model as the file has it, never changed.
         by_ratio: Actuators whose kv is stated as a damping ratio.
     """
@@ -224,6 +225,10 @@ class Numbers:
     def put(self, model: Any, parameters: Mapping[str, float]) -> Setting:
         """Set a model's numbers, all others as the file has them.
 
+        Args:
+            model: A copy of the plain model.
+            parameters: Values by path.
+
         Raises:
             ValueError: a path or a value cannot be set; the message says why.
         """
@@ -255,6 +260,7 @@ class Numbers:
         """The state at the first sample, as MuJoCo lays it out.
 
         Args:
+            model: Model with its numbers.
             setting: What ``put`` returned.
             time: Time of the first sample [s].
         """

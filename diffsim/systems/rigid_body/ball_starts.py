@@ -27,6 +27,8 @@ class BallStarts:
     """Base parameters of the starts of all balls, and their names in a run.
 
     Args:
+        starts: Which runs share a start.
+        runs: Runs of the study.
         seen: Places of a ball as a run shows them.
         gravity: Strength of gravity [m/s^2].
         filmed: Balls that a camera shows: in flight their distance is told by their fall alone.

@@ -151,6 +151,7 @@ class TossModel(SimModel):
 
     Args:
         runs: Tosses of the study, as ``windows`` cut them.
+        thrown: What the tosses have in common.
         at: Values of the base parameters where start states are linearized; the prior if None.
     """
 

@@ -101,6 +101,7 @@ def impact(
     presses the struck ball onto the table, whose own friction acts at once.
 
     Args:
+        resting, coming: States of the resting and of the coming ball at the impact.
         laws: Parameters of the motion on the ground.
         values: "restitution", "ball_friction", "mass_ratio" (struck over coming), "sidespin"
             [m/s].

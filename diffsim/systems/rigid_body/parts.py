@@ -304,6 +304,7 @@ class RigidBodyKeys(Description):
         """Places that a run shows of a body in the recorded frame, (num_samples, 3) [m].
 
         Args:
+            names: Names of its channels.
             body: Name of the body; NaN where nothing shows it.
         """
         place = np.full((len(run.time_s), 3), np.nan)

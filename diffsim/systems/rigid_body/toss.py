@@ -126,6 +126,7 @@ class Tosses:
                 edge_y, edge_z) [m], (K,) or ().
             terms: What is added to the numbers ``added()``, (K,) or ().
             mass: What is known of the body's mass.
+            layout: What the channels show.
             late: How late all channels are, (K,) or () [s]; None: not at all.
         """
         k = len(start)

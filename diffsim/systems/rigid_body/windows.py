@@ -72,6 +72,7 @@ def first_touch(poses: RecordedPoses, half: Array, near: float, ground: float) -
     """The corner that first comes down to the ground, and when.
 
     Args:
+        poses: Complete poses of a box.
         half: Half of its edges, (3,) [m].
         near: Height of a corner that counts as touching [m].
         ground: Height of the ground [m].

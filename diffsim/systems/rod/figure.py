@@ -41,6 +41,7 @@ def dots_of(layout: RodLayout, channels: Tensor) -> MovingShape | None:
     """Markers of which channels show all three coordinates.
 
     Args:
+        layout: Constants of the rod.
         channels: Measured or predicted, (num_samples, num_channels) [m].
 
     Returns:

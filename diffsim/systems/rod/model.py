@@ -93,6 +93,7 @@ class RodModel(SimModel):
     """The model of a described rod; many points are simulated at once.
 
     Args:
+        given: Description.
         channels: Names of the channels, in the order of the study.
         parameters: Quantities of the description: base parameters, and values of a run.
         zeros: Numbers that causes alone change.

@@ -230,7 +230,11 @@ def scales_of(given: SoftBodyKeys, study: Study, mass_kg: float) -> Scales:
 
 
 def usual_motion(given: SoftBodyKeys, scales: Scales) -> dict[str, float]:
-    """How far markers move: the widest channel; how fast: as far in a tenth of the longest run."""
+    """How far markers move: the widest channel; how fast: as far in a tenth of the longest run.
+
+    Args:
+        scales: Usual magnitudes of the recordings.
+    """
     seen = [name for name, reading in given.channels.items() if reading.axis is not None]
     distance = max((scales.of_channels([name])["width"] for name in seen), default=1.0)
     return {"distance": distance, "speed": 10.0 * distance / (scales.longest_s or 1.0)}

@@ -37,6 +37,7 @@ class DescribedModel:
     """Makes scenes of a described soft body.
 
     Args:
+        folder: Folder that files are relative to.
         channels: Names of the channels, in the order of the study.
         parameters: Quantities of the description: base parameters, and values of a run.
         pose_commands: Values of the only command at which slow motions are computed, (num_poses,);

@@ -102,6 +102,7 @@ def same_surroundings(a: SoftScene, b: SoftScene, reads: tuple[str, ...] | None)
     """Whether two scenes are equal in all that forces read from them.
 
     Args:
+        a, b: Scenes of one body.
         reads: Names of the physical parameters that the forces read; None: all.
     """
     values = [
@@ -126,7 +127,11 @@ def _make_row(values: Sequence[float]) -> Tensor:
 
 
 def simulate_together(scenes: Sequence[Any]) -> list[Tensor]:
-    """Predictions of scenes, (num_samples, num_channels) each; those alike in one rollout."""
+    """Predictions of scenes, (num_samples, num_channels) each; those alike in one rollout.
+
+    Args:
+        scenes: Scenes of one run, of any kind.
+    """
     out: dict[int, Tensor] = {}
     waiting = list(range(len(scenes)))
     while waiting:

@@ -91,6 +91,7 @@ def pose_commands(fitted: Sequence[float], now: Sequence[float], num_poses: int)
     Args:
         fitted: Least and greatest value among the runs that were fitted.
         now: Least and greatest value that is wanted.
+        num_poses: Poses within what was fitted.
 
     Returns:
         (num_poses + added,) values; None where the command is always the same.
@@ -121,6 +122,7 @@ def posed(scene: SoftScene, commands: Tensor | None, kept: Memo[Tensor]) -> Pose
     """The scene as a sequence of equilibria.
 
     Args:
+        scene: Scene of a run.
         commands: Values of the only command at which poses are computed; None: at every sample.
         kept: Where poses are kept, shared by all scenes of a body.
     """

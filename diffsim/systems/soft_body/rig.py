@@ -40,6 +40,7 @@ class BodyRig:
     """The body, who holds it, what it carries and who watches it, on one mesh.
 
     Args:
+        folder: Folder that files are relative to.
         channels: Names of the channels, in the order of the study.
         coarser: Factor on the length of the cells.
         dt_s, rtol: Time step [s] and relative tolerance of its solution.
@@ -276,5 +277,6 @@ def mesh_softness(coarse: float, fine: float, here: float) -> float:
 
     Args:
         coarse, fine: Compliance of the stated cells, and of cells half as long.
+        here: Compliance of the mesh in use.
     """
     return here / (fine + (fine - coarse) / 3.0)

@@ -63,6 +63,7 @@ class DescribedRobot:
 
         Args:
             given: Keys of ``model: {system: soft_body}``.
+            folder: Folder that its files are relative to.
             setup: Facts that the keys ask for, as a run of a study states them.
             numerics: Factors on time step, mesh and tolerance; None: those of the description.
 
