@@ -47,11 +47,6 @@ class Battery:
     nominal_voltage: Tensor
 
     def __post_init__(self) -> None:
-        if self.open_circuit_coefficients.shape != (4,):
-            raise ValueError(
-                "open_circuit_coefficients must have shape (4,), got "
-                f"{tuple(self.open_circuit_coefficients.shape)}"
-            )
         scalar("capacity", self.capacity, above=0.0, hint="unit is A s")
         scalar("resistance", self.resistance, at_least=0.0, hint="unit is ohm")
         scalar("nominal_voltage", self.nominal_voltage, above=0.0, hint="unit is V")
