@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from diffsim.contact.obstacle import Obstacle, require_obstacles
-from diffsim.contact.shapes import Shape
 from diffsim.contact.sweep import first_entry, first_entry_in_graph
 from diffsim.core.check import require, require_number
 from diffsim.core.checked import checked
@@ -88,47 +87,69 @@ def detect(
             f"max_depenetration_speed must be >= 0 m/s, got {max_depenetration_speed!r}; "
             "math.inf lifts the limit"
         )
-    push = max_depenetration_speed * dt
     shape = start.shape[:-1]
-    start, end = start.reshape(-1, 3), end.reshape(-1, 3)
-    member = _members(many, shape)
-    moved = [obstacle.after(dt) for obstacle in many]
+    step = _Step(
+        many,
+        [obstacle.after(dt) for obstacle in many],
+        dt,
+        start.reshape(-1, 3),
+        end.reshape(-1, 3),
+        _members(many, shape),
+        max_depenetration_speed * dt,
+        continuous,
+    )
     if len(many) == 1:
-        paths = _Paths.of(many[0], moved[0], start, end)
-        entry = paths.entry(many[0].shape, continuous)
-        planes = _planes(0, many[0], moved[0], dt, paths, entry, push, member)
+        paths = step.paths(0)
+        planes = _planes(step, 0, paths, step.entry(0, paths))
     elif _is_one_graph(many):
-        planes = _stacked_planes(many, moved, dt, start, end, push, continuous, member)
+        planes = _stacked_planes(step)
     else:
-        planes = _nearest_planes(many, moved, dt, start, end, push, continuous, member)
+        planes = _nearest_planes(step)
     return ContactPlanes(*(field.reshape(*shape, *field.shape[1:]) for field in planes))
 
 
 class _Paths(NamedTuple):
-    """Points before and after a step: in the world and in an obstacle's frame, and how deep."""
+    """Points before and after a step in an obstacle's frame, and how deep."""
 
-    start: Tensor
-    end: Tensor
     y0: Tensor
     y1: Tensor
     phi0: Tensor
     phi1: Tensor
     normal1: Tensor
 
-    @classmethod
-    def of(cls, obstacle: Obstacle, later: Obstacle, start: Tensor, end: Tensor) -> _Paths:
-        y0, y1 = obstacle.to_local(start), later.to_local(end)
-        return cls(start, end, y0, y1, obstacle.shape.evaluate(y0)[0], *obstacle.shape.evaluate(y1))
 
-    def entry(self, shape: Shape, continuous: bool) -> Tensor | None:
-        """Where in [0, 1] each path enters (inf: not used); None: no path does."""
-        if not (continuous and shape.can_tunnel):
+class _Step(NamedTuple):
+    """Points that move, the members they belong to, and obstacles before and after."""
+
+    many: list[Obstacle]
+    moved: list[Obstacle]
+    dt: float
+    start: Tensor
+    end: Tensor
+    member: Tensor
+    push: float
+    continuous: bool
+
+    def paths(self, index: int) -> _Paths:
+        """All points as one obstacle sees them."""
+        shape = self.many[index].shape
+        y0, y1 = self.many[index].to_local(self.start), self.moved[index].to_local(self.end)
+        return _Paths(y0, y1, shape.evaluate(y0)[0], *shape.evaluate(y1))
+
+    def entry(self, index: int, paths: _Paths) -> Tensor | None:
+        """Where in [0, 1] each path enters an obstacle (inf: not used); None: no path does."""
+        shape = self.many[index].shape
+        if not (self.continuous and shape.can_tunnel):
             return None
-        given = [t.detach() for t in self[2:]]
+        given = [t.detach() for t in paths]
         if torch.compiler.is_compiling() and shape.in_one_graph:
             return first_entry_in_graph(*given, handle=shape.handle)
         entry = first_entry(shape, *given)
         return entry if bool(entry.isfinite().any()) else None
+
+    def of(self, own: Tensor) -> _Step:
+        """The step of some points."""
+        return self._replace(start=self.start[own], end=self.end[own], member=self.member[own])
 
 
 def _is_one_graph(obstacles: Sequence[Obstacle]) -> bool:
@@ -136,61 +157,39 @@ def _is_one_graph(obstacles: Sequence[Obstacle]) -> bool:
     return torch.compiler.is_compiling() and all(one.shape.in_one_graph for one in obstacles)
 
 
-def _nearest_planes(
-    many: list[Obstacle],
-    moved: list[Obstacle],
-    dt: float,
-    start: Tensor,
-    end: Tensor,
-    push: float,
-    continuous: bool,
-    member: Tensor,
-) -> ContactPlanes:
+def _choice(depths: list[Tensor], entries: list[Tensor | None]) -> tuple[Tensor, Tensor]:
+    """Where each path first enters (inf: nowhere), and the obstacle that counts for it."""
+    none = torch.full_like(depths[0], math.inf)
+    entry, first = torch.stack([none if one is None else one for one in entries]).min(0)
+    return entry, torch.where(entry.isfinite(), first, torch.stack(depths).argmin(0))
+
+
+def _nearest_planes(step: _Step) -> ContactPlanes:
     """The half space of each point's obstacle."""
     with torch.no_grad():
-        depths, entries = [], []
-        for obstacle, later in zip(many, moved, strict=True):
-            paths = _Paths.of(obstacle, later, start, end)
-            own_entry = paths.entry(obstacle.shape, continuous)
-            depths.append(paths.phi1)
-            none = torch.full_like(paths.phi1, math.inf)
-            entries.append(none if own_entry is None else own_entry)
-        entry, first = torch.stack(entries).min(0)
-        choice = torch.where(entry.isfinite(), first, torch.stack(depths).argmin(0))
+        every = [step.paths(k) for k in range(len(step.many))]
+        entries = [step.entry(k, paths) for k, paths in enumerate(every)]
+        entry, choice = _choice([paths.phi1 for paths in every], entries)
     parts: list[ContactPlanes] = []
     order: list[Tensor] = []
-    for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
+    for k in range(len(step.many)):
         own = torch.nonzero(choice == k).flatten()
-        if not len(own) and (parts or k + 1 < len(many)):
+        if not len(own) and (parts or k + 1 < len(step.many)):
             continue
         order.append(own)
-        paths = _Paths.of(obstacle, later, start[own], end[own])
+        part = step.of(own)
         used = entry[own] if bool(entry[own].isfinite().any()) else None
-        parts.append(_planes(k, obstacle, later, dt, paths, used, push, member[own]))
+        parts.append(_planes(part, k, part.paths(k), used))
     back = torch.argsort(torch.cat(order))
     return ContactPlanes(*(torch.cat(fields)[back] for fields in zip(*parts, strict=True)))
 
 
-def _stacked_planes(
-    many: list[Obstacle],
-    moved: list[Obstacle],
-    dt: float,
-    start: Tensor,
-    end: Tensor,
-    push: float,
-    continuous: bool,
-    member: Tensor,
-) -> ContactPlanes:
+def _stacked_planes(step: _Step) -> ContactPlanes:
     """The same in one graph: what a number decides is evaluated either way."""
-    parts, depths, entries = [], [], []
-    for k, (obstacle, later) in enumerate(zip(many, moved, strict=True)):
-        paths = _Paths.of(obstacle, later, start, end)
-        entry = paths.entry(obstacle.shape, continuous)
-        parts.append(_planes(k, obstacle, later, dt, paths, entry, push, member))
-        depths.append(paths.phi1.detach())
-        entries.append(torch.full_like(depths[-1], math.inf) if entry is None else entry)
-    first, which = torch.stack(entries).min(0)
-    choice = torch.where(first.isfinite(), which, torch.stack(depths).argmin(0))
+    every = [step.paths(k) for k in range(len(step.many))]
+    entries = [step.entry(k, paths) for k, paths in enumerate(every)]
+    parts = [_planes(step, k, every[k], entries[k]) for k in range(len(step.many))]
+    _, choice = _choice([paths.phi1.detach() for paths in every], entries)
 
     def chosen(*fields: Tensor) -> Tensor:
         stacked = torch.stack(fields)
@@ -200,18 +199,11 @@ def _stacked_planes(
     return ContactPlanes(*(chosen(*fields) for fields in zip(*parts, strict=True)))
 
 
-def _planes(
-    index: int,
-    obstacle: Obstacle,
-    later: Obstacle,
-    dt: float,
-    paths: _Paths,
-    entry: Tensor | None,
-    push: float,
-    member: Tensor,
-) -> ContactPlanes:
-    """Half spaces of the points that meet one obstacle; ``index`` is its place in the list."""
-    start, end, y0, y1, distance, phi, normal = paths
+def _planes(step: _Step, index: int, paths: _Paths, entry: Tensor | None) -> ContactPlanes:
+    """Half spaces of points that meet one obstacle; ``index`` is its place in the list."""
+    obstacle, later = step.many[index], step.moved[index]
+    start, end = step.start, step.end
+    y0, y1, distance, phi, normal = paths
     at = end
     if entry is not None:
         entered = entry.isfinite()
@@ -226,12 +218,12 @@ def _planes(
         phi, normal = obstacle.shape.evaluate(q)
         at = torch.where(entered[:, None], later.to_world(q), end)
     normal = normal @ later.rotation.T
-    reference = start + obstacle.displacement(start, dt) if obstacle.moves else start
+    reference = start + obstacle.displacement(start, step.dt) if obstacle.moves else start
     offset = dot(normal, at - reference) - phi
-    if math.isfinite(push):
-        offset = torch.where(distance.detach() < 0, offset.clamp(max=push), offset)
+    if math.isfinite(step.push):
+        offset = torch.where(distance.detach() < 0, offset.clamp(max=step.push), offset)
     friction, restitution = (
-        value.expand_as(phi) if value.ndim == 0 else value[member]
+        value.expand_as(phi) if value.ndim == 0 else value[step.member]
         for value in (obstacle.friction, obstacle.restitution)
     )
     bounces = torch.compiler.is_compiling() or restitution.requires_grad  # one graph has both

@@ -110,16 +110,8 @@ class Obstacle:
             return self
         turn = matrix_from_rotation_vector(self.angular_velocity * dt)
         moved = object.__new__(Obstacle)
-        moved._set(
-            shape=self.shape,
-            position=self.position + self.velocity * dt,
-            rotation=turn @ self.rotation,
-            velocity=self.velocity,
-            angular_velocity=self.angular_velocity,
-            friction=self.friction,
-            restitution=self.restitution,
-            name=self.name,
-        )
+        moved._set(**vars(self))
+        moved._set(position=self.position + self.velocity * dt, rotation=turn @ self.rotation)
         return moved
 
     @property

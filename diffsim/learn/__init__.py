@@ -30,41 +30,27 @@ if TYPE_CHECKING:
     from diffsim.learn.tqc import TqcLearner, TqcOptions
     from diffsim.learn.trained import Trained, load_trained, read_trained
 
-_WHERE = {
-    "CmaLearner": "cma_es",
-    "CmaOptions": "cma_es",
-    "GradientLearner": "gradient",
-    "GradientOptions": "gradient",
-    "Learner": "run",
-    "METHODS": "methods",
-    "MixedLearner": "mixed",
-    "MixedOptions": "mixed",
-    "PpoLearner": "ppo",
-    "PpoOptions": "ppo",
-    "RECIPES": "recipes",
-    "Recipe": "recipes",
-    "Run": "run",
-    "SacLearner": "sac",
-    "SacOptions": "sac",
-    "SapoLearner": "sapo",
-    "SapoOptions": "sapo",
-    "Setup": "setup",
-    "ShacLearner": "shac",
-    "ShacOptions": "shac",
-    "TqcLearner": "tqc",
-    "TqcOptions": "tqc",
-    "Trained": "trained",
-    "load_trained": "trained",
-    "make_learner": "methods",
-    "open_loop": "open_loop",
-    "read_rows": "run",
-    "read_trained": "trained",
-    "recipe": "recipes",
-    "train": "run",
-    "trained_names": "kept_files",
+_OFFERED = {
+    "cma_es": ("CmaLearner", "CmaOptions"),
+    "gradient": ("GradientLearner", "GradientOptions"),
+    "kept_files": ("trained_names",),
+    "methods": ("METHODS", "make_learner"),
+    "mixed": ("MixedLearner", "MixedOptions"),
+    "open_loop": ("open_loop",),
+    "ppo": ("PpoLearner", "PpoOptions"),
+    "recipes": ("RECIPES", "Recipe", "recipe"),
+    "run": ("Learner", "Run", "read_rows", "train"),
+    "sac": ("SacLearner", "SacOptions"),
+    "sapo": ("SapoLearner", "SapoOptions"),
+    "setup": ("Setup",),
+    "shac": ("ShacLearner", "ShacOptions"),
+    "tqc": ("TqcLearner", "TqcOptions"),
+    "trained": ("Trained", "load_trained", "read_trained"),
 }
 if not TYPE_CHECKING:  # to a type checker, any name would be one
-    __getattr__, __dir__ = offered(__name__, {n: f"{__name__}.{m}" for n, m in _WHERE.items()})
+    __getattr__, __dir__ = offered(
+        __name__, {n: f"{__name__}.{m}" for m, names in _OFFERED.items() for n in names}
+    )
 
 __all__ = [
     "METHODS",

@@ -13,25 +13,12 @@ from typing import Any
 import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from diffsim.control import MLPController
 from diffsim.core.checked import checked
-from diffsim.envs.sb3 import Sb3VecEnv
-from diffsim.envs.task import Task
-from diffsim.envs.vector_env import TaskVectorEnv
 from diffsim.learn.run import Update
 from diffsim.learn.setup import Setup
-from diffsim.learn.stable_baselines3 import (
-    as_controller,
-    go_on_from,
-    learn,
-    linear_layers,
-    moments_of,
-    set_moments,
-    start_from,
-)
+from diffsim.learn.stable_baselines3 import Sb3Learner
 
 
 @checked
@@ -75,7 +62,7 @@ class TanhMeanPolicy(ActorCriticPolicy):
         self.action_net = nn.Sequential(self.action_net, nn.Tanh())
 
 
-class PpoLearner:
+class PpoLearner(Sb3Learner):
     """stable-baselines3's PPO, one rollout per update.
 
     Args:
@@ -85,14 +72,13 @@ class PpoLearner:
 
     @checked
     def __init__(self, setup: Setup, options: PpoOptions | None = None):
-        self.options = o = options or PpoOptions()
-        self.task: Task = setup.make_task()
-        first = setup.first_controller(self.task)
-        self.venv = VecNormalize(
-            Sb3VecEnv(TaskVectorEnv(self.task, o.envs)), gamma=o.discount, clip_obs=10.0
-        )
-        self.rate = o.learning_rate
-        self.model = PPO(
+        options = options or PpoOptions()
+        self.rate = options.learning_rate
+        super().__init__(setup, options)
+
+    def _make_model(self, seed: int) -> PPO:
+        o = self.options
+        return PPO(
             TanhMeanPolicy,
             self.venv,
             learning_rate=lambda _: self.rate,
@@ -106,7 +92,7 @@ class PpoLearner:
             ent_coef=o.entropy,
             use_sde=o.hold_noise > 0,
             sde_sample_freq=o.hold_noise or -1,
-            seed=setup.seed,
+            seed=seed,
             device="cpu",
             policy_kwargs={
                 "net_arch": {"pi": [64, 64], "vf": [64, 64]},
@@ -116,36 +102,21 @@ class PpoLearner:
                 "log_std_init": float(np.log(o.exploration / (8.0 if o.hold_noise else 1.0))),
             },
         )
-        start_from(first, self._policy_layers(), self.venv)
 
-    def controller(self) -> MLPController:
-        """See ``Learner``."""
-        return as_controller(self.task, self._policy_layers(), self.venv)
+    def _policy(self) -> tuple[nn.Module, ...]:
+        policy = self.model.policy
+        return policy.mlp_extractor.policy_net, policy.action_net
 
     @checked(kinds_only=True)
     def update(self, progress: float) -> Update:
         """One rollout and its epochs; the learning rate is annealed over the whole budget."""
-        o = self.options
-        self.rate = o.learning_rate * max(0.0, 1.0 - progress)
-        return learn(self.model, o.envs * o.rollout)
+        self.rate = self.options.learning_rate * max(0.0, 1.0 - progress)
+        return super().update(progress)
 
-    def _policy_layers(self) -> list[nn.Linear]:
+    def _model_state(self) -> dict[str, Any]:
         policy = self.model.policy
-        return linear_layers(policy.mlp_extractor.policy_net, policy.action_net)
+        return {"policy": policy.state_dict(), "optimizer": policy.optimizer.state_dict()}
 
-    def state_dict(self) -> dict[str, Any]:
-        """See ``Learner``. Episodes in progress are not kept: a resumed run starts new ones."""
-        return {
-            "policy": self.model.policy.state_dict(),
-            "optimizer": self.model.policy.optimizer.state_dict(),
-            "moments": moments_of(self.venv),
-            "num_timesteps": self.model.num_timesteps,
-        }
-
-    @checked(kinds_only=True)
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """See ``Learner``."""
+    def _load_model_state(self, state: dict[str, Any]) -> None:
         self.model.policy.load_state_dict(state["policy"])
         self.model.policy.optimizer.load_state_dict(state["optimizer"])
-        set_moments(self.venv, state["moments"])
-        go_on_from(self.model, state["num_timesteps"])

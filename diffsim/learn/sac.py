@@ -11,25 +11,11 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import SAC
-from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from diffsim.control import MLPController
 from diffsim.core.checked import checked
-from diffsim.envs.sb3 import Sb3VecEnv
-from diffsim.envs.task import Task
-from diffsim.envs.vector_env import TaskVectorEnv
-from diffsim.learn.run import Update
 from diffsim.learn.setup import Setup
-from diffsim.learn.stable_baselines3 import (
-    as_controller,
-    go_on_from,
-    learn,
-    linear_layers,
-    moments_of,
-    set_moments,
-    start_from,
-)
+from diffsim.learn.stable_baselines3 import Sb3Learner
 
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -64,7 +50,7 @@ class SacOptions:
     exploration: float = 0.5
 
 
-class SacLearner:
+class SacLearner(Sb3Learner):
     """stable-baselines3's SAC, one round of collecting and training per update.
 
     Args:
@@ -73,20 +59,18 @@ class SacLearner:
     """
 
     algorithm: type[Any] = SAC
-    options: SacOptions
 
     @checked
     def __init__(self, setup: Setup, options: SacOptions | None = None):
-        self.options = o = options or self._default_options()
-        self.task: Task = setup.make_task()
-        first = setup.first_controller(self.task)
-        self.venv = VecNormalize(
-            Sb3VecEnv(TaskVectorEnv(self.task, o.envs)),
-            gamma=o.discount,
-            clip_obs=10.0,
-            norm_reward=False,
-        )
-        self.model: Any = self.algorithm(
+        super().__init__(setup, options or SacOptions(), norm_reward=False)
+        with torch.no_grad():
+            spread: Any = self.model.actor.log_std
+            spread.weight.zero_()
+            spread.bias.fill_(float(np.log(self.options.exploration)))
+
+    def _make_model(self, seed: int) -> Any:
+        o = self.options
+        return self.algorithm(
             "MlpPolicy",
             self.venv,
             learning_rate=o.learning_rate,
@@ -97,59 +81,34 @@ class SacLearner:
             gamma=o.discount,
             train_freq=(o.rollout, "step"),
             gradient_steps=o.passes,
-            seed=setup.seed,
+            seed=seed,
             device="cpu",
             policy_kwargs={"net_arch": [64, 64], "activation_fn": nn.Tanh},
             **self._extra(),
         )
-        start_from(first, self._policy_layers(), self.venv)
-        with torch.no_grad():
-            spread: Any = self.model.actor.log_std
-            spread.weight.zero_()
-            spread.bias.fill_(float(np.log(o.exploration)))
-
-    def _default_options(self) -> SacOptions:
-        return SacOptions()
 
     def _extra(self) -> dict[str, Any]:
         """Further arguments of the algorithm."""
         return {}
 
-    def controller(self) -> MLPController:
-        """See ``Learner``."""
-        return as_controller(self.task, self._policy_layers(), self.venv)
+    def _policy(self) -> tuple[nn.Module, ...]:
+        return self.model.actor.latent_pi, self.model.actor.mu
 
-    @checked(kinds_only=True)
-    def update(self, progress: float) -> Update:
-        """Some steps of all members, then some of Adam."""
-        return learn(self.model, self.options.envs * self.options.rollout)
-
-    def _policy_layers(self) -> list[nn.Linear]:
-        actor = self.model.actor
-        return linear_layers(actor.latent_pi, actor.mu)
-
-    def state_dict(self) -> dict[str, Any]:
-        """See ``Learner``. Episodes in progress are not kept: a resumed run starts new ones."""
+    def _model_state(self) -> dict[str, Any]:
         buffer = self.model.replay_buffer
         rows = buffer.buffer_size if buffer.full else buffer.pos
         return {
             "parameters": self.model.get_parameters(),
             "log_temperature": self.model.log_ent_coef.detach().clone(),
-            "moments": moments_of(self.venv),
             "buffer": {k: torch.from_numpy(getattr(buffer, k)[:rows].copy()) for k in _BUFFER},
             "place": [buffer.pos, buffer.full],
-            "num_timesteps": self.model.num_timesteps,
         }
 
-    @checked(kinds_only=True)
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """See ``Learner``."""
+    def _load_model_state(self, state: dict[str, Any]) -> None:
         self.model.set_parameters(state["parameters"])
         with torch.no_grad():
             self.model.log_ent_coef.copy_(state["log_temperature"])
-        set_moments(self.venv, state["moments"])
         buffer = self.model.replay_buffer
         for name, rows in state["buffer"].items():
             getattr(buffer, name)[: len(rows)] = rows.numpy()
         buffer.pos, buffer.full = state["place"]
-        go_on_from(self.model, state["num_timesteps"])

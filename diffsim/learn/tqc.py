@@ -37,14 +37,10 @@ class TqcLearner(SacLearner):
     """
 
     algorithm: type[Any] = TQC
-    options: TqcOptions
 
     @checked
     def __init__(self, setup: Setup, options: TqcOptions | None = None):
-        super().__init__(setup, options)
-
-    def _default_options(self) -> TqcOptions:
-        return TqcOptions()
+        super().__init__(setup, options or TqcOptions())
 
     def _extra(self) -> dict[str, Any]:
         return {"top_quantiles_to_drop_per_net": self.options.drop}

@@ -33,13 +33,15 @@ class Mesh:
 
     kind: ClassVar[Kind]
     nodes_per_element: ClassVar[int]
+    _elements: ClassVar[str]  # the field that has them
     _local_edges: ClassVar[IntArray]
     x_rest: Tensor
 
     @property
     def elements(self) -> Tensor:
         """Node indices of the elements, (num_elements, nodes_per_element) int64."""
-        raise NotImplementedError
+        elements: Tensor = getattr(self, self._elements)
+        return elements
 
     @property
     def nodes(self) -> Tensor:
@@ -130,27 +132,27 @@ class Mesh:
         parts = zip("xyz", low, high, strict=True)
         return ", ".join(f"{name} in [{a:g}, {b:g}]" for name, a, b in parts) + " m"
 
-    def _own(self, field: str) -> None:
+    def __post_init__(self) -> None:
         """Check the fields, then replace them by copies that nobody else can change."""
-        for name, value in (("x_rest", self.x_rest), (field, getattr(self, field))):
+        field = self._elements
+        for name, value in (("x_rest", self.x_rest), (field, self.elements)):
             require_constant(name, value, "parameters of a shape move its mesh")
         x = require("x_rest", as_array("x_rest", self.x_rest), ("num_nodes", 3), torch.float64)
         elements = require(
             field,
-            as_array(field, getattr(self, field), torch.int64),
+            as_array(field, self.elements, torch.int64),
             ("num_elements", self.nodes_per_element),
             torch.int64,
         )
         with on_constants():
             object.__setattr__(self, "x_rest", values_of(x).clone())
             object.__setattr__(self, field, values_of(elements).clone())
-            self._check(field)
-
-    def _check(self, field: str) -> None:
-        """Refuse what is no mesh."""
-        validate.check_indices(self.elements.numpy(), self.num_nodes, field)
-        validate.check_size(self.x_rest.numpy())
-        validate.check_nodes(self.x_rest.numpy(), self.elements.numpy(), field)
+            nodes, indices = self.x_rest.numpy(), self.elements.numpy()
+            validate.check_indices(indices, self.num_nodes, field)
+            validate.check_size(nodes)
+            validate.check_nodes(nodes, indices, field)
+            check = validate.check_hexes if self.kind == "hex" else validate.check_tets
+            check(nodes, indices)
 
     def __repr__(self) -> str:
         return (
@@ -180,19 +182,8 @@ class HexMesh(Mesh):
 
     kind = "hex"
     nodes_per_element = 8
+    _elements = "hexes"
     _local_edges = HEX_EDGES
-
-    def __post_init__(self) -> None:
-        self._own("hexes")
-
-    def _check(self, field: str) -> None:
-        super()._check(field)
-        validate.check_hexes(self.x_rest.numpy(), self.hexes.numpy())
-
-    @property
-    def elements(self) -> Tensor:
-        """``hexes``."""
-        return self.hexes
 
 
 @loadable
@@ -215,19 +206,8 @@ class TetMesh(Mesh):
 
     kind = "tet"
     nodes_per_element = 4
+    _elements = "tets"
     _local_edges = TET_EDGES
-
-    def __post_init__(self) -> None:
-        self._own("tets")
-
-    def _check(self, field: str) -> None:
-        super()._check(field)
-        validate.check_tets(self.x_rest.numpy(), self.tets.numpy())
-
-    @property
-    def elements(self) -> Tensor:
-        """``tets``."""
-        return self.tets
 
 
 def _axis(axis: int | str) -> int:

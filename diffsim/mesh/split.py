@@ -44,8 +44,6 @@ def split_tets(mesh: TetMesh) -> TetMesh:
     Returns:
         The fine mesh, of the same shape. ``SoftBody(..., element="quadratic")`` takes it.
     """
-    if not isinstance(mesh, TetMesh):
-        raise TypeError(f"mesh must be a TetMesh, got {type(mesh).__name__}")
     middle = mesh.num_nodes + _edges(mesh)[1].reshape(-1, 6)
     ten = np.concatenate([mesh.tets.numpy(), middle], axis=1)
     nodes = split_positions(mesh, mesh.x_rest)
@@ -63,8 +61,6 @@ def split_positions(mesh: TetMesh, x: Tensor) -> Tensor:
     Returns:
         (num_nodes + num_edges, 3) [m]: x, then the midpoints of the edges. Gradient: x.
     """
-    if not isinstance(mesh, TetMesh):
-        raise TypeError(f"mesh must be a TetMesh, got {type(mesh).__name__}")
     x = require("x", x, (mesh.num_nodes, 3))
     with on_constants():
         ends = torch.from_numpy(_edges(mesh)[0])

@@ -49,10 +49,6 @@ def surface_triangles(mesh: HexMesh | TetMesh) -> Surface:
 @on_constants()
 def surface_quads(mesh: HexMesh) -> Surface:
     """Boundary quads of a hexahedral mesh."""
-    if not isinstance(mesh, HexMesh):
-        raise TypeError(
-            f"surface_quads needs a HexMesh, got {type(mesh).__name__}; use surface_triangles"
-        )
     return _boundary(mesh.hexes.numpy(), HEX_FACES)
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -28,6 +29,8 @@ from diffsim.optim.log import Log, entry_of, evaluation_of
 from diffsim.optim.minimize import Bounds, minimize
 from diffsim.optim.options import Options, Wall
 from diffsim.optim.result import Result
+
+_Found = TypeVar("_Found")
 
 
 @checked(kinds_only=True)
@@ -182,26 +185,36 @@ def multi_start(
         )
     best = sorted(possible, key=lambda e: e.value)[:keep]
     named = [(f"descent {k}", e.x) for k, e in enumerate(best, start=1)]
+    descend = partial(minimize, objective, bounds=bounds, options=options, callback=callback)
+    return MultiStart(starts=starts, descents=tuple(from_each(descend, named, log, executor)))
+
+
+def from_each(
+    descend: Callable[..., _Found],
+    named: Sequence[tuple[str, Any]],
+    log: Log | None,
+    executor: Executor | None,
+) -> list[_Found]:
+    """A descent from each start; in a worker it has a log of its own, which is taken at its end.
+
+    Args:
+        descend: Takes a start, ``log`` and ``name``; picklable where there is an executor.
+        named: Names of the descents in the log, and their starts.
+        log: Log of the search; None: none is kept.
+        executor: Executor of the descents; None: one after another.
+    """
     if executor is None:
-        descents = tuple(
-            minimize(objective, x, bounds, options, log=log, name=name, callback=callback)
-            for name, x in named
-        )
-        return MultiStart(starts=starts, descents=descents)
-    log = Log() if log is None else log
+        return [descend(x, log=log, name=name) for name, x in named]
+    whole = Log() if log is None else log
 
-    def taken(k: int, answer: tuple[Result, Log]) -> None:
-        log.take(named[k][0], answer[1])
+    def taken(k: int, answer: tuple[_Found, Log]) -> None:
+        whole.take(named[k][0], answer[1])
 
-    asked = [(name, x, log.part(name)) for name, x in named]
-    work = partial(_descend_from, objective, bounds, options)
-    answers = run_each(work, asked, executor, done=taken)
-    return MultiStart(starts=starts, descents=tuple(result for result, _ in answers))
+    asked = [(name, x, whole.part(name)) for name, x in named]
+    answers = run_each(partial(_in_worker, descend), asked, executor, done=taken)
+    return [found for found, _ in answers]
 
 
-def _descend_from(
-    objective: Objective, bounds: Bounds, options: Options, asked: tuple[str, Array, Log]
-) -> tuple[Result, Log]:
-    """A descent in a worker, and its evaluations."""
+def _in_worker(descend: Callable[..., _Found], asked: tuple[str, Any, Log]) -> tuple[_Found, Log]:
     name, x, log = asked
-    return minimize(objective, x, bounds, options, log=log, name=name), log
+    return descend(x, log=log, name=name), log

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from diffsim.core.check import require, require_number, require_range
+from diffsim.core.check import require, require_count, require_number, require_range
 from diffsim.core.module import Float64Module, loadable
 from diffsim.soft.parameters import Value, hold
 
@@ -64,10 +64,7 @@ class ActuatorDynamics(Float64Module):
         delay_steps: int = 0,
     ):
         super().__init__()
-        if isinstance(delay_steps, bool) or not isinstance(delay_steps, int):
-            raise TypeError(f"delay_steps must be an int, got {type(delay_steps).__name__}")
-        require_number("delay_steps", delay_steps, at_least=0)
-        self.delay_steps = delay_steps
+        self.delay_steps = require_count("delay_steps", delay_steps)
         hold(self, "time_constant", time_constant)
         hold(self, "max_rate", max_rate)
         self._check_parameters(None)

@@ -40,7 +40,7 @@ def added_mass(
         if density is None:
             raise ValueError("density must be given with a mesh, got None; water has 1000 kg/m^3")
         rho = as_tensor("density", density)
-    volume = _nodal_volume(mesh)
+    volume = nodal_volume(mesh)
     factor = as_tensor("coefficient", coefficient)
     if factor.ndim:
         require("coefficient", factor, (volume.shape[0],))
@@ -72,16 +72,10 @@ def buoyancy(
         Nodal forces, (num_nodes, 3) [N], for ``external_force``. Gradients: nodal volumes,
         density, gravity.
     """
-    nodal = volume if isinstance(volume, Tensor) else _nodal_volume(volume)
+    nodal = volume if isinstance(volume, Tensor) else nodal_volume(volume)
     nodal = require("volume", nodal, ("num_nodes",))
     rho = require("density", as_tensor("density", density), ())
     pull = require("gravity", as_tensor("gravity", gravity), (3,))
     if not torch.compiler.is_compiling():
         require_range("density", rho, at_least=0.0, hint="unit is kg/m^3")
     return -(rho * nodal)[:, None] * pull
-
-
-def _nodal_volume(mesh: HexMesh | TetMesh) -> Tensor:
-    if not isinstance(mesh, (HexMesh, TetMesh)):
-        raise TypeError(f"expected a HexMesh or TetMesh, got {type(mesh).__name__}")
-    return nodal_volume(mesh)

@@ -159,14 +159,9 @@ class LumpedVolume:
                 "of both; pass a scalar, or node_mass instead"
             )
         if shape == (num_elements,):
-            density = _checked_density(require("density", density, shape))
-            masses = density[:, None] * self.shares
-            none = torch.zeros_like(self.nodal)
-            return none.index_add(0, self.elements.flatten(), masses.flatten())
-        return (
-            _checked_density(_repeat_for_batch("density", density, num_nodes, "num_nodes"))
-            * self.nodal
-        )
+            return self._mass_of_elements(density)
+        density = _repeat_for_batch("density", density, num_nodes, "num_nodes")
+        return _checked_density(density) * self.nodal
 
     def _mass_of_members(self, density: Tensor, batch: int) -> Tensor:
         """(batch, num_nodes) [kg]."""
@@ -183,10 +178,14 @@ class LumpedVolume:
                 f"({batch}, {num_nodes}) or ({batch}, num_elements) = ({batch}, {num_elements}),"
                 f" got {shape}; where a mesh has as many elements as vertices, pass node_mass"
             )
-        density = _checked_density(require("density", density, shape))
-        masses = (density[..., None] * self.shares).flatten(1)
-        none = self.nodal.new_zeros(batch, num_nodes)
-        return none.index_add(1, self.elements.flatten(), masses)
+        return self._mass_of_elements(density)
+
+    def _mass_of_elements(self, density: Tensor) -> Tensor:
+        """(..., num_nodes) [kg] of densities (..., num_elements)."""
+        density = _checked_density(require("density", density, tuple(density.shape)))
+        masses = (density[..., None] * self.shares).flatten(-2)
+        none = self.nodal.new_zeros(*density.shape[:-1], len(self.nodal))
+        return none.index_add(-1, self.elements.flatten(), masses)
 
 
 def make_physics(

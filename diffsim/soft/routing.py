@@ -85,15 +85,23 @@ def _knots(inside: _HexLocator | _TetLocator, start: Array, end: Array) -> Array
     return knots
 
 
-class _TetLocator:
-    def __init__(self, mesh: TetMesh):
-        self._x = mesh.x_rest.numpy()[mesh.tets.numpy()]
-        self._grad = shape_gradients(mesh).grad[:, 0].numpy()
+class _Locator:
+    def __init__(self, mesh: HexMesh | TetMesh):
+        self._x = mesh.x_rest.numpy()[mesh.elements.numpy()]
         self.near(self._x.min(axis=(0, 1)), self._x.max(axis=(0, 1)))
 
     def near(self, start: Array, end: Array) -> None:
-        """Look only at the elements whose bounding box meets that of the segment."""
-        self.candidates = _near(self._x, start, end)
+        """Look only at the elements whose bounding box, slightly widened, the segment meets."""
+        x = self._x
+        pad = 1e-6 * (x.max(axis=(0, 1)) - x.min(axis=(0, 1))).max()
+        first, last = _box_range(x.min(axis=1) - pad, x.max(axis=1) + pad, start, end)
+        self.candidates = np.flatnonzero(first <= last)
+
+
+class _TetLocator(_Locator):
+    def __init__(self, mesh: TetMesh):
+        super().__init__(mesh)
+        self._grad = shape_gradients(mesh).grad[:, 0].numpy()
 
     def contains(self, points: Array) -> np.ndarray:
         """Which candidates hold which points (P, 3), (P, candidates) bool."""
@@ -115,15 +123,7 @@ class _TetLocator:
         return result
 
 
-class _HexLocator:
-    def __init__(self, mesh: HexMesh):
-        self._x = mesh.x_rest.numpy()[mesh.hexes.numpy()]
-        self.near(self._x.min(axis=(0, 1)), self._x.max(axis=(0, 1)))
-
-    def near(self, start: Array, end: Array) -> None:
-        """Look only at the elements whose bounding box meets that of the segment."""
-        self.candidates = _near(self._x, start, end)
-
+class _HexLocator(_Locator):
     def contains(self, points: Array) -> np.ndarray:
         """Which candidates hold which points (P, 3), (P, candidates) bool."""
         p, e = np.indices((len(points), len(self.candidates))).reshape(2, -1)
@@ -160,13 +160,6 @@ class _HexLocator:
             if np.abs(step).max(initial=0.0) < 1e-14:
                 break
         return np.minimum(local, 1.0 - local).min(axis=1)
-
-
-def _near(x: Array, start: Array, end: Array) -> IntArray:
-    """Elements with corners x (E, N, 3) whose bounding box, slightly widened, the segment meets."""
-    pad = 1e-6 * (x.max(axis=(0, 1)) - x.min(axis=(0, 1))).max()
-    first, last = _box_range(x.min(axis=1) - pad, x.max(axis=1) + pad, start, end)
-    return np.flatnonzero(first <= last)
 
 
 def _box_range(low: Array, high: Array, start: Array, end: Array) -> tuple[Array, Array]:

@@ -43,7 +43,6 @@ def cut_cells(grid: Grid, phi: Tensor, *, num_threads: int = 1) -> CutCells:
 
     Reference: thesis eqs. 4.72, 4.74 (the same numbers where those are defined).
     """
-    num_threads = require_threads(num_threads)
     phi = require("phi", phi, grid.node_shape, torch.float64)
     volume, area, normal = _ops_cut.cut_cells(
         phi=phi.reshape(-1),

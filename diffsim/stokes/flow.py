@@ -88,8 +88,6 @@ class StokesFlow(Float64Module):
         self.wall = require_choice("wall", wall, WALL_KINDS)
         self.incompressible = incompressible
         solver = SolverOptions() if solver is None else solver
-        if not isinstance(solver, SolverOptions):
-            raise TypeError(f"solver must be SolverOptions(method=...), got {solver!r}")
         self.on_failure, self.num_threads = solver.on_failure, solver.num_threads
         self._context = StokesContext(
             grid.shape,

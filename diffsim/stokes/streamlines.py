@@ -90,8 +90,6 @@ def streamlines(
     Returns:
         One ``Streamline`` per seed, in their order; a seed outside of the fluid has one point.
     """
-    if not isinstance(field, FlowField):
-        raise TypeError(f"field must be a FlowField, got {type(field).__name__}")
     require_choice("direction", direction, ["downstream", "upstream", "both"])
     require_number("tolerance", tolerance, above=0.0)
     require_number("max_step", max_step, above=0.0)
@@ -141,8 +139,7 @@ def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     Raises:
         ValueError: nothing flows into the box.
     """
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise ValueError(f"count must be an integer >= 1, got {count!r}")
+    require_number("count", count, at_least=1)
     grid = field.grid
     velocity, phi = _case(field, case), to_numpy("field.phi", field.phi)
     sampler = _Sampler(grid, velocity, phi)

@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,12 +14,12 @@ from torch import Tensor
 from diffsim.copter.codesign.alternating import alternating, judge
 from diffsim.copter.codesign.bound import lower_bound
 from diffsim.copter.codesign.cases import Demands
-from diffsim.copter.codesign.joint import joint, random_point, refine
+from diffsim.copter.codesign.joint import Solution, joint, random_point, refine
 from diffsim.copter.codesign.limits import Limits
 from diffsim.copter.codesign.metrics import ALTERNATING, METRICS, CurrentModel, parse_objective
 from diffsim.copter.codesign.options import AlternatingOptions, SearchOptions
 from diffsim.copter.codesign.program import Program
-from diffsim.copter.codesign.result import CoDesignResult, StartRecord, attitude_of
+from diffsim.copter.codesign.result import CoDesignResult, attitude_of
 from diffsim.copter.codesign.space import DesignSpace
 from diffsim.copter.codesign.task import Point, Task, hover_residual
 from diffsim.core.arrays import Array
@@ -89,55 +88,8 @@ def codesign(
         options = AlternatingOptions() if options is None else options
         solved = _by_alternation(task, chosen, options, search.num_starts, rng, executor)
     else:
-        solved = _by_joint_program(task, chosen, search, rng, executor)
+        solved = refine(joint(task, chosen, search, rng, executor), search.solver)
     return _result(solved, method, began)
-
-
-class _Solution(NamedTuple):
-    """A solved program and how it came about.
-
-    Attributes:
-        point: The candidate.
-        program: The program with hard hover.
-        x: Unknowns of the program at the optimum.
-        history: Objective or energy over the iterations.
-        seconds_history: Wall time of each [s].
-        status: Why the search stopped.
-        records: One per start.
-        warnings: What its user must know.
-    """
-
-    task: Task
-    point: Point
-    program: Program
-    x: Array
-    history: list[float]
-    seconds_history: list[float]
-    status: str
-    records: list[StartRecord]
-    warnings: list[str]
-
-
-def _by_joint_program(
-    task: Task,
-    spins: Array | None,
-    search: SearchOptions,
-    rng: np.random.Generator,
-    executor: Executor | None,
-) -> _Solution:
-    best = refine(joint(task, spins, search, rng, executor), search.solver)
-    first = min(best.records, key=lambda r: r.value)
-    return _Solution(
-        best.task,
-        best.point,
-        best.program,
-        best.solution.x,
-        history=best.solution.history,
-        seconds_history=best.solution.seconds,
-        status=f"best of {len(best.records)} starts, {first.status}",
-        records=best.records,
-        warnings=best.warnings,
-    )
 
 
 def _by_alternation(
@@ -147,14 +99,13 @@ def _by_alternation(
     num_starts: int,
     rng: np.random.Generator,
     executor: Executor | None,
-) -> _Solution:
+) -> Solution:
     starts = [task.start] + [random_point(task, task.start, rng) for _ in range(num_starts - 1)]
     point, best, records = alternating(task, spins, options, starts, executor)
     _, _, solution, program = judge(task, best)
-    s, d, gamma, _, _ = program.split(solution.x)
-    return _Solution(
+    return Solution(
         task,
-        Point(s, d, point.spins, gamma),
+        Point.of(program, solution.x, point.spins),
         program,
         solution.x,
         history=best.energies,
@@ -165,7 +116,7 @@ def _by_alternation(
     )
 
 
-def _result(solved: _Solution, method: str, began: float) -> CoDesignResult:
+def _result(solved: Solution, method: str, began: float) -> CoDesignResult:
     """The result of a solved program, with what is measured on the whole model."""
     task, point, program, x = solved.task, solved.point, solved.program, solved.x
     thrusts = torch.tensor(program.hover_thrusts(x))

@@ -9,9 +9,10 @@ import time
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import torch
 from scipy.optimize import LinearConstraint, minimize
 
 from diffsim.copter.codesign.hover import LEVEL, rank_spins
@@ -25,33 +26,34 @@ from diffsim.copter.codesign.task import Point, Task, hover_residual
 from diffsim.core.arrays import Array
 from diffsim.core.runs import run_each
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from diffsim.copter.codesign.task import Point, Task
-
-
 FEASIBLE = 1e-7  # relative violation of constraints that a solution may have
 _HOVER = 1e-8  # relative imbalance of the whole model
 _START_TILT = 0.2  # [rad], of random starts
 _START_STEP = 0.3  # of the mean arm, change of shape parameters of random starts
 
 
-class Joint(NamedTuple):
-    """The best of several local solves.
+class Solution(NamedTuple):
+    """A solved program and how it came about.
 
     Attributes:
         task: The task that was solved; its start is moved where the given one cannot be controlled.
         point: The best candidate.
-        solution: Local solution at the best candidate.
+        program: The program with hard hover.
+        x: Unknowns of the program at the optimum.
+        history: Objective or energy over the iterations.
+        seconds_history: Wall time of each [s].
+        status: Why the search stopped.
         records: One per start.
         warnings: What its user must know.
     """
 
     task: Task
     point: Point
-    solution: LocalSolution
     program: Program
+    x: Array
+    history: list[float]
+    seconds_history: list[float]
+    status: str
     records: list[StartRecord]
     warnings: list[str]
 
@@ -62,7 +64,7 @@ def joint(
     options: SearchOptions,
     rng: np.random.Generator,
     executor: Executor | None = None,
-) -> Joint:
+) -> Solution:
     """The best of ``options.num_starts`` local solves, which ``executor`` may do side by side.
 
     Raises:
@@ -108,11 +110,21 @@ def joint(
         )
     solution, chosen = best
     program = task.program(chosen)
-    s, d, gamma, _, _ = program.split(solution.x)
-    point = Point(s, d, chosen, gamma)
+    point = Point.of(program, solution.x, chosen)
     if control_margin(task, point, chosen) < CONTROLLABLE:
         warnings.append("the best design cannot be controlled: its thrusts miss a torque or lift")
-    return Joint(task, point, solution, program, records, warnings)
+    first = min(records, key=lambda record: record.value)
+    return Solution(
+        task,
+        point,
+        program,
+        solution.x,
+        history=solution.history,
+        seconds_history=solution.seconds,
+        status=f"best of {len(records)} starts, {first.status}",
+        records=records,
+        warnings=warnings,
+    )
 
 
 def _solve_start(task: Task, options: SearchOptions, point: Point) -> tuple[LocalSolution, float]:
@@ -127,22 +139,27 @@ def _solve_start(task: Task, options: SearchOptions, point: Point) -> tuple[Loca
     return solution, time.perf_counter() - began
 
 
-def refine(best: Joint, solver: str | None) -> Joint:
+def refine(best: Solution, solver: str | None) -> Solution:
     """Solve again with the fast copy made at the new directions until the whole model hovers.
 
     Only designs whose mass properties depend on the directions need it.
     """
-    task, point, solution, program = best.task, best.point, best.solution, best.program
     for _ in range(5):
-        thrusts = as_tensor(program.hover_thrusts(solution.x))
+        task, point = best.task, best.point
+        thrusts = torch.tensor(best.program.hover_thrusts(best.x))
         if hover_residual(task.vehicle(point), thrusts, point.gamma) <= _HOVER:
             break
-        model = ShapeModel(task.design, as_tensor(point.d), point.s)
-        task = replace(task, model=model)
+        task = replace(task, model=ShapeModel(task.design, torch.tensor(point.d), point.s))
         solution, program = task.solve(point, solver=solver)
-        s, d, gamma, _, _ = program.split(solution.x)
-        point = Point(s, d, point.spins, gamma)
-    return best._replace(task=task, point=point, solution=solution, program=program)
+        best = best._replace(
+            task=task,
+            point=Point.of(program, solution.x, point.spins),
+            program=program,
+            x=solution.x,
+            history=solution.history,
+            seconds_history=solution.seconds,
+        )
+    return best
 
 
 def spin_candidates(
@@ -181,13 +198,6 @@ def random_point(task: Task, origin: Point, rng: np.random.Generator) -> Point:
         d = d + min(_START_TILT, 0.5 * task.limits.max_tilt) * rng.standard_normal(d.shape)
         d = d / np.linalg.norm(d, axis=1, keepdims=True)
     return Point(s, d, origin.spins, LEVEL)
-
-
-def as_tensor(array: Array) -> Tensor:
-    """A torch copy."""
-    import torch
-
-    return torch.tensor(np.asarray(array), dtype=torch.float64)
 
 
 CONTROLLABLE = 1e-4  # margin below which a design counts as lost

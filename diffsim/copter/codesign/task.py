@@ -38,6 +38,12 @@ class Point:
     spins: Array
     gamma: Array
 
+    @staticmethod
+    def of(program: Program, x: Array, spins: Array) -> Point:
+        """The candidate of a program's unknowns."""
+        s, d, gamma, _, _ = program.split(x)
+        return Point(s, d, spins, gamma)
+
 
 @dataclass(frozen=True)
 class Task:

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field, StrictBool
 
+from diffsim.copter.vehicle.option_keys import option_keys
 from diffsim.copter.vehicle.parts.database import PART_KINDS
-from diffsim.copter.vehicle.parts.options import option_keys
 from diffsim.core.check import require_choice
 from diffsim.core.inside import require_file_name
 from diffsim.core.schema import FinitePart

@@ -98,7 +98,6 @@ def hover_thrusts(
     lever = torch.linalg.vector_norm(T, dim=(-2, -1)) / n**0.5
     lever = torch.where(lever > 0.0, lever, 1.0)[:, None, None]
     problem = HoverProblem(force=F / n, torque=T / (n * lever), weights=h, upper=upper)
-    num_threads = require_threads(num_threads)
     solution = _ops_hover.solve(problem, barrier=smoothing, num_threads=num_threads)
     u, state = solution.thrusts, solution.state
     net = (problem.force @ u[..., None]).squeeze(-1)

@@ -77,7 +77,6 @@ def lyapunov(A: Tensor, Q: Tensor, *, num_threads: int = 1) -> Tensor:
     _require_square("A", A)
     Q = require("Q", Q, ("...", n, n))
     batch = torch.Size(np.broadcast_shapes(A.shape[:-2], Q.shape[:-2]))
-    num_threads = require_threads(num_threads)
     X = _ops_riccati.lyapunov(A=_flat(A, batch), Q=_flat(Q, batch), num_threads=num_threads)
     return X.reshape(*batch, n, n)
 

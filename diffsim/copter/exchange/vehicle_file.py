@@ -103,7 +103,7 @@ def vehicle_from_text(
     turn = _TO_FRD[said.body]
     facts = [r.rotor or said.rotor for r in said.rotors]
     cells = DEFAULT_CELLS if said.battery is None else said.battery.cells
-    rotors = tuple(_rotor(f, f"rotor_{k}", cells) for k, f in enumerate(facts) if f is not None)
+    rotors = tuple(_rotor(f, cells) for f in facts if f is not None)
     up = np.array([0.0, 0.0, 1.0 if said.body == "FLU" else -1.0])
     places, axes = [], []
     for k, rotor in enumerate(said.rotors):
@@ -124,21 +124,12 @@ def vehicle_from_text(
     return assembled(body, turn, places, axes, spins, rotors, battery, said.name or name, source)
 
 
-def _rotor(facts: RotorFacts, name: str, cells: int) -> RotorModel:
+def _rotor(facts: RotorFacts, cells: int) -> RotorModel:
     if facts.model is not None:
         model = rotor_model(facts.model)
         own = facts.time_constant
         return model if own is None else replace(model, time_constant=own)
-    assert facts.radius and facts.max_thrust and facts.torque_ratio
-    return own_rotor(
-        radius=facts.radius,
-        max_thrust=facts.max_thrust,
-        torque_ratio=facts.torque_ratio,
-        cells=cells,
-        thrust_exponent=facts.thrust_exponent,
-        max_speed=facts.max_speed,
-        time_constant=facts.time_constant,
-    )
+    return own_rotor(cells=cells, **facts.model_dump(exclude={"model"}))
 
 
 def _battery(facts: BatteryFacts) -> Battery:

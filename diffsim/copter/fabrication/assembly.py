@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffsim.copter.design.design import Design
+from diffsim.copter.fabrication.materials import PLATES
 from diffsim.copter.fabrication.motors import MotorPlan
 from diffsim.copter.fabrication.printable import clip_angles, clip_middle, has_screw_holes
 from diffsim.copter.fabrication.rods import RodCut
@@ -84,7 +85,7 @@ def steps(
             "Slide every connector to its place of the table below, all of one rod before the "
             "next, turned as listed; fix with epoxy only when the whole skeleton fits dry."
         )
-    if kinds & {"plate", "circular_plate"}:
+    if kinds & set(PLATES):
         done.append(
             "Screw the plates to the connectors, two M3 screws each, holes drilled through."
         )

@@ -13,7 +13,7 @@ from diffsim.copter.fabrication.printable import clip_middle
 
 _SCREWS = (8, 10, 12, 16, 20, 25, 30, 35, 40, 50, 60)  # lengths in which M3 is sold [mm]
 _GRIP = 10.0  # of a screw in what it is screwed into [mm]
-_PLATES = ("plate", "circular_plate")
+PLATES = ("plate", "circular_plate")  # parts that are cut from a sheet
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def consumables(design: Design) -> tuple[MaterialLine, ...]:
     for connection in design.spec.connections:
         names = (text.partition(".")[0] for text in (connection.host, connection.guest))
         ends = {parts[name].part.kind for name in names}
-        if ends & set(_PLATES):
+        if ends & set(PLATES):
             screws[_screw_length(2.0)] += 2
     lines = [
         MaterialLine(f"M3 screw, {length} mm", "consumable", n, n * _screw_mass(length), 0.1 * n)

@@ -15,7 +15,7 @@ from torch import Tensor
 from diffsim.copter.design.design import Design
 from diffsim.copter.design.placement import PlacedPart
 from diffsim.copter.fabrication.assembly import ConnectorPlace, connector_places, steps
-from diffsim.copter.fabrication.materials import MaterialLine, bill, consumables
+from diffsim.copter.fabrication.materials import PLATES, MaterialLine, bill, consumables
 from diffsim.copter.fabrication.motors import MotorPlan, motor_plans
 from diffsim.copter.fabrication.overlap import Overlap, overlaps
 from diffsim.copter.fabrication.print_check import PrintCheck, Printer, check_print
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     import trimesh
 
 _MASS_TOLERANCE = 1e-9  # the bill against the design, relative: only the order of sums differs
-_SHEETS = ("plate", "circular_plate")
 
 
 class FabricationError(DiffsimError):
@@ -195,7 +194,7 @@ def _plan_prints(
     numbers = {m.clip: m.number for m in motors}
     groups: dict[str, list[tuple[PlacedPart, Array]]] = defaultdict(list)
     for p in design.parts:
-        if p.part.source == "printed" or p.part.kind in _SHEETS:
+        if p.part.source == "printed" or p.part.kind in PLATES:
             shape = np.array([values[n] for n in p.shape_names])
             groups[_file(p, shape, numbers)].append((p, shape))
     entries = []
@@ -207,7 +206,7 @@ def _plan_prints(
                 file=file,
                 mesh=mesh,
                 names=tuple(p.name for p, _ in alike),
-                process="sheet" if first.part.kind in _SHEETS else "print",
+                process="sheet" if first.part.kind in PLATES else "print",
                 density=first.part.density,
                 check=check_print(mesh, printer),
             )

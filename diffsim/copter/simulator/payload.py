@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import torch
 from scipy.optimize import brentq
-from torch import Tensor
 
 from diffsim.copter.dynamics.control_metrics import max_hover_weight
 from diffsim.copter.dynamics.hover import hover_thrusts
 from diffsim.copter.simulator.outputs import MotorOutputs
 from diffsim.copter.vehicle.battery import Battery
 from diffsim.copter.vehicle.multicopter import GRAVITY, Multicopter
+from diffsim.copter.vehicle.rotor import doubles
 from diffsim.core.check import require_number
 from diffsim.core.checked import checked
 
@@ -64,11 +64,11 @@ def payload_limit(
         battery: What feeds them.
         charge: State of charge of the battery, 0 to 1.
     """
-    start, rated = _tensor(charge), outputs.max_thrusts
+    start, rated = doubles(charge), outputs.max_thrusts
 
     def lift(weight: float) -> float:
         """Largest weight at the voltage that hovering this weight leaves."""
-        effort = hover_thrusts(vehicle.force_matrix, vehicle.torque_matrix, _tensor(weight), rated)
+        effort = hover_thrusts(vehicle.force_matrix, vehicle.torque_matrix, doubles(weight), rated)
         thrusts = effort.thrusts  # near the limit not exactly those of least effort
         power = outputs.power(thrusts)
         if 4.0 * battery.resistance * power > battery.open_circuit(start) ** 2:
@@ -110,7 +110,3 @@ def require_payload(
         f"{payload:g} kg; at the limit nothing is left for control",
         limit=limit,
     )
-
-
-def _tensor(value: float) -> Tensor:
-    return torch.as_tensor(value, dtype=torch.float64)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from diffsim.copter.vehicle.effects import BatterySag
-from diffsim.copter.vehicle.rotor import RotorModel
+from diffsim.copter.vehicle.rotor import RotorModel, doubles
 from diffsim.core.check import require_count, require_number, require_range
 from diffsim.core.checked import checked
 from diffsim.core.numbers import anywhere, values_of
@@ -48,11 +47,6 @@ class Battery:
     nominal_voltage: Tensor
 
     def __post_init__(self) -> None:
-        if self.open_circuit_coefficients.shape != (4,):
-            raise ValueError(
-                "open_circuit_coefficients must have shape (4,), got "
-                f"{tuple(self.open_circuit_coefficients.shape)}"
-            )
         scalar("capacity", self.capacity, above=0.0, hint="unit is A s")
         scalar("resistance", self.resistance, at_least=0.0, hint="unit is ohm")
         scalar("nominal_voltage", self.nominal_voltage, above=0.0, hint="unit is V")
@@ -76,10 +70,10 @@ class Battery:
         charge = np.linspace(0.05, 1.0, 20)
         per_cell = np.polynomial.polynomial.polyfit(charge, LIPO_CELL_VOLTAGE[1:], 3)
         return cls(
-            capacity=_tensor(3.6 * capacity_mah),
-            resistance=_tensor(cells * resistance),
-            open_circuit_coefficients=_tensor(cells * per_cell),
-            nominal_voltage=_tensor(cells * LIPO_NOMINAL),
+            capacity=doubles(3.6 * capacity_mah),
+            resistance=doubles(cells * resistance),
+            open_circuit_coefficients=doubles(cells * per_cell),
+            nominal_voltage=doubles(cells * LIPO_NOMINAL),
         )
 
     @checked
@@ -153,23 +147,19 @@ class Battery:
         if len(nominal) > 1:
             raise ValueError(f"rotors must share a nominal voltage, got {sorted(nominal)} V")
         slopes = [
-            _tensor(USUAL_SAG_EXPONENT)
+            doubles(USUAL_SAG_EXPONENT)
             if "nominal_voltage" in r.assumed
-            else _tensor(r.thrust_exponent) * _tensor(r.speed_exponent)
+            else doubles(r.thrust_exponent) * doubles(r.speed_exponent)
             for r in rotors
         ]
-        offsets = [_tensor(r.current_offset) for r in rotors]
+        offsets = [doubles(r.current_offset) for r in rotors]
         return BatterySag(
             resistance=self.resistance,
             capacity=self.capacity,
-            nominal_voltage=_tensor(rotors[0].nominal_voltage),
-            exponent=torch.stack(slopes).mean() if exponent is None else _tensor(exponent),
+            nominal_voltage=doubles(rotors[0].nominal_voltage),
+            exponent=torch.stack(slopes).mean() if exponent is None else doubles(exponent),
             open_circuit=self.open_circuit_coefficients,
-            current_coefficients=torch.stack([_tensor(r.current_coefficient) for r in rotors]),
-            current_exponents=torch.stack([_tensor(r.current_exponent) for r in rotors]),
+            current_coefficients=torch.stack([doubles(r.current_coefficient) for r in rotors]),
+            current_exponents=torch.stack([doubles(r.current_exponent) for r in rotors]),
             idle_current=torch.stack(offsets).sum().clamp(min=0.0) + idle,
         )
-
-
-def _tensor(value: Any) -> Tensor:
-    return torch.as_tensor(value, dtype=torch.float64)

@@ -6,9 +6,8 @@ gradients.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import torch
@@ -18,42 +17,46 @@ from diffsim.core.check import require, require_range
 from diffsim.core.checked import checked
 
 
-def _require(
-    name: str,
-    value: Tensor,
-    shape: tuple[int | str, ...],
-    *,
-    above: float = -math.inf,
-    at_least: float = -math.inf,
-    at_most: float = math.inf,
-) -> None:
-    """Shape with an optional batch axis, and range."""
-    batched = isinstance(value, Tensor) and value.dim() == len(shape) + 1
-    require(name, value, ("batch", *shape) if batched else shape)
-    require_range(name, value, above=above, at_least=at_least, at_most=at_most)
+def _of(kernel: str, shape: tuple[int | str, ...], **limits: float) -> dict[str, Any]:
+    """What is said of a field: its name in the kernel, its shape without a batch, its range."""
+    return {"kernel": kernel, "shape": shape, "limits": limits}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MotorLag:
+class _Effect:
+    """An effect of tensors; each field says its own by ``_of``."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value, shape = getattr(self, one.name), one.metadata["shape"]
+            batched = isinstance(value, Tensor) and value.dim() == len(shape) + 1
+            require(one.name, value, ("batch", *shape) if batched else shape)
+            require_range(one.name, value, **one.metadata["limits"])
+
+    @checked(kinds_only=True)
+    def row(self, dt: float) -> dict[str, Tensor]:
+        """Parameters of the kernel."""
+        return {one.metadata["kernel"]: getattr(self, one.name) for one in fields(self)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotorLag(_Effect):
     """First-order lag of the thrust behind its command: tau s' = command - s, solved exactly.
 
     Attributes:
         time_constants: tau, (n_rotors,) [s], > 0.
     """
 
-    time_constants: Tensor
-
-    def __post_init__(self) -> None:
-        _require("time_constants", self.time_constants, ("n_rotors",), above=0.0)
+    time_constants: Tensor = field(metadata=_of("lag_decay", ("n_rotors",), above=0.0))
 
     @checked(kinds_only=True)
     def row(self, dt: float) -> dict[str, Tensor]:
-        """Parameters of the kernel."""
+        """See ``_Effect``."""
         return {"lag_decay": torch.exp(-0.5 * dt / self.time_constants)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ThrustCurve:
+class ThrustCurve(_Effect):
     """A speed controller that assumes thrust ~ speed^2 on a propeller with thrust ~ speed^p.
 
     thrust = reference (command / reference)^exponent with exponent = p / 2. Where the command is
@@ -64,38 +67,23 @@ class ThrustCurve:
         reference_thrusts: Thrusts at which command and thrust agree, (n_rotors,) [N], > 0.
     """
 
-    exponents: Tensor
-    reference_thrusts: Tensor
-
-    def __post_init__(self) -> None:
-        _require("exponents", self.exponents, ("n_rotors",), above=0.0)
-        _require("reference_thrusts", self.reference_thrusts, ("n_rotors",), above=0.0)
-
-    def row(self, dt: float) -> dict[str, Tensor]:
-        """Parameters of the kernel."""
-        return {"curve_exponent": self.exponents, "curve_reference": self.reference_thrusts}
+    exponents: Tensor = field(metadata=_of("curve_exponent", ("n_rotors",), above=0.0))
+    reference_thrusts: Tensor = field(metadata=_of("curve_reference", ("n_rotors",), above=0.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RotorDrag:
+class RotorDrag(_Effect):
     """In-plane force of a rotor in cross flow: -k thrust (velocity of the hub across its axis).
 
     Attributes:
         coefficient: k, () [s/m], >= 0 (Mahony, Kumar, Corke 2012, blade flapping and induced drag).
     """
 
-    coefficient: Tensor
-
-    def __post_init__(self) -> None:
-        _require("coefficient", self.coefficient, (), at_least=0.0)
-
-    def row(self, dt: float) -> dict[str, Tensor]:
-        """Parameters of the kernel."""
-        return {"rotor_drag": self.coefficient}
+    coefficient: Tensor = field(metadata=_of("rotor_drag", (), at_least=0.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BodyDrag:
+class BodyDrag(_Effect):
     """Drag at the center of mass along the body's axes: -(linear + quadratic |a|) a.
 
     Attributes:
@@ -103,21 +91,12 @@ class BodyDrag:
         quadratic: (3,) [N s^2/m^2], >= 0.
     """
 
-    linear: Tensor
-    quadratic: Tensor
-
-    def __post_init__(self) -> None:
-        _require("linear", self.linear, (3,), at_least=0.0)
-        _require("quadratic", self.quadratic, (3,), at_least=0.0)
-
-    @checked(kinds_only=True)
-    def row(self, dt: float) -> dict[str, Tensor]:
-        """Parameters of the kernel."""
-        return {"drag_linear": self.linear, "drag_quadratic": self.quadratic}
+    linear: Tensor = field(metadata=_of("drag_linear", (3,), at_least=0.0))
+    quadratic: Tensor = field(metadata=_of("drag_quadratic", (3,), at_least=0.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GroundEffect:
+class GroundEffect(_Effect):
     """More thrust near level ground: times 1 / (1 - k (radius / 4 height)^2) for every rotor.
 
     Cheeseman and Bennett 1955 has k = 1. Below half a radius the height counts as that (zero
@@ -128,23 +107,12 @@ class GroundEffect:
         terrain_height: Height of the ground above the origin, () [m], up positive.
     """
 
-    coefficient: Tensor
-    terrain_height: Tensor
-
-    def __post_init__(self) -> None:
-        _require("coefficient", self.coefficient, (), at_least=0.0, at_most=3.0)
-        _require("terrain_height", self.terrain_height, ())
-
-    def row(self, dt: float) -> dict[str, Tensor]:
-        """Parameters of the kernel."""
-        return {
-            "ground_coefficient": self.coefficient,
-            "terrain_height": self.terrain_height,
-        }
+    coefficient: Tensor = field(metadata=_of("ground_coefficient", (), at_least=0.0, at_most=3.0))
+    terrain_height: Tensor = field(metadata=_of("terrain_height", ()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Interference:
+class Interference(_Effect):
     """Thrust that rotors take from one another: thrust_i -= sum_j losses_ij thrust_j.
 
     Attributes:
@@ -152,18 +120,17 @@ class Interference:
             (lower, upper).
     """
 
-    losses: Tensor
-
-    def __post_init__(self) -> None:
-        _require("losses", self.losses, ("n_rotors", "n_rotors"), at_least=0.0, at_most=1.0)
+    losses: Tensor = field(
+        metadata=_of("interference", ("n_rotors", "n_rotors"), at_least=0.0, at_most=1.0)
+    )
 
     def row(self, dt: float) -> dict[str, Tensor]:
-        """Parameters of the kernel."""
+        """See ``_Effect``."""
         return {"interference": self.losses.flatten(-2)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BatterySag:
+class BatterySag(_Effect):
     """Thrust falls with the voltage: times (voltage / nominal)^exponent, the command unchanged.
 
     current = idle + sum_i a_i s_i^alpha_i from the thrust states s, voltage = open_circuit(charge)
@@ -182,37 +149,20 @@ class BatterySag:
             0.
     """
 
-    resistance: Tensor
-    capacity: Tensor
-    nominal_voltage: Tensor
-    exponent: Tensor
-    open_circuit: Tensor
-    current_coefficients: Tensor
-    current_exponents: Tensor
-    idle_current: Tensor
-
-    def __post_init__(self) -> None:
-        _require("resistance", self.resistance, (), at_least=0.0)
-        _require("capacity", self.capacity, (), above=0.0)
-        _require("nominal_voltage", self.nominal_voltage, (), above=0.0)
-        _require("exponent", self.exponent, (), at_least=0.0)
-        _require("open_circuit", self.open_circuit, (4,))
-        _require("current_coefficients", self.current_coefficients, ("n_rotors",), at_least=0.0)
-        _require("current_exponents", self.current_exponents, ("n_rotors",), above=0.0)
-        _require("idle_current", self.idle_current, (), at_least=0.0)
+    resistance: Tensor = field(metadata=_of("resistance", (), at_least=0.0))
+    capacity: Tensor = field(metadata=_of("inverse_capacity", (), above=0.0))
+    nominal_voltage: Tensor = field(metadata=_of("nominal_voltage", (), above=0.0))
+    exponent: Tensor = field(metadata=_of("sag_exponent", (), at_least=0.0))
+    open_circuit: Tensor = field(metadata=_of("open_circuit", (4,)))
+    current_coefficients: Tensor = field(
+        metadata=_of("current_coefficient", ("n_rotors",), at_least=0.0)
+    )
+    current_exponents: Tensor = field(metadata=_of("current_exponent", ("n_rotors",), above=0.0))
+    idle_current: Tensor = field(metadata=_of("idle_current", (), at_least=0.0))
 
     def row(self, dt: float) -> dict[str, Tensor]:
-        """Parameters of the kernel."""
-        return {
-            "resistance": self.resistance,
-            "inverse_capacity": 1.0 / self.capacity,
-            "nominal_voltage": self.nominal_voltage,
-            "sag_exponent": self.exponent,
-            "open_circuit": self.open_circuit,
-            "current_coefficient": self.current_coefficients,
-            "current_exponent": self.current_exponents,
-            "idle_current": self.idle_current,
-        }
+        """See ``_Effect``."""
+        return super().row(dt) | {"inverse_capacity": 1.0 / self.capacity}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -251,10 +201,10 @@ class FlightEffects:
 
     def present(self) -> Iterator[tuple[str, Any]]:
         """Names and values of those that are there, but for the wind."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name != "wind" and value is not None:
-                yield field.name, value
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.name != "wind" and value is not None:
+                yield one.name, value
 
 
 def require_wind(wind: Tensor, has_drag: bool) -> Tensor:

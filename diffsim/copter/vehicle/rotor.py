@@ -101,7 +101,7 @@ class RotorModel:
         lift = (thrust - self.thrust_offset) / self.thrust_coefficient
         turning = (thrust > 0.0) & (lift > 0.0)
         # a base of one where standing still: its power has a finite derivative
-        speed = torch.where(turning, lift, 1.0) ** (1.0 / _tensor(self.thrust_exponent))
+        speed = torch.where(turning, lift, 1.0) ** (1.0 / doubles(self.thrust_exponent))
         return torch.where(turning, speed, 0.0)
 
     def torque(self, thrust: Number) -> Tensor:
@@ -143,7 +143,7 @@ class RotorModel:
         voltage = self._voltage(voltage)
         share = self.speed(thrust) / self.speed_coefficient
         turning = share > 0.0
-        passed = torch.where(turning, share, 1.0) ** (1.0 / _tensor(self.speed_exponent))
+        passed = torch.where(turning, share, 1.0) ** (1.0 / doubles(self.speed_exponent))
         duty = self.duty_offset + torch.where(turning, passed, 0.0) / voltage
         return (SIGNAL_LOW + (SIGNAL_HIGH - SIGNAL_LOW) * duty).clamp(SIGNAL_LOW, SIGNAL_HIGH)
 
@@ -178,11 +178,11 @@ def rotor_model(name: str) -> RotorModel:
         ValueError: no such model; the message offers the closest names.
     """
     # pydantic takes a third of a second: only for those who read a file
-    from diffsim.copter.vehicle.rotor_keys import RotorFile
+    from diffsim.copter.vehicle.option_keys import option_keys
     from diffsim.core.schema import read_part
 
-    said = read_part(RotorFile, rotor_record(name), f"{name}.yaml: ")
-    return RotorModel(**dict(said.model))
+    numbers = rotor_record(name)["model"]
+    return RotorModel(**dict(read_part(option_keys(RotorModel), numbers, f"{name}.yaml: model: ")))
 
 
 @checked
@@ -191,7 +191,7 @@ def motor_lag(rotors: Sequence[RotorModel]) -> MotorLag:
     unknown = [r.name for r in rotors if r.time_constant is None]
     if unknown:
         raise ValueError(f"time_constant of {unknown[0]} is unknown; replace it by yours")
-    return MotorLag(time_constants=torch.stack([_tensor(r.time_constant) for r in rotors]))
+    return MotorLag(time_constants=torch.stack([doubles(r.time_constant) for r in rotors]))
 
 
 def _pushing(thrust: Number) -> Tensor:
@@ -201,5 +201,6 @@ def _pushing(thrust: Number) -> Tensor:
     )
 
 
-def _tensor(value: Any) -> Tensor:
+def doubles(value: Any) -> Tensor:
+    """A number, an array or a tensor in float64."""
     return torch.as_tensor(value, dtype=torch.float64)

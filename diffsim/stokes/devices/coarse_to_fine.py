@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
@@ -13,13 +12,13 @@ from torch import Tensor
 from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.files import to_plain
-from diffsim.core.runs import run_each
 from diffsim.optim import Log
+from diffsim.optim.multi_start import from_each
 from diffsim.stokes.devices.device import Device
 from diffsim.stokes.devices.optimize import check_counts, search_settings
 from diffsim.stokes.devices.optimum import CoarseStage, Optimum, as_optimum
 from diffsim.stokes.devices.sampling import DesignSamples, draw, values
-from diffsim.stokes.devices.search import DesignDescent, descend
+from diffsim.stokes.devices.search import descend
 
 
 @checked
@@ -88,10 +87,9 @@ def coarse_to_fine(
     samples = draw(coarse, log, num_samples, seed, progress=progress, executor=executor)
     unit = float(samples.losses.mean())
     improve = partial(descend, unit=unit, ftol=ftol, progress=progress and executor is None)
-    coarsely = partial(improve, max_evaluations=max_coarse_evaluations)
-    descents = tuple(
-        _descend_from_each(coarsely, coarse, list(samples.best(num_starts)), log, executor)
-    )
+    coarsely = partial(improve, coarse, max_evaluations=max_coarse_evaluations)
+    named = [(f"coarse {k}", x) for k, x in enumerate(samples.best(num_starts), start=1)]
+    descents = tuple(from_each(coarsely, named, log, executor))
     improved_designs = [d.x for d in descents]
     rate = partial(values, device, log, progress=progress, executor=executor)
     fine = rate("improved", improved_designs)
@@ -103,33 +101,6 @@ def coarse_to_fine(
     fine_unit, error = unit_on_fine_grid(samples, checked)
     stage = CoarseStage(descents, fine, unit, error, samples.losses[:num_checked], checked)
     return as_optimum(samples, start, descent, fine_unit, stage)
-
-
-def _descend_from_each(
-    improve: Callable[..., DesignDescent],
-    coarse: Device,
-    starts: Sequence[Tensor],
-    log: Log,
-    executor: Executor | None,
-) -> list[DesignDescent]:
-    """A descent from each start; in a worker it has a log of its own, which is taken at its end."""
-    named = [(f"coarse {k + 1}", x) for k, x in enumerate(starts)]
-    if executor is None:
-        return [improve(coarse, x, log, name) for name, x in named]
-
-    def keep(k: int, answer: tuple[DesignDescent, Log]) -> None:
-        log.take(named[k][0], answer[1])
-
-    asked = [(name, x, log.part(name)) for name, x in named]
-    answers = run_each(partial(_improve_start, improve, coarse), asked, executor, done=keep)
-    return [descent for descent, _ in answers]
-
-
-def _improve_start(
-    improve: Callable[..., DesignDescent], coarse: Device, asked: tuple[str, Tensor, Log]
-) -> tuple[DesignDescent, Log]:
-    name, x, log = asked
-    return improve(coarse, x, log, name), log
 
 
 def unit_on_fine_grid(samples: DesignSamples, fine: Tensor) -> tuple[float, float]:

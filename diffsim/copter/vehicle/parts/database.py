@@ -76,7 +76,7 @@ def make_part(kind: str, options: Mapping[str, Any] | None = None) -> Part:
         ValueError: unknown kind or option, with the closest names; what cannot be read; sizes that
             make no part.
     """
-    from diffsim.copter.vehicle.parts.options import option_keys  # pydantic comes with it
+    from diffsim.copter.vehicle.option_keys import option_keys  # pydantic comes with it
     from diffsim.core.schema import read_part
 
     maker = PART_KINDS[require_choice("kind", kind, PART_KINDS)]

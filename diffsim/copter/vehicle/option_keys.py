@@ -1,26 +1,28 @@
-"""Keys of the parts of the database in a design file: the arguments of their makers."""
+"""Keys that are the arguments of what they make: of parts in a design file, of rotors."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from inspect import Parameter, signature
 from typing import Annotated, Any, get_type_hints
 
 from pydantic import Field, StrictBool, create_model
 
-from diffsim.copter.vehicle.parts.part import PartMaker
 from diffsim.core import schema, schema_numbers
 
 
 @cache
-def option_keys(maker: PartMaker, base: type[schema.Part] = schema.FinitePart) -> type[schema.Part]:
+def option_keys(
+    maker: Callable[..., Any], base: type[schema.Part] = schema.FinitePart
+) -> type[schema.Part]:
     """A block with a key for each argument of a maker that its base does not have.
 
     Single numbers are sizes, masses, densities and factors: all of them above 0.
 
     Args:
-        maker: Maker of a part; its annotations may be units of ``core.schema_numbers``.
-        base: Keys that every part has.
+        maker: Its annotations may be units of ``core.schema_numbers``.
+        base: Keys that all have.
     """
     hints = get_type_hints(maker, localns=vars(schema_numbers), include_extras=True)
     fields: dict[str, Any] = {
