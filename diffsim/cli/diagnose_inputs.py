@@ -245,6 +245,8 @@ def _with_bank(setup: DiagnosisSetup, study: Study, recorded: Collection[str]) -
     """The setup with runs that could be recorded; each gets parameters of its own if runs do.
 
     Args:
+        setup: Setup of the study.
+        study: Study as the setup cuts it.
         recorded: Names of its runs; others are what the setup adds, such as clicked points.
     """
     runs = tuple(run for run in study.runs if run.name in recorded)

@@ -124,6 +124,8 @@ def _header(
     """Names of the columns, the delimiter, and the lines of samples.
 
     Args:
+        path: The file, for messages.
+        file: The same, opened.
         line: Line of the names, from 1; 0: the file has none.
         skipped: Lines before the first sample.
         names: Names in place of the file's; empty: its own, or column_1, column_2, ...

@@ -155,6 +155,7 @@ def _order_runs(shows: Mask, lengths: Sequence[int]) -> list[int]:
 
     Args:
         shows: Whether an effect moves a run about as much as any, (num_runs, num_effects).
+        lengths: Number of samples of each run.
     """
     order, missing = [], np.ones(shows.shape[1], dtype=bool)
     left = sorted(range(len(lengths)), key=lambda place: lengths[place])

@@ -211,6 +211,7 @@ class _Others:
 
         Args:
             k: Place of the run that has no say.
+            seen: Its record as it is or as it would be, and what is told of it.
             level: Usual squares, (num_channels,).
         """
         if not np.isfinite(seen.told).all():

@@ -85,6 +85,7 @@ def _reach_of(
 
     Args:
         problem: Of that run, with the course that drives it.
+        gains: What a unit at the entry does there.
         responses: Whitened response to each knot of each course, (num_valid, num_courses * K).
         to_knots: What makes of values at samples a course, (K, num_samples).
     """

@@ -437,6 +437,7 @@ def _repeating(
     Args:
         seen: What terms do at entries, and what matters of it.
         u: The variable along each run, (num_samples,).
+        most_work: Wave numbers by samples.
     """
     every = np.concatenate(u)
     if not seen or _range_of(every) is None:

@@ -267,6 +267,7 @@ def _terms(
     Args:
         locals_: Groups that teach, linearized.
         log_spread: Logarithms of spreads over stated ones, (num_families,).
+        terms: To start from.
         one: Causes whose size is never below 0.
         sweeps: How often all terms are renewed.
     """

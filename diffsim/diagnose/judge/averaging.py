@@ -123,6 +123,7 @@ class ModelAverage:
         """Sizes by component.
 
         Args:
+            i: Index of the effect.
             widened: Whether intervals are as wide as parts of the runs spread.
             alone: Whether nothing beside it in the extended model is held to be absent.
         """
@@ -201,6 +202,7 @@ class ModelAverage:
 
         Args:
             h: Set with or without an unknown cause.
+            i: Index of the effect.
             names: Coordinates to widen; None: the statistical sd alone.
         """
         effect = self.search.wide.effects[i]

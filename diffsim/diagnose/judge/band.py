@@ -444,6 +444,7 @@ def _posterior_variance(
     """Variance of a run's readings by the posterior, (num_samples, num_channels).
 
     Args:
+        names: Coordinates that runs share.
         correlation: Posterior correlation of these, (n, n).
         sd: Posterior standard deviation of its standardized coordinates.
         run: Run that was not fitted; its own values are fitted to it.

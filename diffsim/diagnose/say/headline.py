@@ -471,6 +471,7 @@ def _without_sizes(
 
     Args:
         effects: Causes in their order.
+        how: How sure each is, by name.
         is_set: Whether they remove little one by one.
     """
     if len(effects) > MAX_NAMES:

@@ -476,6 +476,8 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
     """The nearest rival sets in words, and how many more there are.
 
     Args:
+        answer: What the page says.
+        rivals: Sets of names.
         nothing: What a set without a cause is called.
     """
     words = [[plain_name(answer, name) for name in names] for names in rivals[:MOST_LISTED]]

@@ -289,6 +289,7 @@ def _fitted_along_weak(
 
     Args:
         made: Simulations made so far, the set's fit among them.
+        members: Effects of the set, by index.
         until: Count of weighted steps after which no further step is tried.
     """
     tally = made.wide.model.simulations
@@ -449,6 +450,8 @@ def _refit_promising(
 
     Args:
         search: Sets that were weighed so far.
+        center: The best set.
+        ranked: Its neighbors, best first.
         until: Weighted steps after which the rest keeps its linear evidence. Where no refit so far
             stayed near the data sheet, linear evidence was no guide, and a few more are made.
     """

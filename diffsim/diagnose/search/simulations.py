@@ -341,6 +341,7 @@ class Simulations:
         """Sizes of a group at a center, from this process or an earlier one.
 
         Args:
+            center: A fitted set.
             group: Indices of effects that are tried together.
             courses: Courses at this center that are known, which grow.
             run: Index of the run that sizes are tried in; None: all.

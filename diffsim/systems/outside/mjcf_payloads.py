@@ -111,7 +111,10 @@ def _reach_of_shape(mujoco: Any, model: Any, data: Any, geom: int, way: Array) -
     """How far a shape reaches from its middle [m]; of a capsule its axis, where frames are put.
 
     Args:
+        mujoco: The module.
         model: MuJoCo's model.
+        data: Its data with places.
+        geom: Index.
         way: Direction in the world, (3,).
     """
     kinds, size = mujoco.mjtGeom, model.geom_size[geom]

@@ -322,6 +322,7 @@ class OutsideModel(SimModel):
         """Weighted steps of a prediction.
 
         Args:
+            run: Run that is simulated.
             numerics: Factors on the simulator's own settings.
             forces: Forces of causes, if any.
         """

@@ -143,6 +143,7 @@ class _PlainScenes:
     """Scenes of a run without effects, built once for lines that leave base parameters alone.
 
     Args:
+        model: Simulator.
         run: Run with commands and times.
         numerics: Factors on time step, mesh and tolerance; None: the model's own.
     """

@@ -64,6 +64,7 @@ class _Path:
 
     Args:
         places: (num_samples, 2) recorded places of the support, forward and up [m].
+        run: Run with the times of the record.
         scene: Scene whose fixed nodes are the support.
         size: Shift [m] and turn [rad] of the support, (2,).
 

@@ -77,6 +77,7 @@ class _Motion:
     """The motion of a scene and its tangents along those lines that move it.
 
     Args:
+        base: Scene that the lines start from.
         lines: All lines, those that do not move the body included.
     """
 
