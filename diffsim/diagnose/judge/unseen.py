@@ -22,6 +22,7 @@ import torch
 
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
+from diffsim.core.files import to_plain
 from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.checks.noise import choose_commands, without_spikes
@@ -255,8 +256,8 @@ class Unseen:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Content of ``judge.json``, as ``write_json_atomic`` takes it."""
-        return {
+        """Content of ``judge.json``, in types that JSON has."""
+        content = {
             "runs": self.runs,
             "errors": self.errors,
             "band": band_words(self.errors),
@@ -274,6 +275,8 @@ class Unseen:
             "num_misread": self.num_misread,
             "failed": self.failed,
         }
+        plain: dict[str, Any] = to_plain(content)
+        return plain
 
     def _gains(self) -> dict[str, Any]:
         gains = {name: gain_to_dict(g) for name, g in self.gains.items()}
