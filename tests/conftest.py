@@ -59,11 +59,12 @@ def pytest_collection(session: pytest.Session):
     session.config.stash[COLLECTION_S] = time.process_time()
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]):
     """Group what must not run beside its like; for workers, put files of few tests first.
 
-    Those are the dear ones, and a dear file at the end would keep one worker waiting.
+    Those are the dear ones, and a dear file at the end would keep one worker waiting. What is left
+    out beside a story is told once all others have chosen.
     """
     for item in items:
         if item.get_closest_marker("serial"):
@@ -73,6 +74,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items.sort(
             key=lambda item: (not item.get_closest_marker("serial"), tests[item.location[0]])
         )
+    yield
+    beside = [item for item in items if is_in_story(item, {item.nodeid for item in items})]
+    if beside:
+        items[:] = [item for item in items if item not in beside]
+        config.hook.pytest_deselected(items=beside)
+
+
+def is_in_story(item: pytest.Item, chosen: set[str]) -> bool:
+    """Whether a story that runs states all that this short form of it does."""
+    mark = item.get_closest_marker("short_of")
+    file = item.nodeid.partition("::")[0]
+    return mark is not None and any(f"{file}::{story}" in chosen for story in mark.args)
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object | None:

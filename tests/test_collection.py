@@ -1,5 +1,6 @@
 """Collecting all tests is paid by every run, each worker and each ``-k``: it stays cheap."""
 
+import re
 import sys
 from collections.abc import Iterable
 from math import inf
@@ -9,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import COLLECTION_S, STORY_ROOMS, TESTS, pytest_ignore_collect
+from tests.conftest import COLLECTION_S, STORY_ROOMS, TESTS, is_in_story, pytest_ignore_collect
 from tests.cpu_seconds import BEGAN, slowness
 
 LIMIT_S = 8.0
@@ -49,6 +50,23 @@ def test_rooms_of_stories_run_by_name_and_with_all_stories(marks, named, is_left
     )
     assert bool(pytest_ignore_collect(TESTS / "labs", config)) is is_left_out
     assert pytest_ignore_collect(TESTS / "soft", config) is None
+
+
+def test_short_forms_are_left_out_where_their_story_runs():
+    item: Any = SimpleNamespace(
+        nodeid="a.py::test_short[1]",
+        get_closest_marker=lambda name: pytest.mark.short_of("b[1]").mark,
+    )
+    assert is_in_story(item, {"a.py::b[1]"}) and not is_in_story(item, {"a.py::b[2]", "c.py::b[1]"})
+    named = {
+        (path, story)
+        for path in TESTS.rglob("test_*.py")
+        for story in re.findall(r'mark\.short_of\(\s*"(test_\w+)', path.read_text("utf-8"))
+    }
+    assert len(named) > 5
+    for path, story in named:
+        text = path.read_text("utf-8")
+        assert f"def {story}(" in text and "mark.story" in text, story
 
 
 def share_compiled(files: set[Path]) -> float:

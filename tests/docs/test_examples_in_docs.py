@@ -61,7 +61,15 @@ def test_its_python_runs(page, tmp_path, monkeypatch):
 
 
 @pytest.mark.example
-@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.story)])
+@pytest.mark.parametrize(
+    "whole",
+    [
+        pytest.param(
+            False, marks=pytest.mark.short_of("test_a_diagnosis_from_its_pages_alone[True]")
+        ),
+        pytest.param(True, marks=pytest.mark.story),
+    ],
+)
 def test_a_diagnosis_from_its_pages_alone(whole, tmp_path, monkeypatch, capsys):
     """Python, ``study.yaml`` and commands of a first answer, then of its use, in an empty folder.
 

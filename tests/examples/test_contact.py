@@ -40,6 +40,7 @@ def test_slope_sticks_and_slides_like_a_block(story, tmp_path):
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.short_of("test_duck_slide_comes_nearer_to_its_target")
 def test_duck_slide_in_short(story):
     numbers = story("duck_slide").main(0.08, max_simulations=2)
     assert 0.0 < numbers["error_after_m"] <= numbers["error_before_m"] < 1.0

@@ -13,7 +13,19 @@ def test_a_layer_in_somebody_elses_module_learns() -> None:
 
 
 @pytest.mark.example
-@pytest.mark.parametrize("story", ["ppo_in_ten_lines", "ppo_on_the_batch"])
+@pytest.mark.parametrize(
+    "story",
+    [
+        pytest.param(
+            "ppo_in_ten_lines",
+            marks=pytest.mark.short_of("test_ppo_keeps_the_quadcopter_in_the_air"),
+        ),
+        pytest.param(
+            "ppo_on_the_batch",
+            marks=pytest.mark.short_of("test_a_loop_written_out_learns_on_gymnasiums_wrappers"),
+        ),
+    ],
+)
 def test_ppo_runs_in_short(story: str) -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     found = load_story(f"learning/{story}.py").main(steps=4096, num_envs=32)

@@ -17,6 +17,7 @@ def test_muscle_arm_reaches_its_target(tmp_path):
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.short_of("test_swimmer_learns_to_swim")
 def test_swimmer_learns_in_short():
     numbers = load_story("softbody/swimmer.py").main(iterations=1, periods=2)
     assert numbers["after_mm_per_s"] > numbers["before_mm_per_s"]

@@ -7,6 +7,7 @@ from tests.examples.stories import load_story
 pytestmark = pytest.mark.example
 
 
+@pytest.mark.short_of("test_amplifier_triples_the_speed")
 def test_amplifier_in_short():
     numbers = load_story("stokes/amplifier.py").main(0.25, 2)
     assert numbers["loss"] < numbers["first loss"]

@@ -178,7 +178,17 @@ def test_every_method_may_try_equally_many_candidates() -> None:
 
 
 @pytest.mark.parametrize(
-    "chosen", [("gradient", "ppo"), pytest.param(tuple(METHODS), marks=pytest.mark.story)]
+    "chosen",
+    [
+        pytest.param(
+            ("gradient", "ppo"),
+            marks=pytest.mark.short_of(
+                "test_the_quick_comparison_runs_and_reports_again_without_training[all]"
+            ),
+        ),
+        pytest.param(tuple(METHODS), marks=pytest.mark.story),
+    ],
+    ids=["two", "all"],
 )
 def test_the_quick_comparison_runs_and_reports_again_without_training(
     chosen: tuple[str, ...],

@@ -21,7 +21,7 @@ TINY = Plan(
 )
 
 
-#: For what does not look at numbers: all stages, pages and files, a fit of two simulations.
+#: All stages, pages and files, a fit of two simulations.
 SHORT = replace(
     TINY,
     cells=(4, 1, 1),
@@ -33,8 +33,16 @@ SHORT = replace(
 
 
 @pytest.fixture(scope="session")
-def short_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    return run_of(SHORT, tmp_path_factory)
+def plan(request: pytest.FixtureRequest) -> Plan:
+    """For what does not look at numbers; where stories run, the plan of their demo."""
+    return SHORT if "not story" in request.config.option.markexpr else TINY
+
+
+@pytest.fixture(scope="session")
+def short_run(plan: Plan, request: pytest.FixtureRequest) -> tuple[Path, dict[str, Any]]:
+    if plan is TINY:
+        return request.getfixturevalue("virtual_run")
+    return run_of(plan, request.getfixturevalue("tmp_path_factory"))
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,6 @@ from diffsim import cli
 from diffsim.data import find_dataset
 from examples import demo
 from examples.demo.numerics import euler_damping_ratio
-from tests.examples.demo.conftest import SHORT
 from tests.optional import needs
 
 needs("matplotlib", reason="the demo's page needs the extra viz")
@@ -123,7 +122,7 @@ def test_recording_for_rerun(short_run):
         assert told.returncode == 0, told.stderr
 
 
-def test_resume_reuses_every_stage_and_gives_the_same_numbers(short_run, monkeypatch):
+def test_resume_reuses_every_stage_and_gives_the_same_numbers(short_run, plan, monkeypatch):
     out, first = short_run
     monkeypatch.setattr("examples.demo.story.find_dataset", lambda *_: None)
 
@@ -133,10 +132,10 @@ def test_resume_reuses_every_stage_and_gives_the_same_numbers(short_run, monkeyp
     monkeypatch.setattr("examples.demo.story._write_page", lambda *_: None)  # seconds of pictures
     monkeypatch.setattr("examples.demo.ladder.simulate", forbidden)
     monkeypatch.setattr("examples.demo.fitting.fit_motion", forbidden)
-    again = demo.run(out=out, plan=SHORT, resume=True, threads=1)
+    again = demo.run(out=out, plan=plan, resume=True, threads=1)
     assert again["verdict"] == first["verdict"]
     with pytest.raises(AssertionError, match="computed again"):  # another plan is another key
-        demo.run(out=out, plan=replace(SHORT, dt_s=4e-3), resume=True, threads=1)
+        demo.run(out=out, plan=replace(plan, dt_s=4e-3), resume=True, threads=1)
 
 
 def test_ctrl_c_keeps_finished_stages(short_run, tmp_path, monkeypatch, capsys):

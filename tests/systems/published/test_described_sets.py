@@ -61,7 +61,13 @@ def fewer(study, every):
 @pytest.mark.parametrize(
     ("names", "every"),
     [
-        (("pneumatic_arm_p25",), 2),
+        pytest.param(
+            ("pneumatic_arm_p25",),
+            2,
+            marks=pytest.mark.short_of(
+                "test_both_campaigns_of_the_arm_ask_for_the_same_ballooning[both]"
+            ),
+        ),
         pytest.param(("pneumatic_arm", "pneumatic_arm_p25"), 1, marks=pytest.mark.story),
     ],
     ids=["one", "both"],
