@@ -75,7 +75,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             key=lambda item: (not item.get_closest_marker("serial"), tests[item.location[0]])
         )
     yield
-    beside = [item for item in items if is_in_story(item, {item.nodeid for item in items})]
+    chosen = {item.nodeid for item in items}
+    beside = [item for item in items if is_in_story(item, chosen)]
     if beside:
         items[:] = [item for item in items if item not in beside]
         config.hook.pytest_deselected(items=beside)
