@@ -238,6 +238,7 @@ class RunReader:
             columns=columns,
             files=tuple(str(table.path.absolute()) for table in tables),
             raw=raw,
+            row_s=entry.row_s,
         )
         run = run if entry.missing_if is None else run.part(keep)
         if self._is_coded or entry.stamps or entry.duplicates or entry.gaps or entry.columns:

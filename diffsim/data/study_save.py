@@ -108,6 +108,7 @@ def _to_yaml(study: Study, commands: list[str]) -> dict[str, Any]:
         "runs": [
             {"name": r.name, "file": f"{r.name}.csv", "group": r.group, "order": r.order}
             | {"use": r.use, "setup": {k: _fact(v) for k, v in r.setup.items()}}
+            | ({} if r.row_s is None else {"row_s": float(r.row_s)})
             for r in study.runs
         ],
         "metadata": to_plain(dict(study.metadata)),

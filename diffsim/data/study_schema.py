@@ -412,6 +412,11 @@ class RunEntry(RunKeys):
         le=10**15,
         description="Place in the sequence of experiments; default: place in the list",
     )
+    row_s: Number | None = Field(
+        None,
+        gt=0,
+        description="Usual time between rows as recorded, where the file has only some [s]",
+    )
     blocks: Blocks | None = Field(None, description="Cut the run into pieces")
 
     at_most_one: ClassVar = ("group", "repeat_of")

@@ -24,9 +24,10 @@ def make_study() -> Study:
         measured[3, 1] = np.nan
         level = {"up": t, "down": 1.0 - t, "new": t**2}[group]
         use = "test" if name == "d" else "fit"
-        runs.append(
-            Run(name, t, measured, {"tendon_N": level}, group, order, use, {"temperature_C": 22.5})
+        run = Run(
+            name, t, measured, {"tendon_N": level}, group, order, use, {"temperature_C": 22.5}
         )
+        runs.append(replace(run, row_s=0.01) if name == "b" else run)
     channels = (
         Channel("tip_z_m", "m", "position", 3e-6),
         Channel("rate_rad_s", "rad/s", "angular_velocity"),
@@ -45,8 +46,8 @@ def test_round_trip_is_exact(folder):
     assert (after.name, after.system, after.channels) == ("beam", "soft_body", before.channels)
     assert after.metadata == before.metadata
     for a, b in zip(before.runs, after.runs, strict=True):
-        assert (a.name, a.group, a.order, a.use, a.setup) == (
-            b.name, b.group, b.order, b.use, b.setup
+        assert (a.name, a.group, a.order, a.use, a.setup, a.row_s) == (
+            b.name, b.group, b.order, b.use, b.setup, b.row_s
         )  # fmt: skip
         np.testing.assert_array_equal(a.time_s, b.time_s)
         np.testing.assert_array_equal(a.measured, b.measured)  # NaN included

@@ -10,7 +10,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.figures import counted, list_first
-from diffsim.core.unit_slips import UNIT_SLIPS
+from diffsim.core.unit_slips import UNIT_SLIPS, UnitSlip
 from diffsim.data.record.finding import Finding
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
 
@@ -174,12 +174,12 @@ def _units_of_rates(record: Record) -> Iterator[Finding]:
         times = max(float(np.median([slope for slope, _ in fits])), 1e-300)
         factor = _factor_near(float(np.log(times)), GAIN_NEAR, rate.unit)
         # a gear may be ten or a hundred, but hardly what a turn has degrees
-        if factor is None or max(factor[0], 1.0 / factor[0]) < BIG or factor[1].startswith("a "):
+        if factor is None or max(factor[0], 1.0 / factor[0]) < BIG or not factor[1].of:
             continue
         yield Finding(
             rate.where,
             f"it is {times:.4g} times as fast as {place.where} moves: another unit, by "
-            f"{factor[1]}, unless a gear is between them",
+            f"{factor[1].words}, unless a gear is between them",
             f"`unit:` of {rate.where} states that of the file",
             False,
         )
@@ -219,7 +219,7 @@ def _units_of_runs(record: Record, channel: Signal) -> Iterator[Finding]:
         factor = _factor_near(off, near, channel.unit)
         if factor is None:
             continue
-        times, words = factor
+        times, words = factor[0], factor[1].words
         beside = abs(off_noise - np.log(times))
         # one that is sharp needs no noise that says so, too
         is_sharp = max(spread, abs(off - np.log(times))) < GAIN_NEAR
@@ -290,12 +290,12 @@ def _gain(record: Record, samples: Samples) -> float:
     return float(np.log(max(high - low, 1e-300) / drive))
 
 
-def _factor_near(off: float, within: float, unit: str | None) -> tuple[float, str] | None:
-    """The factor between units of a quantity whose logarithm is next to this one, and its words."""
+def _factor_near(off: float, within: float, unit: str | None) -> tuple[float, UnitSlip] | None:
+    """The factor between units of a quantity whose logarithm is next to this one, and of which."""
     slips = [u for u in UNIT_SLIPS if u.suits(unit)]
-    ways = [(s * np.log(u.ratio), u.ratio**s, u.words) for u in slips for s in (1, -1)]
-    log, times, words = min(ways, key=lambda way: abs(way[0] - off))
-    return (float(times), words) if abs(log - off) < within else None
+    ways = [(s * np.log(u.ratio), u.ratio**s, u) for u in slips for s in (1, -1)]
+    log, times, slip = min(ways, key=lambda way: abs(way[0] - off))
+    return (float(times), slip) if abs(log - off) < within else None
 
 
 def _units_of_commands(record: Record) -> Iterator[Finding]:
@@ -326,7 +326,7 @@ def _units_of_commands(record: Record) -> Iterator[Finding]:
             yield Finding(
                 channel.where,
                 f"it follows command {command.name}, of the same unit, {times:.4g} times as far: "
-                f"another unit, by {factor[1]}",
+                f"another unit, by {factor[1].words}",
                 f"`unit:` of {channel.where} states that of the file, or "
                 f"`scale: {1.0 / factor[0]:.6g}`",
                 True,
@@ -408,7 +408,11 @@ def _change_of(record: Record, channel: Signal, samples: Samples) -> tuple[int, 
             continue
         is_clear = 3.0 * pace < abs(x[k - 1]) and jump > 3.0 * max(before, after)
         if is_clear or (_is_driven(record, samples.run) and abs(np.log(times)) > np.log(BIG)):
-            return k, times, factor[1]  # what is not driven comes to rest, and its noise with it
+            return (
+                k,
+                times,
+                factor[1].words,
+            )  # what is not driven comes to rest, and its noise with it
     return None
 
 

@@ -77,17 +77,39 @@ def in_words(report: Report, found: FoundLaws) -> Report:
     A number that a law multiplies has no level of its own: what the fit makes of it is no finding
     about its data sheet, which alone says where the law's level is.
     """
-    words = {law.name: f"{_what(law)} that depends on {law.variable.name}" for law in found.laws}
+    words = {law.name: _depends(law) for law in found.laws}
     held = {effect.name for effect in report.best.problem.effects}
     acting = (law.entry for law in found.laws if law.name in held)
     levels = {entry.target for entry in acting if entry.kind in OF_NUMBERS}
     rows = (
-        replace(row, words=words.get(row.name, row.words))
+        replace(
+            row,
+            words=words.get(row.name, row.words),
+            doubts=tuple(_with_laws(doubt, row.name, found.laws) for doubt in row.doubts),
+        )
         for row in report.causes
         if row.origin != DATA_SHEET or row.name not in levels
     )
     base = (replace(r, finding=r.finding and r.name not in levels) for r in report.base)
     return replace(report, causes=tuple(rows), base=tuple(base))
+
+
+def _depends(law: Law) -> str:
+    return f"{_what(law)} that depends on {law.variable.name}"
+
+
+def _with_laws(doubt: str, of: str, laws: Sequence[Law]) -> str:
+    """A doubt of a row that calls laws as its words do.
+
+    Args:
+        of: Name of the row's cause.
+    """
+    own = {_depends(law) for law in laws if law.name == of}
+    for law in sorted(laws, key=lambda law: -len(law.name)):  # a numbered name has another in it
+        said = _depends(law)
+        said = f"another law of {law.variable.name}" if said in own else said
+        doubt = doubt.replace(words_of(law.name), said)
+    return doubt
 
 
 def _is_held(row: CauseRow, laws: Mapping[str, Law]) -> bool:

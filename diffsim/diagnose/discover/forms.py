@@ -76,30 +76,34 @@ def _reciprocal(beyond: str, away: Callable[[Array], Array], power: int) -> Form
     )
 
 
-def _threshold(core: str, beyond: Callable[[Array, float], Array]) -> Form:
+def _threshold(
+    core: str,
+    beyond: Callable[[Array, float], Array],
+    starts: tuple[float, float] = (-0.8, 0.8),
+    least: float = -0.98,
+    scale: str = "place",
+) -> Form:
+    """What acts beyond a place.
+
+    Args:
+        starts: First and last of the places at which it is looked for.
+        least: Lowest place.
+        scale: Of the place, as ``Form.scales``.
+    """
     return Form(
         "threshold",
         core,
-        lambda z, p: np.maximum(beyond(z, p[0]), 0.0),
+        lambda z, p: beyond(z, p[0]),
         ("threshold",),
-        (_places(-0.8, 0.8),),
-        ((-0.98, 0.98),),
-        ("place",),
+        (_places(*starts),),
+        ((least, 0.98),),
+        (scale,),
         1.0,
     )
 
 
 def _both_sides(core: str, beyond: Callable[[Array, float], Array]) -> Form:
-    return Form(
-        "threshold",
-        core,
-        lambda u, p: beyond(u, p[0]),
-        ("threshold",),
-        (_places(0.05, 0.95),),
-        ((0.01, 0.98),),
-        ("length",),
-        1.0,
-    )
+    return _threshold(core, beyond, (0.05, 0.95), 0.01, "length")
 
 
 def _step(core: str, shape: Callable[[Array, Sequence[float]], Array]) -> Form:
@@ -129,8 +133,8 @@ FORMS: tuple[Form, ...] = (
         ("rate",),
         zero=1.0,
     ),
-    _threshold("max(u - threshold, 0)", lambda z, at: z - at),
-    _threshold("max(threshold - u, 0)", lambda z, at: at - z),
+    _threshold("max(u - threshold, 0)", lambda z, at: np.maximum(z - at, 0.0)),
+    _threshold("max(threshold - u, 0)", lambda z, at: np.maximum(at - z, 0.0)),
     Form(
         "saturation",
         "tanh((u - middle)/width)",

@@ -4,7 +4,7 @@ Half of its width, by reading, is
 
     factor * sqrt(noise^2 + posterior^2 + growth^2 (rest^2 + excess^2 posterior^2)),
 
-    growth = 2 times^2 - 1.
+    growth = times^2.
 
 Noise is the floor of the fit; where the calmest part leaves less than half of it, what differs
 there from reading to reading, for the rest of it is no noise and grows with the distance.
@@ -12,7 +12,7 @@ Posterior is what parameters and sizes change in this very run, by one standard 
 principal direction. Rest is what the model leaves beyond both on parts that were not fitted: groups
 of runs left out one after the other (else blocks of time), and runs with use: select. Times is how
 far outside of the fitted runs the run lies, 1 inside: what a model lacks begins with its next
-power, of which a fit leaves equal ripples inside, and those are Chebyshev's polynomial T2 outside.
+power, the square. Half as wide as Chebyshev's polynomial T2 of equal ripples, it holds as much.
 
 A misfit that stays is alike over a whole run: it moves parameters farther than the posterior says,
 by the factor excess beside it. Parts tell excess and rest together, as the variances that make them
@@ -51,7 +51,7 @@ from diffsim.identify.gaussian import Gaussian
 
 OVERSTATED = 0.5  # of the noise, that a part leaves at most where it is stated too large
 LEAST_PARTS = 2  # one does not tell how parts differ
-GROWTH = np.polynomial.Polynomial((-1.0, 0.0, 2.0))  # of what is left, by times: Chebyshev's T2
+GROWTH = 4.0  # power of times, of the variance of what is left: a model lacks the square first
 TINY = 1e-300  # added to sums of what is asked: their ratio is 1 where nothing is
 
 
@@ -89,7 +89,7 @@ class BandVariance:
 
     def variance(self, noise: Array, part: Part) -> Array:
         """Variance of what is left of a part, or of another run, as ``Part.spread``."""
-        more = GROWTH(part.times) ** 2 * (self.rest + self.excess * part.spread)
+        more = part.times**GROWTH * (self.rest + self.excess * part.spread)
         return np.asarray(noise**2 + part.spread + more)
 
 
@@ -313,7 +313,7 @@ def variances_of(parts: Sequence[Part], noise: Array) -> BandVariance:
     left, spread = (np.where(seen, table, 0.0) for table in (left, spread))
     weight = seen / np.maximum(seen.sum(axis=1, keepdims=True), 1)
     known = 1.0 / (1.0 + np.sum(weight * spread / noise**2, axis=1, keepdims=True))
-    grown = GROWTH(np.array([[part.times] for part in parts])) ** 2
+    grown = np.array([[part.times] for part in parts]) ** GROWTH
     rest, excess = np.sum(left / grown, axis=0) / np.maximum(seen.sum(axis=0), 1), 1.0
     for _ in range(200):  # each multiplies the variances; a hundred settle three digits
         variance = noise**2 + spread + grown * (rest + excess * spread)

@@ -56,9 +56,11 @@ UNCONTRADICTED = "no other recording could contradict it"
 #: Doubts of a cause that what stands beside it shares: a data sheet is known beside the causes.
 SHARED = re.compile(f"{UNCONTRADICTED}$|an unknown .* explains ")
 FIRST_ANSWER = "this is a first answer"
-#: Doubts that something else may act in a cause's place, or nothing at all.
+NOISE_ALONE = "the plain model's error is noise alone"
+#: Doubts that something else may act in a cause's place, or nothing at all: of three drawn causes
+#: that were likely while unseen runs left noise alone, two were not what was hidden.
 MAY_BE_ANOTHER = re.compile(
-    f"{MAY_BE_ZERO}$|{OTHERS_UNDO_IT}$|{FIT_AS_WELL}$|{UNCONTRADICTED}$|it may "
+    f"{MAY_BE_ZERO}$|{OTHERS_UNDO_IT}$|{FIT_AS_WELL}$|{UNCONTRADICTED}$|it may |{NOISE_ALONE} "
 )
 
 
@@ -256,7 +258,7 @@ def why_unconfirmed(total: Gain) -> str:
     """Why the gain of a whole set is not confirmed; where the plain model's error is noise alone,
     it must still fall for sure: what is told by one recording alone may be its noise."""
     if total.status == "nothing to gain":
-        return "" if total.has_fallen else "the plain model's error is noise alone"
+        return "" if total.has_fallen else NOISE_ALONE
     if total.status == "confirmed":
         return ""
     far, what = total.farthest

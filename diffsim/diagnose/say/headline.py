@@ -497,8 +497,8 @@ def _count_causes(
 
 
 def _sure(row: CauseRow, singled_out: Collection[str]) -> str:
-    """How sure a cause is, as it stands before its name; nothing is probable that may be zero, or
-    in whose place another one may act."""
+    """How sure a cause is, as it stands before its name; nothing is probable that may be zero, in
+    whose place another one may act, or without which unseen runs leave noise alone."""
     if row.status == CERTAIN:
         return SURELY
     is_open = any(map(MAY_BE_ANOTHER.match, row.doubts)) or row.name not in singled_out

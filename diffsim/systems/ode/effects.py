@@ -27,6 +27,7 @@ from diffsim.systems.ode.joint_effects import (
     coupling_in_words,
     current_of,
     elastic_coupling,
+    has_linear_drive,
     late_inside,
     limited_inside,
     loses_by_sign,
@@ -140,7 +141,7 @@ def _list_places(library: Library) -> dict[str, Place]:
     for place, scale in library.places:
         # what drives it, and has an inertia of its own, may be apart from what moves there
         has_inertia = place.force in network.definitions and place.inertia != "1"
-        is_driven = place.force is None or has_inertia
+        is_driven = place.force is None or (has_inertia and has_linear_drive(network, place))
         is_plain = (place.unit, place.position_unit) == ("N", "m") and len(library.places) == 1
         found[place.name] = Place(
             magnitudes_at(scale),

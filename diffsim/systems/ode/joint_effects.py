@@ -15,7 +15,7 @@ from diffsim.identify.effect import Apply
 from diffsim.systems.ode.applying import by_formulas, symbol, with_inputs
 from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import Library
-from diffsim.systems.ode.network import READING, Change, Network, filled, named
+from diffsim.systems.ode.network import READING, Change, Network, filled, is_linear, named
 from diffsim.systems.ode.scene import OdeScene, at_start
 
 SHARE, LOSS = "share", "loss"  # shapes of a coupling, by the names of its row
@@ -72,6 +72,16 @@ def elastic_coupling(library: Library, place: Place, name: str) -> Apply:
         readings=_read_behind(library.system.network, behind, known["blend"]),
     )
     return by_formulas(change, symbol(name), f"{SHARE} of {name}", f"{LOSS} of {name}")
+
+
+def has_linear_drive(network: Network, place: Place) -> bool:
+    """Whether the rate at a place is a straight line over the force that it states.
+
+    A coupling behind that force is told its share of the inertia by the rates under forces of 0
+    and 1.
+    """
+    force = place.force or ""
+    return is_linear(written_out(network.rates[place.velocity], network, but=force), force)
 
 
 def _coupling_behind(library: Library, place: Place, force: str, name: str) -> Apply:

@@ -7,6 +7,7 @@ what it was before, so that several changes of one name act one after the other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
@@ -15,6 +16,8 @@ from diffsim.core.expression import Apply, Expression, Name, Node, NumberNode
 from diffsim.ode import Ode
 
 TIME = "t"
+# parts beside which an operation is linear in its others; of all else: all
+_LINEAR_BESIDE = {"add": (), "sub": (), "neg": (), "div": (1,), "where": (0,)}
 _RAW = "{}~"  # an input or parameter as given, where a change stands for its name
 
 
@@ -236,6 +239,26 @@ def filled(formula: Expression, parts: Mapping[str, Expression]) -> Expression:
     return _make_expression(
         _substitute_names(formula.root, {k: e.root for k, e in parts.items()}, {})
     )
+
+
+def is_linear(formula: Expression, name: str) -> bool:
+    """Whether a formula is a straight line over a name, as its spelling shows."""
+    return _degree(formula.root, name, {}) <= 1.0
+
+
+def _degree(node: Node, name: str, memo: dict[int, float]) -> float:
+    """Power of a name that a formula goes with; infinite where it is no polynomial of it."""
+    if not isinstance(node, Apply):
+        return float(isinstance(node, Name) and node.name == name)
+    if id(node) not in memo:
+        parts = [_degree(part, name, memo) for part in node.parts]
+        is_constant = [not parts[k] for k in _LINEAR_BESIDE.get(node.operation, range(len(parts)))]
+        if node.operation == "mul":
+            degree = sum(parts)
+        else:
+            degree = max(parts) if all(is_constant) else math.inf
+        memo[id(node)] = degree
+    return memo[id(node)]
 
 
 def product(a: Expression, b: Expression) -> Expression:

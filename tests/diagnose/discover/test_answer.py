@@ -43,3 +43,29 @@ def test_a_number_that_a_law_multiplies_is_no_finding_of_its_data_sheet():
         "leak": True,
         "mass": True,
     }
+
+
+def test_doubts_call_laws_in_words():
+    """ "Law of elbow_Nm_at_elbow_rad_2 does nearly as well" was the reason in a headline."""
+    from tests.viz.test_diagnosis_report import example
+
+    rate, torque = Variable("w", "rate", "rad/s"), Variable("u", "command", "N m")
+    force, number = Entry("force", "hinge", "N m", 1.0), Entry("number", "mass", "-", 1.0)
+    placed = [
+        ("law_of_w_at_hinge", force, rate),
+        ("law_of_w_at_hinge_2", force, rate),
+        ("law_of_u_at_mass", number, torque),
+    ]
+    laws = [Law(name, at, of, "line", "size*u", 0.5, "N m") for name, at, of in placed]
+    codes = ("law of w at hinge 2", "law of u at mass")
+    doubts = (*(f"{code} does nearly as well" for code in codes), "the gain may be chance")
+    row = CauseRow("law_of_w_at_hinge", "", "effect", "likely", 0.9, {}, "N m", doubts=doubts)
+    best = SimpleNamespace(problem=SimpleNamespace(effects=[]))
+    report = replace(example(), causes=(row,), base=(), best=best)
+    (said,) = in_words(report, SimpleNamespace(laws=laws)).causes
+    assert said.words == "a torque at hinge that depends on w"
+    assert said.doubts == (
+        "another law of w does nearly as well",
+        "a change of mass that depends on u does nearly as well",
+        "the gain may be chance",
+    )

@@ -104,7 +104,7 @@ def test_half_of_the_width_is_the_root_of_a_sum_of_variances():
     slopes = slopes * [0.7, 1.5]  # by standardized coordinates
     spread = np.einsum("tci,ij,tcj->tc", slopes, found.covariance, slopes)
     rest = np.array([band.rest[c.name] for c in linear.CHANNELS])
-    for times, grown in ((1.0, 1.0), (2.0, 7.0)):
+    for times, grown in ((1.0, 1.0), (2.0, 4.0)):
         beyond = rest**2 + band.excess**2 * spread
         expected = band.factor * np.sqrt(SD**2 + spread + grown**2 * beyond)
         np.testing.assert_allclose(widths(band, found, new, times), expected, rtol=1e-8)

@@ -18,7 +18,7 @@ from diffsim.core.units import small_scale
 from diffsim.diagnose.checks.gates import GateResult
 from diffsim.diagnose.faults.verdict import SILENT, FaultReport, FaultVerdict, Size
 from diffsim.diagnose.judge.gain import Gain
-from diffsim.diagnose.judge.preconditions import MAY_BE_ZERO
+from diffsim.diagnose.judge.preconditions import MAY_BE_ZERO, NOISE_ALONE
 from diffsim.diagnose.judge.records import CauseRow, ErrorRow, Interval
 from diffsim.diagnose.say.headline import first_of, headline
 from diffsim.diagnose.say.wording import Answer, BeforeTest
@@ -109,6 +109,9 @@ def test_the_first_sentence_of_an_answer_is_short_and_true(name):
     _check_errors(record, first)
     _check_causes(record, first)
     assert ("probably" in text or "without a name" in first) <= ("Not certain: " in text)
+    likely = [" ".join(c["doubts"]) for c in record["causes"] if c["status"] == "likely"]
+    if "probably" in first and likely:
+        assert not all(NOISE_ALONE in doubts for doubts in likely), first
     if "hidden" in record:
         _check_truth(record, first)
 

@@ -33,6 +33,24 @@ def servo(push, **define):
     return study, setup_of(study)
 
 
+@pytest.mark.parametrize(
+    ("rate", "is_told"),
+    [
+        ("(push - c*v - k*x)/m", True),
+        ("(push*where(x > 0, 2, 1) - c*v - k*x)/m", True),
+        ("(push - 0.1*push*abs(push) - c*v - k*x)/m", False),
+        ("(max(push, 0) - c*v - k*x)/m", False),
+        ("where(push > 1, push, 0)/m", False),
+        ("-k*x/(m + push)", False),
+    ],
+)
+def test_a_coupling_is_no_cause_where_its_share_of_the_force_is_not_told(rate, is_told):
+    """The share is that of rates under forces of 0 and 1, a straight line."""
+    model = described(**{**SERVO, "rates": {"x": "v", "v": rate}}, define={"push": PUSH})
+    names = {effect.name for effect in setup_of(cart_study(model=model)).effects}
+    assert ("elastic_coupling" in names) is is_told
+
+
 def problem_of(study, setup, *names):
     effects = tuple(e for e in setup.effects if e.name in names)
     return Problem(setup.model, study.fit_runs, WhiteNoise(study.channels), effects)
