@@ -408,11 +408,8 @@ def _change_of(record: Record, channel: Signal, samples: Samples) -> tuple[int, 
             continue
         is_clear = 3.0 * pace < abs(x[k - 1]) and jump > 3.0 * max(before, after)
         if is_clear or (_is_driven(record, samples.run) and abs(np.log(times)) > np.log(BIG)):
-            return (
-                k,
-                times,
-                factor[1].words,
-            )  # what is not driven comes to rest, and its noise with it
+            # what is not driven comes to rest, and its noise with it
+            return k, times, factor[1].words
     return None
 
 
