@@ -387,8 +387,7 @@ class Table:
 def _fit_beside(
     screen: Screen, fit: Fit, port: LawPort, table: Table, may_fit: Callable[[], bool]
 ) -> list[FittedLaw]:
-    """Laws beside a cause of the library, as one table of both ranks them, while there is a budget.
-    """
+    """Laws beside a cause of the library, as one table of both ranks them, while steps are left."""
     if not may_fit():
         return []
     causes = causes_along(screen.followed, table.library, SCREEN_SHARE * table.most_steps)
