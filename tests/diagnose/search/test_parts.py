@@ -20,7 +20,7 @@ BOTH, DELAY = frozenset({0, 1}), frozenset({0})
 
 
 def search_of_a_pair(drag=0.0):
-    """A delay is missing, alone or with a drag; beside a drag it is the only set that was fitted."""
+    """A delay is missing, alone or with a drag; with a drag it is the only set that was fitted."""
     study = toy.generate(4, {"delay": 0.03, "drag": drag})
     settings = DiagnosisSettings(search=SearchSettings(max_effects=2))
     model = toy.model(study.runs)
