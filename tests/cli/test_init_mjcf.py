@@ -133,6 +133,43 @@ def test_a_column_called_like_an_actuator_and_no_joint_is_its_command(tmp_path):
     assert options["channels"] == {"cart_m": "joint.slider.position"}
 
 
+GANTRY = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
+  <body name="bridge"><joint name="x" type="slide" axis="1 0 0" damping="12"/>
+    <geom size="0.1" mass="6"/>
+    <body name="carriage"><joint name="y" type="slide" axis="0 1 0" damping="6"/>
+      <geom size="0.1" mass="2"/></body></body></worldbody>
+  <actuator><motor name="drive_x" joint="x" gear="10"/><motor name="drive_y" joint="y" gear="5"/>
+  </actuator>{more}</mujoco>"""
+
+
+@pytest.mark.parametrize("shown", ["joint", "sensor"])
+@pytest.mark.parametrize("commands", ["ux,uy", "cmd_x,cmd_y", "cmd_x"])
+def test_a_gantry_of_slides_has_its_commands_its_starts_and_its_places(tmp_path, shown, commands):
+    """Of joints that sensors show it had neither places of forces nor starts; ux was a channel."""
+    sensors = "".join(f'<jointpos name="{j}_pos" joint="{j}"/>' for j in "xy")
+    more = f"<sensor>{sensors}</sensor>" if shown == "sensor" else ""
+    (tmp_path / "gantry.xml").write_text(GANTRY.format(more=more))
+    names = commands.split(",")
+    rng = np.random.default_rng(0)
+    for run in "ab":
+        told = np.repeat(rng.uniform(-3, 3, (5, len(names))), 20, axis=0)
+        moved = np.c_[np.sin(2.0 * TIME), 0.5 * np.sin(3.0 * TIME)]
+        table = np.c_[TIME, moved, told]
+        header = f"t_s,x_pos_m,y_pos_m,{commands}"
+        np.savetxt(tmp_path / f"{run}.csv", table, delimiter=",", header=header, comments="")
+    init(tmp_path)
+    stated = yaml.safe_load((tmp_path / "study.yaml").read_text())["model"]
+    drives = {name: f"drive_{name[-1]}" for name in names}
+    assert stated["options"]["commands"] == drives
+    assert len(stated["options"]["channels"]) == 2
+    assert {*stated["start"]} >= {"joint.x.start", "joint.y.start"}
+    places = stated["hooks"]["force"]
+    assert [place["unit"] for place in places.values()] == ["N", "N"] and {*places} == {"x", "y"}
+    # a twentieth of what the drive pushes with; without one, a hundredth of the weight
+    assert places["x"]["typical"] > 0.5
+    assert (places["y"]["typical"] > 0.25) == (len(names) == 2)
+
+
 def test_two_models_are_a_question_and_a_broken_one_is_said(tmp_path):
     folder = arm_folder(tmp_path)
     (folder / "other.xml").write_text("<mujoco><worldbody/></mujoco>")

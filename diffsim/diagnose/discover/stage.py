@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -313,12 +314,6 @@ def _rounds(
     standing: tuple[FittedLaw, ...] = ()
     first, most_steps = 0.0, np.inf if table is None else table.most_steps
     for _ in MOST_LAWS:
-        beside = []
-        if table is not None and not standing:
-            left = fit if screened.law is None else screened.law.fit
-            price = _price(len(screen.found) * len(table.library))
-            if 0.5 * (left.chi2 - left.num_samples) > KEEP_NATS + price:  # else no cause could pay
-                beside = _fit_beside(screen, fit, port, table)
         fitted: list[FittedLaw] = []
         least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
         for candidate in _choose(screen.found, least):
@@ -332,6 +327,12 @@ def _rounds(
                 law = _fit_law(screen, fit, candidate, port, standing, most_steps)
             if law is not None and law.nats > least:
                 fitted.append(law)
+        beside = []
+        if table is not None and not standing:  # what one law explains alone is no pair's
+            left = min((fit, *(f.fit for f in fitted)), key=lambda f: f.chi2)
+            price = _price(len(screen.found) * len(table.library))
+            if 0.5 * (left.chi2 - left.num_samples) > KEEP_NATS + price:  # else no cause could pay
+                beside = _fit_beside(screen, fit, port, table, may_fit)
         most = max((f.nats for f in fitted), default=0.0) + KEEP_NATS
         together = [law for law in beside if law.nats > most + _price(law.num_pairs)]
         if not fitted:
@@ -383,12 +384,16 @@ class Table:
     most_steps: float
 
 
-def _fit_beside(screen: Screen, fit: Fit, port: LawPort, table: Table) -> list[FittedLaw]:
-    """Laws beside a cause of the library, as one table of both ranks them."""
+def _fit_beside(
+    screen: Screen, fit: Fit, port: LawPort, table: Table, may_fit: Callable[[], bool]
+) -> list[FittedLaw]:
+    """Laws beside a cause of the library, as one table of both ranks them, while steps are left."""
+    if not may_fit():
+        return []
     causes = causes_along(screen.followed, table.library, SCREEN_SHARE * table.most_steps)
     pairs, count = best_pairs(screen, causes)
     out = []
-    for pair in pairs:
+    for pair in takewhile(lambda _: may_fit(), pairs):
         law = _fit_law(screen, fit, pair.law, port, (), table.most_steps, pair.cause)
         if law is not None:
             out.append(replace(law, num_pairs=count))

@@ -404,16 +404,17 @@ def _missing(
     effects = _by_share([row for row in named if row.origin == EFFECT], laws)
     if not effects:
         return _off_sheet(sheet)
-    of_laws = sum(row.removes or 0.0 for row in effects if row.name in laws)
-    if of_laws > sum(row.removes or 0.0 for row in effects if row.name not in laws):
-        return _laws(effects, laws, how)
+    every = [*effects, *(r for r in effects_of(answer) if r.helps and r not in effects)]
+    of_laws = sum(row.removes or 0.0 for row in every if row.name in laws)
+    if of_laws > sum(row.removes or 0.0 for row in every if row.name not in laws):
+        return _laws(every, laws, how)
     total = sum(row.removes or 0.0 for row in effects)
     is_set = len(effects) > 1 and 0.0 < total < TOGETHER
     if not is_set:
         effects = effects[: max(len(effects) - _num_small(effects, total), 1)]
     names = [*([] if is_set else _with_sizes(effects, laws, how))]
     names += _without_sizes(effects, how, is_set=is_set)
-    held = [row for row in effects_of(answer) if row.helps and row not in effects]
+    held = [row for row in every if row.helps and row not in effects]
     if beside := held[: len(held) - _num_small(held, total)]:
         also = _count(len(beside))
         causes = "cause" if len(beside) == 1 else "causes"
@@ -428,16 +429,18 @@ def _missing(
 
 
 def _laws(effects: Sequence[CauseRow], laws: Collection[str], how: Mapping[str, str]) -> list[str]:
-    """Laws that remove more than the causes of the library beside them."""
+    """Laws that remove more than the causes of the library beside them; where one of these removes
+    more than next to nothing, the library explains a part."""
     own = [row for row in effects if row.name in laws]
     total = sum(row.removes or 0.0 for row in effects)
     beside = [row for row in effects if row not in own and (row.removes or 0.0) > SMALL * total]
+    how = {row.name: PERHAPS for row in effects} | dict(how)
     said = _without_sizes(own, how, is_set=False) + _count_causes(own, how, is_set=False)
     none = ("No cause of the library explains it: ", "No library cause explains it: ")
     marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in beside[:MAX_NAMES]]
     names = join_words([f"{m}{_brief(r.words)}" for m, r in zip(marks, beside, strict=False)])
     also = [f", beside {names}", f", beside {_count(len(beside))} more"] if beside else [""]
-    return [f"{n}{text}{also[0]}" for text in said for n in none] + [
+    return [f"{n}{text}" for text in said for n in none if not beside] + [
         capital(f"{text}{end}") for end in dict.fromkeys((*also, "")) for text in said
     ]
 

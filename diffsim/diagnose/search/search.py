@@ -328,7 +328,7 @@ def fitted_to_end(search: Search, sets: Sequence[Members], whole: Members = NONE
         most = until - search.steps
         promised = fit if near is None else near.evidence.weigh(Hypothesis(members))
         cost = 0.5 * (promised.chi2 + float(promised.x @ promised.x))
-        falls_short = near is not None and _disappoints(search, fit, cost)
+        falls_short = near is not None and _disappoints(search, fit, cost, is_part=True)
         if most <= 0.0 or not (falls_short or fit.ended == "budget"):
             continue
         start = made.fitted[members]
@@ -353,10 +353,13 @@ def _starts(search: Search, members: Members, near: Center) -> list[Center]:
     return list(dict.fromkeys(places))[: search.settings.num_starts]
 
 
-def _disappoints(search: Search, fit: Fit, promised: float) -> bool:
-    """Whether a fit ended far above what linear evidence promised, though that was of interest."""
+def _disappoints(search: Search, fit: Fit, promised: float, *, is_part: bool = False) -> bool:
+    """Whether a fit ended far above what linear evidence promised, though that was of interest.
+
+    What is promised to a part of the best set always is: what the part lacks, a member gains.
+    """
     slack = search.settings.rival_nats
-    if promised > search.best_cost() + slack:
+    if not is_part and promised > search.best_cost() + slack:
         return False
     misfit = 0.5 * max(fit.chi2 - fit.num_samples, 0.0)
     missed = 0.5 * (fit.chi2 + fit.prior) - promised

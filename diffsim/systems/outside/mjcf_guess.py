@@ -111,19 +111,25 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
         "commands_are": "held",
         "options": options,
         "parameters": _parameters(simulator),
-        "start": _starts(channels, guess),
-        "hooks": {
-            "command": {actuator: [name] for name, actuator in commands.items()},
-            "force": _places(simulator, channels, commands, guess),
-        },
+        "start": _starts(simulator, channels, guess),
+        "hooks": _filled(
+            {
+                "command": {actuator: [name] for name, actuator in commands.items()},
+                "force": _places(simulator, channels, commands, guess),
+            }
+        ),
     }
-    made.keys = {key: value for key, value in made.keys.items() if value}
+    made.keys = _filled(made.keys)
     made.todo.append(
         f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass, "
         f"largest force), {DAMPING_PERCENT} % (damping, friction, armature), {GAIN_PERCENT} % "
         "(gain): state what you know of them"
     )
     return made
+
+
+def _filled(keys: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in keys.items() if value}
 
 
 def _words(name: str) -> set[str]:
@@ -172,7 +178,8 @@ def _pairs(found: dict[str, str]) -> str:
 
 def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
     """Columns of force, torque and current, or called like an actuator and no joint or sensor, are
-    commands where actuators lack theirs."""
+    commands where actuators lack theirs; so are those without a unit that are called like nothing
+    that is shown, where each such actuator has one."""
     plain = simulator.plain
     lacking = plain.nu - len(guess.those("command"))
     columns = guess.those("channel")
@@ -181,7 +188,12 @@ def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
     shown += [_words(plain.sensor(i).name) for i in range(plain.nsensor)]
     pushes = [c for c in columns if _unit(c) in _PUSHES]
     named = [c for c in columns if _is_called(c, drives) and not _is_called(c, shown)]
-    for found, why in ((pushes, "what actuators push with"), (named, "called like actuators")):
+    rest = [c for c in columns if _unit(c) == "-" and not _is_called(c, shown)]
+    for found, why in (
+        (pushes, "what actuators push with"),
+        (named, "called like actuators"),
+        (rest if len(rest) == lacking else [], "called like no joint or sensor"),
+    ):
         if 0 < len(found) <= lacking and len(found) < len(columns):
             for column in found:
                 column.role = "command"
@@ -333,12 +345,12 @@ def _quantity(value: float, percent: int) -> dict[str, float]:
 
 
 def _positions(
-    channels: Mapping[str, str], guess: Guess
+    simulator: Any, channels: Mapping[str, str], guess: Guess
 ) -> Iterator[tuple[str, list[Array], list[Array], float]]:
     """Joints whose position is recorded, its course and clock in each run and the noise, in SI
     units; of a free joint its entries, as starts have them."""
     for column in guess.those("channel"):
-        found = JOINT.fullmatch(channels.get(column.name, ""))
+        found = JOINT.fullmatch(_joint_shown(simulator, channels.get(column.name, "")))
         if found and found[2] != "velocity":
             entry = "" if found[3] is None else f"[{int(found[3]) + 3 * (found[2] != 'position')}]"
             times = to_si(column.unit).factor
@@ -350,11 +362,20 @@ def _positions(
             )
 
 
-def _starts(channels: Mapping[str, str], guess: Guess) -> dict[str, Any]:
+def _joint_shown(simulator: Any, channel: str) -> str:
+    """What a channel shows; of a sensor of a joint's position as without a sensor."""
+    plain, m = simulator.plain, simulator.mujoco
+    i = m.mj_name2id(plain, m.mjtObj.mjOBJ_SENSOR, channel)
+    if i < 0 or int(plain.sensor_type[i]) != int(m.mjtSensor.mjSENS_JOINTPOS):
+        return channel
+    return f"joint.{plain.joint(int(plain.sensor_objid[i])).name}.position"
+
+
+def _starts(simulator: Any, channels: Mapping[str, str], guess: Guess) -> dict[str, Any]:
     """Where joints begin, by the first samples of their channels, a value of each run; and how
     fast, where a run begins in motion."""
     out: dict[str, Any] = {}
-    for joint, courses, clocks, noise in _positions(channels, guess):
+    for joint, courses, clocks, noise in _positions(simulator, channels, guess):
         first = np.array([course[np.isfinite(course)][0] for course in courses])
         sd = max(3.0 * noise, 2.0 * float(np.abs(first - first.mean()).max()), SMALLEST_SD)
         name, bracket, entry = joint.partition("[")
@@ -390,7 +411,7 @@ def _places(
     """Joints whose position is recorded, as places of forces, with usual sizes."""
     out: dict[str, Any] = {}
     plain, m = simulator.plain, simulator.mujoco
-    for name, courses, clocks, _ in _positions(channels, guess):
+    for name, courses, clocks, _ in _positions(simulator, channels, guess):
         if "[" in name:  # a free body has no axis
             continue
         joint = simulator.numbers.find("joint", name, "")
@@ -418,7 +439,7 @@ def _find_before(
     """What servos were told before the runs, where their joints begin at rest in one place and the
     first goals lie elsewhere: that place. A sentence for each."""
     plain, columns = simulator.plain, {c.name: c for c in guess.those("command")}
-    courses = {name: found for name, found, _, _ in _positions(channels, guess)}
+    courses = {name: found for name, found, _, _ in _positions(simulator, channels, guess)}
     for command, actuator in commands.items():
         i, column = simulator.numbers.find("actuator", actuator, ""), columns[command]
         joint = _joint_of(plain, i)

@@ -10,6 +10,8 @@ import pytest
 from diffsim import cli
 from diffsim.data import Command, save_study
 from diffsim.data.study import Channel, Run, Study
+from diffsim.diagnose.discover import stage
+from diffsim.diagnose.discover.beside import Pair
 from diffsim.diagnose.discover.stage import find_laws
 from diffsim.diagnose.say.headline import first_of
 from diffsim.diagnose.search.fit import silent
@@ -124,12 +126,41 @@ def test_nothing_is_described_where_nothing_is_hidden():
     assert report.described is None or report.described.laws == ()
 
 
-def fitted_laws(study):
+def fitted_laws(study, *, most_steps=np.inf, with_library=False):
     """What the stage finds beside the plain model."""
     made = setup_of(study)
     problem = Problem(made.model, study.fit_runs, WhiteNoise(study.channels))
     start = linearization_at(problem, np.zeros(problem.num_base))
-    return find_laws([gauss_newton(problem, start)[0]], made.laws, silent)
+    library = made.effects if with_library else ()
+    return find_laws([gauss_newton(problem, start)[0]], made.laws, silent, most_steps, library)
+
+
+def cogging_that_rubs(angle, speed, temp):
+    return cogging(angle, speed, temp) - 0.02 * np.tanh(speed / 0.02)
+
+
+@pytest.mark.cpu(10)  # laws alone and beside causes, fitted in the simulator
+@pytest.mark.parametrize("is_spent", [False, True])
+def test_laws_alone_are_fitted_before_any_beside_a_cause(monkeypatch, is_spent):
+    """Of a flywheel pairs had spent the budget: a law of heat came first, as no other was tried."""
+    asked, fit_law = [], stage._fit_law
+
+    def noted(screen, before, candidate, port, standing, most_steps, cause=None):
+        if candidate.variable.times is None:
+            asked.append(len(standing) + (0.5 if cause is not None else 0.0))
+        return fit_law(screen, before, candidate, port, standing, most_steps, cause)
+
+    def promising(screen, causes):
+        return [Pair(screen.found[0], cause, 1e4) for cause in causes[:2]], len(causes)
+
+    monkeypatch.setattr(stage, "_fit_law", noted)
+    monkeypatch.setattr(stage, "best_pairs", promising)
+    study = turntable_study(cogging_that_rubs, uses=("fit", "fit"), noise=1e-4, count=50)
+    fitted_laws(study, most_steps=1.0 if is_spent else np.inf, with_library=True)
+    assert asked.count(0) >= (1 if is_spent else 3)
+    first_pair = asked.index(0.5) if 0.5 in asked else None
+    assert (first_pair is None) == is_spent
+    assert is_spent or 0 not in asked[first_pair:]
 
 
 TURN, BLUR = 0.01, 1e-3  # of the camera [rad], of its readings [m]

@@ -191,6 +191,24 @@ def test_a_law_stands_in_front_only_where_causes_of_the_library_remove_less():
         assert said("named", rows, laws=[law.name]).startswith(begin), share
 
 
+@pytest.mark.parametrize(
+    ("share", "begin"),
+    [
+        (0.5, "{}, with one more cause left open: "),
+        (0.3, "{}, beside perhaps lag: "),
+        (0.01, "No cause of the library explains it: {}: "),
+    ],
+)
+def test_a_cause_that_is_held_without_a_name_counts_for_the_library(share, begin):
+    """No library cause explained it, it was said, beside one that removed more than the law."""
+    law = cause("law_of_speed_at_bend", words="a force that depends on speed", removes=0.4)
+    held = cause("lag", removes=share, status="cannot be told from", helps=True)
+    text = said("named", [law, held], laws=[law.name])
+    is_missing = "a force that depends on speed is missing"
+    first = is_missing if begin.startswith("No") else capital(is_missing)
+    assert text.startswith(begin.format(first))
+
+
 def test_a_second_sentence_says_why_and_of_which_cause():
     why = "its size may be zero"
     lag, play = (
