@@ -97,7 +97,13 @@ class BenchDescription(FormulaKeys):
             chosen_effects(found, self.effects, study, plant),
             unknowns=unknown_laws(library),
             settings=settings_with(advised, self.effort),
-            laws=OdeLaws.of(library, self.setup),
+            laws=OdeLaws(
+                library=library,
+                model=library.model,
+                study=library.study,
+                whole=library.study,
+                make=self.setup,
+            ),
         )
 
 

@@ -159,6 +159,12 @@ class OdeDescription(FormulaKeys):
             chosen_effects(found, self.effects, used, plant_of(library)),
             unknown_forces(library),
             settings=settings_with(DiagnosisSettings(), self.effort),
-            laws=OdeLaws.of(library, self.setup),
+            laws=OdeLaws(
+                library=library,
+                model=library.model,
+                study=library.study,
+                whole=library.study,
+                make=self.setup,
+            ),
             study=None if used is study else used,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -15,7 +15,7 @@ from torch import Tensor
 from diffsim.core.arrays import Array
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.columns_beside import outputs_of
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
 from diffsim.identify.law import (
     FEWEST_VALUES,
@@ -31,7 +31,7 @@ from diffsim.identify.law import (
     reading_entries,
 )
 from diffsim.identify.problem import Problem
-from diffsim.identify.setup import DiagnosisSetup, LawPort, law_effect
+from diffsim.identify.setup import LawPort, law_effect
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.ode.applying import entering, symbol
 from diffsim.systems.ode.described import FormulaSystem
@@ -62,12 +62,6 @@ class OdeLaws(LawPort):
     """
 
     library: Library
-
-    @classmethod
-    def of(cls, library: Library, make: Callable[[Study], DiagnosisSetup]) -> OdeLaws:
-        """Of a described system, which ``make`` sets up for a study."""
-        own = library.study
-        return cls(library=library, model=library.model, study=own, whole=own, make=make)
 
     @property
     def system(self) -> FormulaSystem:
