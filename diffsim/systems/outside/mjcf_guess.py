@@ -112,14 +112,14 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
         "options": options,
         "parameters": _parameters(simulator),
         "start": _starts(simulator, channels, guess),
-        "hooks": _filled(
+        "hooks": _without_empty(
             {
                 "command": {actuator: [name] for name, actuator in commands.items()},
                 "force": _places(simulator, channels, commands, guess),
             }
         ),
     }
-    made.keys = _filled(made.keys)
+    made.keys = _without_empty(made.keys)
     made.todo.append(
         f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass, "
         f"largest force), {DAMPING_PERCENT} % (damping, friction, armature), {GAIN_PERCENT} % "
@@ -128,7 +128,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     return made
 
 
-def _filled(keys: dict[str, Any]) -> dict[str, Any]:
+def _without_empty(keys: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in keys.items() if value}
 
 
