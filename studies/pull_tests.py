@@ -1,4 +1,4 @@
-"""``python -m benchmarks.pull_tests``: how far pulled servos stay off, in counts of their encoder.
+"""``python -m studies.pull_tests``: how far pulled servos stay off, in counts of their encoder.
 
 Two servos pull the tested ones to either side in turn and let go. A row for each tested servo with
 its goal at home: mean reading of one side less that of the other, while one pulls and after it has

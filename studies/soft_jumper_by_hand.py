@@ -1,6 +1,6 @@
 """What a good hop of the soft jumper returns: Adam on the commands of one period, no network.
 
-python -m benchmarks.soft_jumper_by_hand --out runs/SoftJumper/open_loop/seed_0
+python -m studies.soft_jumper_by_hand --out runs/SoftJumper/open_loop/seed_0
 
 One period of a third of a second, 20 control steps x 216 commands, is repeated. It begins as a
 square wave for all muscles together. Adam differentiates the first 100 steps of two episodes, whose

@@ -1,6 +1,6 @@
 """Thesis Fig. 4-27 again: convergence of the amplifier in the cell size and in Poisson's ratio.
 
-python -m benchmarks.stokes_amplifier               # about a minute
+python -m studies.stokes_amplifier               # about a minute
 
 Both studies of the thesis compare a formulation with itself: finer grids of the same Poisson's
 ratio, and larger ratios on the same grid. The last column compares with the incompressible flow of

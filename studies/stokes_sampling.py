@@ -1,7 +1,7 @@
 """Is it worth sampling designs before L-BFGS? The ablation of thesis Fig. 4-26.
 
-python -m benchmarks.stokes_sampling --starts 4 --evaluations 30    # three devices, 5 CPU minutes
-python -m benchmarks.stokes_sampling amplifier --resolution 0.5     # quick
+python -m studies.stokes_sampling --starts 4 --evaluations 30    # three devices, 5 CPU minutes
+python -m studies.stokes_sampling amplifier --resolution 0.5     # quick
 
 Random designs are drawn as ``devices.optimize`` does, and L-BFGS runs from every one of them: the
 best one is where ``optimize`` starts, the others are starts that somebody might have chosen. Every

@@ -12,7 +12,17 @@ from diffsim.learn.run import Learner
 from diffsim.learn.setup import Setup
 
 Options = Mapping[str, Any]
-METHODS = ("gradient", "shac", "sapo", "mixed", "ppo", "sac", "tqc", "cma")
+_MODULES = {  # whole names, which scripts/changed_tests.py follows
+    "gradient": "diffsim.learn.gradient",
+    "shac": "diffsim.learn.shac",
+    "sapo": "diffsim.learn.sapo",
+    "mixed": "diffsim.learn.mixed",
+    "ppo": "diffsim.learn.ppo",
+    "sac": "diffsim.learn.sac",
+    "tqc": "diffsim.learn.tqc",
+    "cma": "diffsim.learn.cma_es",
+}
+METHODS = tuple(_MODULES)
 
 
 @checked
@@ -26,6 +36,6 @@ def make_learner(method: str, setup: Setup, options: Options) -> Learner:
     """
     require_choice("method", method, METHODS)
     # only its own: those that need packages of the extra "rl" keep them from the others
-    module = import_module("diffsim.learn." + ("cma_es" if method == "cma" else method))
+    module = import_module(_MODULES[method])
     name = method.capitalize()
     return getattr(module, f"{name}Learner")(setup, getattr(module, f"{name}Options")(**options))

@@ -84,7 +84,7 @@ def trajectories(
     panels: Sequence[tuple[str, Sequence[Curve]]], *, ylabel: str, narrow: bool = False
 ) -> Figure:
     """Curves over time since release [s], one panel per trial, millimeters."""
-    figure, axes = _stacked(len(panels), narrow, height=2.5)
+    figure, axes = _over_time(len(panels), narrow, height=2.5)
     for ax, (title, curves) in zip(axes, panels, strict=True):
         _draw_curves(ax, title, curves, narrow)
         ax.set_ylabel(ylabel, color=SOFT)
@@ -128,7 +128,7 @@ def residuals(
         ylabel: Label of the vertical axis of every panel.
         narrow: Whether it is drawn for a phone.
     """
-    figure, axes = _stacked(len(panels), narrow, height=1.9)
+    figure, axes = _over_time(len(panels), narrow, height=1.9)
     for ax, (title, curves, floor) in zip(axes, panels, strict=True):
         if floor is not None:
             ax.fill_between(
@@ -183,7 +183,7 @@ def bars(
     return figure
 
 
-def _stacked(count: int, narrow: bool, *, height: float) -> tuple[Figure, list[Axes]]:
+def _over_time(count: int, narrow: bool, *, height: float) -> tuple[Figure, list[Axes]]:
     """Panels over one time, each ``height`` [inch]."""
     size = (
         {"width": NARROW_INCH, "height": 3.2 * count}

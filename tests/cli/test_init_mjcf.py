@@ -170,6 +170,24 @@ def test_a_gantry_of_slides_has_its_commands_its_starts_and_its_places(tmp_path,
     assert (places["y"]["typical"] > 0.25) == (len(names) == 2)
 
 
+@pytest.mark.parametrize("beside", ["ux,uy", "u_x,u_y", "vx,vy", "battery,temperature"])
+def test_a_u_before_what_tells_actuators_apart_makes_a_command(tmp_path, beside):
+    """Commands that vary all the time look as a reading does; a battery's charge is none."""
+    (tmp_path / "gantry.xml").write_text(GANTRY.format(more=""))
+    rng = np.random.default_rng(0)
+    for run in "ab":
+        waves = [
+            np.sin(f * TIME + p) for f, p in zip(range(2, 6), rng.uniform(0, 3, 4), strict=True)
+        ]
+        table = np.c_[TIME, np.array(waves).T + 1e-3 * rng.normal(size=(len(TIME), 4))]
+        header = f"t_s,x_pos_m,y_pos_m,{beside}"
+        np.savetxt(tmp_path / f"{run}.csv", table, delimiter=",", header=header, comments="")
+    init(tmp_path)
+    stated = yaml.safe_load((tmp_path / "study.yaml").read_text())
+    told = [command["name"] for command in stated.get("commands") or []]
+    assert told == (beside.split(",") if beside.startswith("u") else [])
+
+
 def test_two_models_are_a_question_and_a_broken_one_is_said(tmp_path):
     folder = arm_folder(tmp_path)
     (folder / "other.xml").write_text("<mujoco><worldbody/></mujoco>")

@@ -51,7 +51,7 @@ class MotorLag(_Effect):
 
     @checked(kinds_only=True)
     def row(self, dt: float) -> dict[str, Tensor]:
-        """See ``_Effect``."""
+        """Parameters of the kernel."""
         return {"lag_decay": torch.exp(-0.5 * dt / self.time_constants)}
 
 
@@ -125,7 +125,7 @@ class Interference(_Effect):
     )
 
     def row(self, dt: float) -> dict[str, Tensor]:
-        """See ``_Effect``."""
+        """Parameters of the kernel."""
         return {"interference": self.losses.flatten(-2)}
 
 
@@ -161,7 +161,7 @@ class BatterySag(_Effect):
     idle_current: Tensor = field(metadata=_of("idle_current", (), at_least=0.0))
 
     def row(self, dt: float) -> dict[str, Tensor]:
-        """See ``_Effect``."""
+        """Parameters of the kernel."""
         return super().row(dt) | {"inverse_capacity": 1.0 / self.capacity}
 
 

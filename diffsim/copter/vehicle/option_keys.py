@@ -18,7 +18,8 @@ def option_keys(
 ) -> type[schema.Part]:
     """A block with a key for each argument of a maker that its base does not have.
 
-    Single numbers are sizes, masses, densities and factors: all of them above 0.
+    Numbers that are ``float`` are sizes, masses, densities and factors: all of them above 0. What
+    may be a tensor, too, is checked by what is made.
 
     Args:
         maker: Its annotations may be units of ``core.schema_numbers``.

@@ -414,7 +414,7 @@ def _missing(
         effects = effects[: max(len(effects) - _num_small(effects, total), 1)]
     names = [*([] if is_set else _with_sizes(effects, laws, how))]
     names += _without_sizes(effects, how, is_set=is_set)
-    held = [row for row in every if row.helps and row not in effects]
+    held = _by_share([row for row in every if row.helps and row not in effects])
     if beside := held[: len(held) - _num_small(held, total)]:
         also = _count(len(beside))
         causes = "cause" if len(beside) == 1 else "causes"
@@ -437,9 +437,11 @@ def _laws(effects: Sequence[CauseRow], laws: Collection[str], how: Mapping[str, 
     how = {row.name: PERHAPS for row in effects} | dict(how)
     said = _without_sizes(own, how, is_set=False) + _count_causes(own, how, is_set=False)
     none = ("No cause of the library explains it: ", "No library cause explains it: ")
-    marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in beside[:MAX_NAMES]]
-    names = join_words([f"{m}{_brief(r.words)}" for m, r in zip(marks, beside, strict=False)])
-    also = [f", beside {names}", f", beside {_count(len(beside))} more"] if beside else [""]
+    marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in beside]
+    named = zip(marks[:MAX_NAMES], beside[:MAX_NAMES], strict=True)
+    names = join_words([f"{mark}{_brief(row.words)}" for mark, row in named])
+    count = f"{max(marks, default='')}{_count(len(beside))}"  # perhaps, where one of them is
+    also = [f", beside {names}", f", beside {count} more"] if beside else [""]
     return [f"{n}{text}" for text in said for n in none if not beside] + [
         capital(f"{text}{end}") for end in dict.fromkeys((*also, "")) for text in said
     ]

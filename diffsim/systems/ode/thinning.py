@@ -124,7 +124,7 @@ def _cut(run: Run, study: Study, interval: float, steps_of: Collection[str]) -> 
     if len(rows) > MOST_SHARE * count:
         return run
     command = {name: _best_lines(run.time_s, v, rows) for name, v in run.command.items()}
-    return replace(run.part(rows), command=command, row_s=float(np.median(steps)))
+    return replace(run.part(rows), command=command, row_s=run.row_s or float(np.median(steps)))
 
 
 def _rows_of_motion(channel: Channel, times: Array, values: Array, rows: Rows) -> Rows:

@@ -112,14 +112,14 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
         "options": options,
         "parameters": _parameters(simulator),
         "start": _starts(simulator, channels, guess),
-        "hooks": _filled(
+        "hooks": _without_empty(
             {
                 "command": {actuator: [name] for name, actuator in commands.items()},
                 "force": _places(simulator, channels, commands, guess),
             }
         ),
     }
-    made.keys = _filled(made.keys)
+    made.keys = _without_empty(made.keys)
     made.todo.append(
         f"model: numbers of {stated} are guessed to be good to {MASS_PERCENT} % (mass, "
         f"largest force), {DAMPING_PERCENT} % (damping, friction, armature), {GAIN_PERCENT} % "
@@ -128,7 +128,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
     return made
 
 
-def _filled(keys: dict[str, Any]) -> dict[str, Any]:
+def _without_empty(keys: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in keys.items() if value}
 
 
@@ -178,8 +178,8 @@ def _pairs(found: dict[str, str]) -> str:
 
 def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
     """Columns of force, torque and current, or called like an actuator and no joint or sensor, are
-    commands where actuators lack theirs; so are those without a unit that are called like nothing
-    that is shown, where each such actuator has one."""
+    commands where actuators lack theirs; so are those without a unit that have a u before what
+    tells actuators apart, as ux, u_y and u1, where each such actuator has one."""
     plain = simulator.plain
     lacking = plain.nu - len(guess.those("command"))
     columns = guess.those("channel")
@@ -188,17 +188,23 @@ def _command_drives(simulator: Any, guess: Guess, made: GuessedModel) -> None:
     shown += [_words(plain.sensor(i).name) for i in range(plain.nsensor)]
     pushes = [c for c in columns if _unit(c) in _PUSHES]
     named = [c for c in columns if _is_called(c, drives) and not _is_called(c, shown)]
-    rest = [c for c in columns if _unit(c) == "-" and not _is_called(c, shown)]
+    ends = set().union(*_telling({str(i): d for i, d in enumerate(drives)}).values())
+    inputs = [c for c in columns if _unit(c) == "-" and _is_input(c, ends)]
     for found, why in (
         (pushes, "what actuators push with"),
         (named, "called like actuators"),
-        (rest if len(rest) == lacking else [], "called like no joint or sensor"),
+        (inputs if len(inputs) == lacking else [], "u before what tells actuators apart"),
     ):
         if 0 < len(found) <= lacking and len(found) < len(columns):
             for column in found:
                 column.role = "command"
             made.said.append(f"commands: {', '.join(c.name for c in found)}, {why}")
             return
+
+
+def _is_input(column: GuessedColumn, ends: set[str]) -> bool:
+    own = _words(column.name)
+    return any(f"u{end}" in own or {"u", end} <= own for end in ends)
 
 
 def _is_called(column: GuessedColumn, names: Sequence[set[str]]) -> bool:

@@ -169,8 +169,13 @@ def outside_plant(
     """What a simulator from outside tells of itself.
 
     Args:
+        study: Recorded runs.
         numbers: Names of the parameters that causes may change.
-        command_groups: ``commands`` of ``outside_setup``; all others are as there.
+        places: Places where the simulator adds forces.
+        command_groups: Commands of each group that goes one way; None: all commands as one group.
+        outputs: Channels of each instrument; None: those of one sensor, kind, or each alone.
+        held: Commands are held from sample to sample; else straight lines join the samples.
+        clocks: How late sensors, kinds or single channels are, by their name.
 
     Raises:
         ValueError: a group or instrument that names what the study does not have.

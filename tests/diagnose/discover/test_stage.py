@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -140,9 +141,18 @@ def cogging_that_rubs(angle, speed, temp):
 
 
 @pytest.mark.cpu(10)  # laws alone and beside causes, fitted in the simulator
-@pytest.mark.parametrize("is_spent", [False, True])
-def test_laws_alone_are_fitted_before_any_beside_a_cause(monkeypatch, is_spent):
-    """Of a flywheel pairs had spent the budget: a law of heat came first, as no other was tried."""
+@pytest.mark.parametrize(
+    ("hidden", "is_spent", "is_pair_tried"),
+    [(cogging_that_rubs, False, True), (cogging_that_rubs, True, False), (cogging, False, False)],
+    ids=["both", "spent", "alone"],
+)
+def test_laws_alone_are_fitted_before_any_beside_a_cause(
+    monkeypatch, hidden, is_spent, is_pair_tried
+):
+    """Of a flywheel pairs had spent the budget: a law of heat came first, as no other was tried.
+
+    What one law explains alone is asked of no pair.
+    """
     asked, fit_law = [], stage._fit_law
 
     def noted(screen, before, candidate, port, standing, most_steps, cause=None):
@@ -155,12 +165,23 @@ def test_laws_alone_are_fitted_before_any_beside_a_cause(monkeypatch, is_spent):
 
     monkeypatch.setattr(stage, "_fit_law", noted)
     monkeypatch.setattr(stage, "best_pairs", promising)
-    study = turntable_study(cogging_that_rubs, uses=("fit", "fit"), noise=1e-4, count=50)
+    study = turntable_study(hidden, uses=("fit", "fit"), noise=1e-4, count=50)
     fitted_laws(study, most_steps=1.0 if is_spent else np.inf, with_library=True)
-    assert asked.count(0) >= (1 if is_spent else 3)
+    assert asked.count(0) >= (3 if is_pair_tried else 1)
     first_pair = asked.index(0.5) if 0.5 in asked else None
-    assert (first_pair is None) == is_spent
-    assert is_spent or 0 not in asked[first_pair:]
+    assert (first_pair is not None) == is_pair_tried
+    assert not is_pair_tried or 0 not in asked[first_pair:]
+
+
+def test_pairs_end_with_the_budget(monkeypatch):
+    fitted = []
+    pairs = [SimpleNamespace(law=k, cause=k) for k in range(5)]
+    monkeypatch.setattr(stage, "causes_along", lambda *_: [])
+    monkeypatch.setattr(stage, "best_pairs", lambda *_: (pairs, len(pairs)))
+    monkeypatch.setattr(stage, "_fit_law", lambda screen, fit, law, *_: fitted.append(law))
+    screen, table = SimpleNamespace(followed=None), stage.Table((), 1.0)
+    assert stage._fit_beside(screen, None, None, table, lambda: len(fitted) < 2) == []
+    assert fitted == [0, 1]
 
 
 TURN, BLUR = 0.01, 1e-3  # of the camera [rad], of its readings [m]

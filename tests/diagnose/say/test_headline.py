@@ -209,6 +209,31 @@ def test_a_cause_that_is_held_without_a_name_counts_for_the_library(share, begin
     assert text.startswith(begin.format(first))
 
 
+def test_causes_beside_a_law_are_counted_as_what_may_be():
+    """As if they were as likely as the law: "is probably missing, beside three more"."""
+    law = cause("law_of_speed_at_bend", words="a force that depends on speed", removes=0.6)
+    long = "a rather long name of something that many words are needed for"
+    held = [
+        cause(
+            f"held_{k}", words=f"{long} {k}", removes=0.1, status="cannot be told from", helps=True
+        )
+        for k in range(3)
+    ]
+    assert ", beside perhaps three more: " in said("named", [law, *held], laws=[law.name])
+
+
+def test_causes_left_open_are_counted_by_what_they_remove():
+    """The small ones are none, wherever they stand."""
+    open_ones = [
+        cause(name, removes=removes, status="cannot be told from", helps=True)
+        for name, removes in (("play", 0.001), ("drag", 0.2))
+    ]
+    for held in (open_ones, open_ones[::-1]):
+        assert ", with one more cause left open: " in said(
+            "named", [cause("lag", removes=0.6), *held]
+        )
+
+
 def test_a_second_sentence_says_why_and_of_which_cause():
     why = "its size may be zero"
     lag, play = (

@@ -48,8 +48,8 @@ def rows_of(run):
 def test_all_that_lines_do_not_tell_stays():
     hop = np.exp(-((TIME - 2.0) ** 2) / 2e-4**0.5 / 1e-2)
     misread = np.where(np.arange(ROWS) == 1_501, 0.5, 0.0)
-    runs = [run_of("a", SLOW, hop + misread), run_of("bb", JUMPS), run_of("t", SLOW, use="test")]
-    study = study_of(*runs)
+    before = replace(run_of("bb", JUMPS), row_s=0.2 * STEP)  # of a record that was finer still
+    study = study_of(run_of("a", SLOW, hop + misread), before, run_of("t", SLOW, use="test"))
     assert interval_of(study, 2 * ROWS) == 0.0 and thinned(study, 0.0) is study
     interval = interval_of(study, 800)
     found = thinned(study, interval)
@@ -60,7 +60,7 @@ def test_all_that_lines_do_not_tell_stays():
     assert 1_501 not in slow and len(slow) < 0.2 * ROWS
     between = np.interp(TIME, found.runs[0].time_s, found.runs[0].command["u"])
     assert np.abs(between - SLOW).max() < 2e-3
-    assert [run.row_s for run in found.runs] == pytest.approx([STEP] * 3)
+    assert [run.row_s for run in found.runs] == pytest.approx([STEP, 0.2 * STEP, STEP])
     said = f"of {3 * ROWS} rows {len(slow) + len(jumps) + len(test)} are simulated"
     assert said in found.mended[-1]
     assert len(found.runs) == 3 and interval_of(replace(study, frame={INTERVAL: 0.5}), 1) == 0.5
