@@ -23,7 +23,7 @@ needs("jinja2", reason="the demo's page needs the extra viz")
 pytestmark = pytest.mark.example
 
 
-@pytest.mark.cpu(9)  # the whole demo in short; its page alone takes 3 s to draw
+@pytest.mark.cpu(12)  # the whole demo, two fits and 24 pictures (each for a phone, too: 6 s)
 def test_virtual_data_are_announced_on_the_page_and_in_the_picture(short_run):
     out, results = short_run
     assert results["is_virtual"]
