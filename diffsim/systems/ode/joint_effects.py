@@ -142,8 +142,8 @@ def _read_behind(
         plain = written_out(formula, network)
         if set(plain.names) & set(behind):
             parts = {"old": plain, "new": filled(plain, behind), "blend": blend}
-            more = {"more": filled(parse_expression("blend*(new - old)"), parts)}
-            out[channel] = filled(parse_expression(f"{READING} + more"), more)
+            parts["reading"] = named(READING)
+            out[channel] = filled(parse_expression("reading + blend*(new - old)"), parts)
     return out
 
 
@@ -306,12 +306,12 @@ def away_from_center(network: Network, pose: tuple[Channel, Channel, Channel], n
         "h": written_out(network.readings[turn], network),
         "ahead": named(ahead),
         "aside": named(aside),
-        READING: named(READING),
+        "reading": named(READING),
     }
     change = Change(
         readings={
-            x: filled(parse_expression(f"{READING} + ahead*cos(h) - aside*sin(h)"), parts),
-            y: filled(parse_expression(f"{READING} + ahead*sin(h) + aside*cos(h)"), parts),
+            x: filled(parse_expression("reading + ahead*cos(h) - aside*sin(h)"), parts),
+            y: filled(parse_expression("reading + ahead*sin(h) + aside*cos(h)"), parts),
         }
     )
     return by_formulas(change, ahead, aside)

@@ -20,7 +20,7 @@ from diffsim.systems.ode.network import TIME
 RUN_ORDER = "run_order"
 RESTS = "rests"  # place in a study's frame
 ALIKE = 0.02  # of the range of a channel: means at rest that differ by less are one
-_RESERVED = (TIME, RUN_ORDER, "reading", "size", "pi", "e", *FUNCTIONS)
+_RESERVED = (TIME, RUN_ORDER, "reading", "size", "slow_time", "pi", "e", *FUNCTIONS)
 
 
 def where_of(study: Study) -> str:

@@ -27,10 +27,10 @@ class Change:
 
     Attributes:
         rates: Terms that are added to the rates of states, by state.
-        held_rates: New rates of states, made of ``rate``, what all other terms make it.
+        held_rates: New rates of states, made of ``RATE``, what all other terms make it.
         factors: Factors on the rates of states, by state.
         names: New formulas of definitions, inputs and parameters, by name, made of the old value.
-        readings: New formulas of channels, made of ``reading``, the old one.
+        readings: New formulas of channels, made of ``READING``, the old one.
         states: Rates of further states, by name.
         starts: Start values of those, by name; 0 if absent.
         inputs: Names of further inputs, and whether they keep their value until the next time.
@@ -46,7 +46,8 @@ class Change:
     inputs: Mapping[str, bool] = field(default_factory=dict)
 
 
-READING, RATE = "reading", "rate"
+# what a formula of a change was before; a state may be called "rate", none has a space
+READING, RATE = "reading before", "rate before"
 
 
 @dataclass(frozen=True, eq=False)
