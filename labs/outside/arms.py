@@ -56,7 +56,9 @@ def _record(rig: Rig, camera_s: float, run: Run) -> Array:
     if camera_s:
         often = run.time_s[0] + 0.005 * np.arange(5 * len(run.time_s) - 4)
         pushed = {n: np.interp(often, run.time_s, c) for n, c in run.command.items()}
-        filmed = rig.record(replace(run, time_s=often, command=pushed))[:, [2, 4]]
+        empty = np.zeros((len(often), run.measured.shape[1]))
+        filming = replace(run, time_s=often, measured=empty, command=pushed)
+        filmed = rig.record(filming)[:, [2, 4]]
         at = np.maximum(5 * np.arange(len(run.time_s)) - round(camera_s / 0.005), 0)
         seen[:, 2:] = filmed[at]
     return seen
@@ -84,12 +86,17 @@ def arm(
     """
     rng = np.random.default_rng(seed)
     lower = off(rng, 0.6, 0.05)
+    base = {
+        "joint.shoulder.damping": off(rng, 0.25, 0.3),
+        "joint.elbow.damping": off(rng, 0.1, 0.3),
+        "body.lower.mass": lower,
+    }
     xml = ARM.format(
         step=fine_step(lag),
         integrator="RK4",
         option=option,
-        shoulder=off(rng, 0.25, 0.3),
-        elbow=off(rng, 0.1, 0.3),
+        shoulder=base["joint.shoulder.damping"],
+        elbow=base["joint.elbow.damping"],
         lower=lower,
         turning=0.004 * lower / 0.6,
         joint=joint,
@@ -139,7 +146,8 @@ def arm(
     }
     runs = plan(TIME, _commands(rng), "mixed", len(CHANNELS))
     study, clean = recorded("arm", CHANNELS, runs, partial(_record, rig, camera_s), model, rng)
-    return Case(study, clean, "single" if hidden else "null", hidden or {}, also)
+    kind = "single" if hidden else "null"
+    return Case(study, clean, kind, hidden or {}, also, base=base)
 
 
 def _commands(rng: np.random.Generator) -> dict[str, dict[str, Array]]:

@@ -26,6 +26,7 @@ class Case:
         hidden: Size of what was hidden by name of the cause; None: the size has no number.
         also: Other names that say the same: no data of this study could tell them apart.
         findings: Base parameters that are far off their data sheet.
+        base: True base parameters by the description's names, as far as they are known.
     """
 
     study: Study
@@ -34,6 +35,7 @@ class Case:
     hidden: Mapping[str, float | None] = field(default_factory=dict)
     also: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
+    base: Mapping[str, float] = field(default_factory=dict)
 
 
 Maker = Callable[[int], Case]

@@ -16,6 +16,7 @@ from labs.outside.case import Case, Maker, off, plan, recorded
 Array = NDArray[np.float64]
 TIME: Array = 0.02 * np.arange(150.0)
 FINE = 5e-4  # MuJoCo's usual step [s], forty to a sample
+GRAVITY, ARM = 9.81, 0.25  # of MuJoCo [m/s^2]; of a rod's middle from its hinge [m]
 SHARP = 'solreffriction="0.0015 1"'  # friction without give
 Push = Callable[[Any, Any, float], None]
 
@@ -172,7 +173,9 @@ def pendulum(
     columns = {k: {"moment_Nm": v} for k, v in commands(0.9, rng).items()}
     runs = plan(TIME, columns, "mixed", 1)
     study, clean = recorded("pendulum", channels, runs, rig.record, PENDULUM_MODEL, rng)
-    return Case(study, clean, "single" if hidden else "null", hidden or {}, also)
+    base = {"inertia": inertia + mass * ARM**2, "damping": damping, "weight": mass * GRAVITY * ARM}
+    kind = "single" if hidden else "null"
+    return Case(study, clean, kind, hidden or {}, also, base=base)
 
 
 # A cart on a rail with a spring -----------------------------------------------------------------
@@ -230,11 +233,15 @@ def cart(
         also: Names that say the same.
     """
     rng = np.random.default_rng(seed)
+    # in the order in which they were always drawn
+    base = {
+        "mass": off(rng, 1.2, 0.05),
+        "damping": off(rng, 1.0, 0.3),
+        "spring": off(rng, 40.0, 0.1),
+    }
     xml = CART.format(
         step=fine_step(lag),
-        mass=off(rng, 1.2, 0.05),
-        damping=off(rng, 1.0, 0.3),
-        spring=off(rng, 40.0, 0.1),
+        **base,
         gx=gx,
         joint=joint,
         body=body,
@@ -259,7 +266,8 @@ def cart(
     columns = {k: {"force_N": v} for k, v in commands(3.0, rng).items()}
     runs = plan(TIME, columns, "mixed", 1)
     study, clean = recorded("cart", channels, runs, rig.record, model, rng)
-    return Case(study, clean, kind or ("single" if hidden else "null"), hidden or {}, also)
+    kind = kind or ("single" if hidden else "null")
+    return Case(study, clean, kind, hidden or {}, also, base=base)
 
 
 def _hit(model: Any, data: Any, time: float) -> None:

@@ -56,7 +56,7 @@ class ForeignRig:
         made = partial(self.make, **options)
         maker: Maker = made
         case = maker(seed)
-        return Recorded(case.study, case.clean)
+        return Recorded(case.study, case.clean, case.base)
 
 
 def _rubbing(size: float) -> Mapping[str, Any]:
