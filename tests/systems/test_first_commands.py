@@ -1,5 +1,7 @@
 """First commands of recordings that start at rest: heard before, or come with the record."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -102,3 +104,16 @@ def test_without_motion_or_noise_that_is_stated_nothing_is_told():
     assert not is_heard_at_once([(every, np.full_like(noise, np.nan))], sd)
     assert not is_heard_at_once([], sd)
     assert not is_heard_at_once([(np.full_like(every, np.inf), noise)], sd)  # at the priors
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_input_that_no_formula_reads_is_no_mistake(seed):
+    """A room's temperature that is recorded, and that only a law may turn out to need."""
+    study = servo(seed, before=0.0)
+    rng = np.random.default_rng(seed)
+    for run in study.runs:
+        run.command["room"] = 20.0 + rng.normal(0.0, 0.1, len(TIME))
+    unread = [*MODEL["inputs"], {"name": "room", "held": False}]
+    model = setup_of(dataclasses.replace(study, model={**MODEL, "inputs": unread})).model
+    known = model.scene(study.runs[0], model.at_prior()).commands.before
+    assert known is not None and known[0] == 0.0

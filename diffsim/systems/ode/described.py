@@ -136,7 +136,9 @@ class FormulaSystem:
                     for zero in (every - {name}, every):
                         begun = _make_scene(self, self.priors, run, Numerics(), zero=zero)
                         late = begun.commands.changed((name,), comes)
-                        moved.append(begun.changed(commands=late).simulate())
+                        # an input that no formula reads moves nothing, nor makes a batch
+                        seen = begun.changed(commands=late).simulate()
+                        moved.append(seen.expand(len(LATE), *at_once.shape[1:]))
                     records[name].append((torch.cat(moved).numpy(), run.measured))
         return frozenset(name for name in self.inputs if is_heard_at_once(records[name], sd))
 
