@@ -1,13 +1,15 @@
 """Runs that begin elsewhere, or in another motion, than their study says: only a model can tell.
 
 The model simulates the first rows of each run at its priors. What all runs have alike, such as an
-offset or a scale of a sensor, is no start; what differs from run to run is.
+offset or a scale of a sensor, is no start; what differs from run to run is, if other start states
+give it without what the record contradicts: a slip of a wheel is a slope that no start gives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,7 +28,7 @@ LEAST_ROWS, MOST_ROWS, ROW_SHARE = 6, 32, 0.01  # of a run, that show where and 
 COMMAND_CHANGES = 3.0  # likewise: times what the run's commands, moved by their sd, change
 FAR_SHARES = np.array([[0.2], [0.5]])  # of the usual motion and of the usual speed
 SURE_SDS = 6.0  # sd of noise and priors together
-ALIKE_SHARE = 0.5  # of the largest difference, that all runs have alike
+ALIKE_SHARE = 0.5  # of the largest difference, that all runs have alike or no start gives
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,14 @@ class _Begin:
         seen: As it was measured.
         told: As the model has it, at its priors.
         sd: Of their difference, by noise, priors and what may be wrong with commands.
+        by_start: What a change of each start state changes, (num_states, 2, num_channels).
     """
 
     run: Run
     seen: Array
     told: Array
     sd: Array
+    by_start: Array
 
 
 def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
@@ -95,7 +99,28 @@ def _begin(model: SimModel, study: Study, run: Run) -> _Begin | None:
     noise = np.linalg.norm(asks, axis=1)[:, None] * scatter(np.diff(run.measured, 2, axis=0), 2)
     of_priors = (by_number**2).sum(0)
     doubt = np.sqrt(noise**2 + of_priors + (COMMAND_CHANGES / SURE_SDS * driven) ** 2)
-    return _Begin(run, seen, told[0], doubt)
+    return _Begin(run, seen, told[0], doubt, _by_start(model, part, asks))
+
+
+def _by_start(model: SimModel, part: Run, asks: Array) -> Array:
+    """Changes of first levels and slopes by those of start states, each, (num_states, 2, C)."""
+    scene: Any = model.scene(part, model.at_prior())
+    moved = []
+    with torch.no_grad():
+        plain = scene.simulate().numpy()
+        for other in scene.each_start_moved(NUDGE):
+            moved.append(asks @ (other.simulate().numpy() - plain) / NUDGE)
+    return np.array(moved)
+
+
+def _share_no_start_gives(begin: _Begin) -> Array:
+    """Of the differences of a run, what is left beside the starts that fit all of them best."""
+    off = begin.seen - begin.told
+    weight = 1.0 / np.maximum(begin.sd, np.finfo(float).tiny)
+    ways = (begin.by_start * weight).reshape(len(begin.by_start), -1).T
+    best = np.linalg.lstsq(ways, (off * weight).ravel(), rcond=None)[0]
+    left = off - np.tensordot(best, begin.by_start, axes=1)
+    return np.abs(left) / np.maximum(np.abs(off), np.finfo(float).tiny)
 
 
 def _far(begins: Sequence[_Begin], usual: Array) -> Mask:
@@ -113,7 +138,8 @@ def _far(begins: Sequence[_Begin], usual: Array) -> Mask:
             alike = np.stack(columns, axis=1)
             own[of_all] = wanted - alike @ np.linalg.lstsq(alike, wanted, rcond=None)[0]
     differs = np.abs(own).max(0) > ALIKE_SHARE * np.abs(off).max(0)
-    return np.asarray(sure & differs & (np.abs(off) > FAR_SHARES * usual))
+    starts = np.stack([_share_no_start_gives(b) for b in begins]) < ALIKE_SHARE
+    return np.asarray(sure & differs & starts & (np.abs(off) > FAR_SHARES * usual))
 
 
 def _level_and_slope(times: Array) -> Array:

@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.scene import Scene
-from diffsim.core.expression import Expression
+from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run
 from diffsim.ode import Ode
 from diffsim.ode.integrate import integrated
-from diffsim.systems.ode.network import TIME, Change, Network
+from diffsim.systems.ode.network import TIME, Change, Network, filled
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,6 +115,18 @@ class OdeScene(Scene):
         """Names of the states and their start, (num_states,) or (K, num_states)."""
         flow = self._prepare_flow(self.network)
         return tuple(flow.states), flow.start
+
+    def each_start_moved(self, step: float) -> list[OdeScene]:
+        """The run from starts of which one is larger, for each state of the system.
+
+        Args:
+            step: By how much, in the state's unit.
+        """
+        more = {
+            state: filled(parse_expression(f"start + {step!r}"), {"start": start})
+            for state, start in self.starts.items()
+        }
+        return [self.changed(starts={**self.starts, s: start}) for s, start in more.items()]
 
     def rests_without_inputs(self) -> bool:
         """Whether the start is a state of rest with inputs of zero, and none with their first

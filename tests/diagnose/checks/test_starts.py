@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffsim.data.study import Run
+from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.checks.starts import _usual, start_problems
 from diffsim.systems.registry import setup_of
@@ -47,3 +47,34 @@ def test_the_usual_speed_of_a_line_is_its_slope():
     motion, speed = _usual([run])
     np.testing.assert_allclose(speed, [3.0, 0.5], rtol=1e-9)
     np.testing.assert_allclose(motion, np.std(time) * speed, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("slip", "turned"), [(0.7, 0.0), (0.0, 0.5)])
+def test_a_slope_that_no_start_gives_is_no_start(slip, turned):
+    """A wheel that slips under load blamed the record; a rover that begins turned still does."""
+    rng, time = np.random.default_rng(7), 0.05 * np.arange(200)
+    runs = []
+    for k, loaded in enumerate((0.0, 0.0, 1.0)):
+        speed = 1.0 + 0.2 * np.sin(time)
+        course = turned * loaded + 0.3 * time
+        gone = np.cumsum((1.0 - slip * loaded) * speed * np.exp(1j * course)) * 0.05
+        seen = np.stack([gone.real, gone.imag, course], 1) - [gone.real[0], gone.imag[0], 0.0]
+        noisy = seen + 2e-3 * rng.standard_normal(seen.shape)
+        command = {"v": speed, "turn": np.full(len(time), 0.3)}
+        runs.append(Run("abc"[k], time, noisy, command, "abc"[k], k))
+    model = {
+        "system": "ode",
+        "states": {"px": "0 m", "py": "0 m", "th": "0 rad"},
+        "rates": {"px": "r*v*cos(th)", "py": "r*v*sin(th)", "th": "turn"},
+        "inputs": ["v", "turn"],
+        "parameters": {"r": {"value": 1.0, "percent": 2}},
+        "readings": {"x": "px", "y": "py", "yaw": "th"},
+    }
+    channels = (
+        Channel("x", "m", "position", sd=2e-3),
+        Channel("y", "m", "position", sd=2e-3),
+        Channel("yaw", "rad", "angle", sd=2e-3),
+    )
+    study = Study("rover", "ode", channels, tuple(runs), model=model)
+    problems = list(start_problems(study, setup_of(study)))
+    assert [p.where for p in problems] == (["run c"] if turned else [])
