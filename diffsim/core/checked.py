@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.check import LARGEST, require
+from diffsim.core.check import LARGEST, require, require_shape
 from diffsim.core.numbers import values_of
 from diffsim.core.values import as_array
 
@@ -212,14 +212,45 @@ def _check(
 ) -> None:
     if value is None and optional:
         return
-    if kinds_only and type(value) in fitting:
+    if type(value) not in fitting:
+        _require_kind(name, shape, takes, kinds_only, fitting, value)
+    if kinds_only:
         return
+    if isinstance(value, Tensor):
+        whole = not value.is_floating_point() and not value.is_complex()
+        require_shape(name, value, shape, value.dtype if whole else torch.float64)
+        if not whole and not _largest(value) <= LARGEST:
+            require(name, value, shape)  # says which entries are not finite
+            raise ValueError(f"{name} must be at most {LARGEST:g}, where squares are numbers")
+    elif any(t.numbers for t in takes):
+        as_array(name, value)
+    elif isinstance(value, (float, np.floating)) and math.isnan(value):
+        raise ValueError(f"{name} must be a number, got nan")
+
+
+def _largest(value: Tensor) -> float:
+    """Largest size of an entry, NaN where one is."""
+    if not value.numel():
+        return 0.0
+    low, high = torch.aminmax(values_of(value))  # one look at all, without a copy
+    return max(-float(low), float(high))
+
+
+def _require_kind(
+    name: str,
+    shape: Shape,
+    takes: Sequence[_Taker],
+    kinds_only: bool,
+    fitting: set[type],
+    value: Any,
+) -> None:
+    """Refuse a value of another kind; a class of which all fit is kept in ``fitting``."""
     number = getattr(value, "ndim", None) == 0 and any(float in t.kinds[:1] for t in takes)
     is_text = isinstance(value, str) and not any(str in t.kinds for t in takes)
     is_flag = isinstance(value, bool) and not any(bool in t.kinds for t in takes)
     fits = any(t.fits(value) for t in takes) and not is_text and not is_flag
     if fits and any(isinstance(value, t.kinds) for t in takes):
-        fitting.add(type(value))  # all of a class fit: asked a hundred thousand times
+        fitting.add(type(value))  # asked a hundred thousand times
     is_row = not kinds_only and isinstance(value, (list, tuple))
     fits = fits or (is_row and any(np.ndarray in t.kinds for t in takes))
     if not (number or fits):
@@ -227,14 +258,3 @@ def _check(
             require(name, value, shape)
         wanted = " or ".join(dict.fromkeys(t.what for t in takes))
         raise TypeError(f"{name} must be {wanted}, got {type(value).__name__} {value!r:.40}")
-    if kinds_only:
-        return
-    if isinstance(value, Tensor):
-        whole = not value.is_floating_point() and not value.is_complex()
-        require(name, value, shape, value.dtype if whole else torch.float64)
-        if not whole and value.numel() and not float(values_of(value).abs().amax()) <= LARGEST:
-            raise ValueError(f"{name} must be at most {LARGEST:g}, where squares are numbers")
-    elif any(t.numbers for t in takes):
-        as_array(name, value)
-    elif isinstance(value, (float, np.floating)) and math.isnan(value):
-        raise ValueError(f"{name} must be a number, got nan")

@@ -62,6 +62,7 @@ class MotorOutputs:
             (rotors[names.index(name)], torch.tensor([k for k, n in enumerate(names) if n == name]))
             for name in dict.fromkeys(names)
         ]
+        self._order = torch.cat([idx for _, idx in self._groups]).argsort()
 
     @checked(voltage=())
     def limits(self, voltage: Tensor) -> Tensor:
@@ -85,8 +86,9 @@ class MotorOutputs:
 
     def _each(self, of: Callable[[RotorModel, Tensor], Tensor]) -> Tensor:
         """What each group of equal rotors gives, in the order of the rotors, (n_rotors,)."""
-        order = torch.cat([idx for _, idx in self._groups]).argsort()
-        return torch.cat([of(rotor, idx) for rotor, idx in self._groups])[order]
+        if len(self._groups) == 1:
+            return of(*self._groups[0])
+        return torch.cat([of(rotor, idx) for rotor, idx in self._groups])[self._order]
 
     def standing(self) -> Outputs:
         """All motors off."""
