@@ -16,7 +16,7 @@ from labs.outside.case import Case, Maker, off, plan, recorded
 Array = NDArray[np.float64]
 TIME: Array = 0.02 * np.arange(150.0)
 FINE = 5e-4  # MuJoCo's usual step [s], forty to a sample
-GRAVITY, ARM = 9.81, 0.25  # of MuJoCo [m/s^2]; of a rod's middle from its hinge [m]
+GRAVITY, MIDDLE = 9.81, 0.25  # of MuJoCo [m/s^2]; of a rod's middle from its hinge [m]
 SHARP = 'solreffriction="0.0015 1"'  # friction without give
 Push = Callable[[Any, Any, float], None]
 
@@ -83,7 +83,7 @@ PENDULUM = """
   <option timestep="{step}" integrator="RK4" {option}/>
   <worldbody>
     <body name="rod">
-      <inertial mass="{mass}" pos="0 0 -0.25" diaginertia="{inertia} {inertia} 0.001"/>
+      <inertial mass="{mass}" pos="0 0 -{middle}" diaginertia="{inertia} {inertia} 0.001"/>
       <joint name="hinge" axis="0 -1 0" damping="{damping}" {joint}/>
     </body>
   </worldbody>
@@ -161,6 +161,7 @@ def pendulum(
         PENDULUM.format(
             step=fine_step(lag),
             mass=mass,
+            middle=MIDDLE,
             inertia=inertia,
             damping=damping,
             joint=joint,
@@ -173,7 +174,11 @@ def pendulum(
     columns = {k: {"moment_Nm": v} for k, v in commands(0.9, rng).items()}
     runs = plan(TIME, columns, "mixed", 1)
     study, clean = recorded("pendulum", channels, runs, rig.record, PENDULUM_MODEL, rng)
-    base = {"inertia": inertia + mass * ARM**2, "damping": damping, "weight": mass * GRAVITY * ARM}
+    base = {
+        "inertia": inertia + mass * MIDDLE**2,
+        "damping": damping,
+        "weight": mass * GRAVITY * MIDDLE,
+    }
     kind = "single" if hidden else "null"
     return Case(study, clean, kind, hidden or {}, also, base=base)
 

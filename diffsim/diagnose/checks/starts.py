@@ -28,7 +28,7 @@ LEAST_ROWS, MOST_ROWS, ROW_SHARE = 6, 32, 0.01  # of a run, that show where and 
 COMMAND_CHANGES = 3.0  # likewise: times what the run's commands, moved by their sd, change
 FAR_SHARES = np.array([[0.2], [0.5]])  # of the usual motion and of the usual speed
 SURE_SDS = 6.0  # sd of noise and priors together
-ALIKE_SHARE = 0.5  # of the largest difference, that all runs have alike or no start gives
+ALIKE_SHARE = 0.5  # of the largest difference, that all runs have alike; of each, not by starts
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,12 @@ class _Begin:
         seen: As it was measured.
         told: As the model has it, at its priors.
         sd: Of their difference, by noise, priors and what may be wrong with commands.
-        by_start: What a change of each start state changes, (num_states, 2, num_channels).
     """
 
     run: Run
     seen: Array
     told: Array
     sd: Array
-    by_start: Array
 
 
 def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
@@ -64,6 +62,9 @@ def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
     if len(begins) < 2:
         return
     far = _far(begins, _usual([begin.run for begin in begins]))
+    for begin, places in zip(begins, far, strict=True):
+        if places.any():
+            places &= _given_by_starts(setup.model, begin)
     if not far.any():
         return
     k, what, i = (int(place) for place in np.argwhere(far)[0])
@@ -99,28 +100,26 @@ def _begin(model: SimModel, study: Study, run: Run) -> _Begin | None:
     noise = np.linalg.norm(asks, axis=1)[:, None] * scatter(np.diff(run.measured, 2, axis=0), 2)
     of_priors = (by_number**2).sum(0)
     doubt = np.sqrt(noise**2 + of_priors + (COMMAND_CHANGES / SURE_SDS * driven) ** 2)
-    return _Begin(run, seen, told[0], doubt, _by_start(model, part, asks))
+    return _Begin(run, seen, told[0], doubt)
 
 
-def _by_start(model: SimModel, part: Run, asks: Array) -> Array:
-    """Changes of first levels and slopes by those of start states, each, (num_states, 2, C)."""
+def _given_by_starts(model: SimModel, begin: _Begin) -> Mask:
+    """Of which differences the starts that fit all of them best leave little, (2, num_channels)."""
+    part = begin.run.part(slice(_num_rows(begin.run)))
+    asks = _level_and_slope(part.time_s)
     scene: Any = model.scene(part, model.at_prior())
-    moved = []
     with torch.no_grad():
-        plain = scene.simulate().numpy()
-        for other in scene.each_start_moved(NUDGE):
-            moved.append(asks @ (other.simulate().numpy() - plain) / NUDGE)
-    return np.array(moved)
-
-
-def _share_no_start_gives(begin: _Begin) -> Array:
-    """Of the differences of a run, what is left beside the starts that fit all of them best."""
+        plain, *moved = (s.simulate().numpy() for s in (scene, *scene.each_start_moved(NUDGE)))
+    ways_of_states = [asks @ (other - plain) / NUDGE for other in moved]
+    by_start = np.array([way for way in ways_of_states if np.isfinite(way).all()])
+    if not len(by_start):  # at no other start a formula has a value
+        return np.zeros_like(begin.seen, dtype=bool)
     off = begin.seen - begin.told
     weight = 1.0 / np.maximum(begin.sd, np.finfo(float).tiny)
-    ways = (begin.by_start * weight).reshape(len(begin.by_start), -1).T
+    ways = (by_start * weight).reshape(len(by_start), -1).T
     best = np.linalg.lstsq(ways, (off * weight).ravel(), rcond=None)[0]
-    left = off - np.tensordot(best, begin.by_start, axes=1)
-    return np.abs(left) / np.maximum(np.abs(off), np.finfo(float).tiny)
+    left = off - np.tensordot(best, by_start, axes=1)
+    return np.asarray(np.abs(left) < ALIKE_SHARE * np.abs(off))
 
 
 def _far(begins: Sequence[_Begin], usual: Array) -> Mask:
@@ -138,8 +137,7 @@ def _far(begins: Sequence[_Begin], usual: Array) -> Mask:
             alike = np.stack(columns, axis=1)
             own[of_all] = wanted - alike @ np.linalg.lstsq(alike, wanted, rcond=None)[0]
     differs = np.abs(own).max(0) > ALIKE_SHARE * np.abs(off).max(0)
-    starts = np.stack([_share_no_start_gives(b) for b in begins]) < ALIKE_SHARE
-    return np.asarray(sure & differs & starts & (np.abs(off) > FAR_SHARES * usual))
+    return np.asarray(sure & differs & (np.abs(off) > FAR_SHARES * usual))
 
 
 def _level_and_slope(times: Array) -> Array:

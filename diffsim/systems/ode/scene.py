@@ -122,11 +122,9 @@ class OdeScene(Scene):
         Args:
             step: By how much, in the state's unit.
         """
-        more = {
-            state: filled(parse_expression(f"start + {step!r}"), {"start": start})
-            for state, start in self.starts.items()
-        }
-        return [self.changed(starts={**self.starts, s: start}) for s, start in more.items()]
+        more = parse_expression(f"start + {step!r}")
+        moved = {state: filled(more, {"start": start}) for state, start in self.starts.items()}
+        return [self.changed(starts={**self.starts, s: start}) for s, start in moved.items()]
 
     def rests_without_inputs(self) -> bool:
         """Whether the start is a state of rest with inputs of zero, and none with their first
