@@ -176,11 +176,12 @@ def test_effects_with_kinks_are_not_compared():
 
 
 @pytest.mark.grad
-def test_a_sharply_bent_response_is_followed_up_with_shorter_steps():
+@pytest.mark.parametrize("bend", [0.02, 2e-3, 2e-4])
+def test_a_sharply_bent_response_is_followed_up_with_shorter_steps(bend):
     """Differences of slopes that are themselves differences: both are too long at first."""
 
     def friction(scene, size, run):
-        moved = linear.shapes("drag", run)[..., 0] * 0.02 * torch.tanh(size[0] / 0.02)
+        moved = linear.shapes("drag", run)[..., 0] * bend * torch.tanh(size[0] / bend)
         return replace(scene, record=scene.record + moved)
 
     drag = replace(linear.line("drag"), apply=friction)
