@@ -35,7 +35,7 @@ from diffsim.systems.ode.joint_effects import (
 )
 from diffsim.systems.ode.law_effects import law_effects
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
-from diffsim.systems.ode.place_effects import add_inertia, magnitudes_at, push_at
+from diffsim.systems.ode.place_effects import add_inertia, magnitudes_at, push_at, pushed_by_inputs
 from diffsim.systems.ode.refresh_effects import refresh_effects
 from diffsim.systems.ode.store_effects import FLOWS_ON, flow_of
 
@@ -142,12 +142,15 @@ def _list_places(library: Library) -> dict[str, Place]:
         # what drives it, and has an inertia of its own, may be apart from what moves there
         has_inertia = place.force in network.definitions and place.inertia != "1"
         is_driven = place.force is None or (has_inertia and has_linear_drive(network, place))
+        pushed = place.force or pushed_by_inputs(network, place, library.system.held)
         is_plain = (place.unit, place.position_unit) == ("N", "m") and len(library.places) == 1
         found[place.name] = Place(
             magnitudes_at(scale),
             # where a force is stated, other rates hold the inertia, too
             (
-                *("distance", "speed", "inertia" if place.force is None else "load"),
+                *("distance", "speed"),
+                *(("inertia",) if place.force is None else ()),
+                *(("load",) if pushed else ()),
                 *(("drive",) if is_driven else ()),
             ),
             place.unit,

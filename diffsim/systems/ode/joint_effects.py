@@ -15,7 +15,15 @@ from diffsim.identify.effect import Apply
 from diffsim.systems.ode.applying import by_formulas, symbol, with_inputs
 from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import Library
-from diffsim.systems.ode.network import READING, Change, Network, filled, is_linear, named
+from diffsim.systems.ode.network import (
+    READING,
+    Change,
+    Network,
+    filled,
+    is_linear,
+    named,
+    written_out,
+)
 from diffsim.systems.ode.scene import OdeScene, at_start
 
 SHARE, LOSS = "share", "loss"  # shapes of a coupling, by the names of its row
@@ -145,13 +153,6 @@ def _read_behind(
             parts["reading"] = named(READING)
             out[channel] = filled(parse_expression("reading + blend*(new - old)"), parts)
     return out
-
-
-def written_out(formula: Expression, network: Network, but: str = "") -> Expression:
-    """A formula with all definitions in it written out, but for one of them."""
-    while names := (set(formula.names) & network.definitions.keys()) - {but}:
-        formula = filled(formula, {name: network.definitions[name] for name in names})
-    return formula
 
 
 def coupling_in_words(inertia: float, name: str, size: float, values: Mapping[str, float]) -> str:

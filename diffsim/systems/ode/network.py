@@ -242,6 +242,13 @@ def filled(formula: Expression, parts: Mapping[str, Expression]) -> Expression:
     )
 
 
+def written_out(formula: Expression, network: Network, but: str = "") -> Expression:
+    """A formula with all definitions in it written out, but for one of them."""
+    while names := (set(formula.names) & network.definitions.keys()) - {but}:
+        formula = filled(formula, {name: network.definitions[name] for name in names})
+    return formula
+
+
 def is_linear(formula: Expression, name: str) -> bool:
     """Whether a formula is a straight line over a name, as its spelling shows."""
     return _degree(formula.root, name, {}) <= 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from diffsim.causes.row import Row
@@ -12,7 +12,7 @@ from diffsim.systems.description import Quantity
 from diffsim.systems.ode.applying import by_formulas, entering, symbol
 from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library, PlaceScale
-from diffsim.systems.ode.network import RATE, Change, filled, named
+from diffsim.systems.ode.network import RATE, Change, Network, filled, is_linear, named, written_out
 from diffsim.systems.ode.scene import at_start
 
 STICK = 0.01  # of the usual velocity: below it dry friction fades
@@ -97,6 +97,8 @@ def _list_letters(
     }
     if place.force is not None:
         out["load"] = named(place.force)
+    elif pushing := pushed_by_inputs(library.system.network, place, library.system.held):
+        out["load"] = load_at(library.system.network, place, out["inertia"], pushing)
     width = "width" if place.stick_velocity else f"width*{sticking(place)}"
     stop = f"min(hard, {STOP_LIMIT / library.system.step**2!r}*inertia)"
     return out | {
@@ -179,3 +181,40 @@ def add_inertia(library: Library, place: Place, name: str) -> Apply:
         },
     )
     return by_formulas(Change(factors={place.velocity: factor}), symbol(name))
+
+
+def pushed_by_inputs(network: Network, place: Place, inputs: Collection[str]) -> tuple[str, ...]:
+    """Names without which no input pushes at a place, its rate a straight line over each.
+
+    Args:
+        inputs: Names of the inputs.
+
+    Returns:
+        The first definition that takes all inputs with it, else the inputs themselves; empty where
+        none pushes, or its rate is no straight line over them.
+    """
+    for name in network.definitions:
+        rate = written_out(network.rates[place.velocity], network, but=name)
+        if name in rate.names and set(rate.names).isdisjoint(inputs) and is_linear(rate, name):
+            known = written_out(network.definitions[name], network)
+            if not set(known.names).isdisjoint(inputs):
+                return (name,)
+    rate = written_out(network.rates[place.velocity], network)
+    found = tuple(name for name in inputs if name in rate.names)
+    return found if all(is_linear(rate, name) for name in found) else ()
+
+
+def load_at(
+    network: Network, place: Place, inertia: Expression, pushing: Sequence[str]
+) -> Expression:
+    """Force that inputs put on a place: its inertia times what they change of its rate.
+
+    Args:
+        inertia: Inertia there.
+        pushing: Names without which no input pushes, as ``pushed_by_inputs`` finds them.
+    """
+    but = pushing[0] if pushing[0] in network.definitions else ""
+    rate = written_out(network.rates[place.velocity], network, but=but)
+    idle = filled(rate, {name: parse_expression("0") for name in pushing})
+    parts = {"inertia": inertia, "rate": rate, "idle": idle}
+    return filled(parse_expression("inertia*(rate - idle)"), parts)

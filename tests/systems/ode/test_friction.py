@@ -6,13 +6,30 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.core.expression import parse_expression
 from diffsim.data.study import Run
 from diffsim.identify import Problem, WhiteNoise, fit
+from diffsim.systems.ode.keys import Place
+from diffsim.systems.ode.network import Network
+from diffsim.systems.ode.place_effects import pushed_by_inputs
 from diffsim.systems.registry import setup_of
 from tests.systems.toy_cart import cart_study, described
 
 WIDTH = 1e-4  # m/s, below which friction fades
 TIME = 0.01 * np.arange(200.0)
+
+
+def moved(model, force, sizes):
+    """Where a cart is under a steady force and causes of given sizes, (num_samples,) [m]."""
+    study = cart_study(model=model)
+    setup = setup_of(study)
+    effects = tuple(e for e in setup.effects if e.name in sizes)
+    run = Run("a", TIME, np.zeros((len(TIME), 1)), {"force": np.full(len(TIME), force)}, "a")
+    problem = Problem(setup.model, (run,), WhiteNoise(study.channels), effects)
+    scaled = [sizes[e.name] / unit for e, unit in zip(effects, problem.size_units, strict=True)]
+    x = problem.standardized(np.array([*np.zeros(problem.num_base), *scaled]))
+    with torch.no_grad():
+        return problem.predict(run, torch.from_numpy(x)).numpy()[:, 0]
 
 
 def position(force, friction, *, constant=0.0, step=0.01):
@@ -24,22 +41,56 @@ def position(force, friction, *, constant=0.0, step=0.01):
         places=[{**place, "stick_velocity": WIDTH}],
         time_step=step,
     )
-    study = cart_study(model=model)
-    setup = setup_of(study)
-    sizes = {"dry_friction": friction, "constant_force": constant}
-    effects = tuple(e for e in setup.effects if e.name in sizes)
-    run = Run("a", TIME, np.zeros((len(TIME), 1)), {"force": np.full(len(TIME), force)}, "a")
-    problem = Problem(setup.model, (run,), WhiteNoise(study.channels), effects)
-    scaled = [sizes[e.name] / unit for e, unit in zip(effects, problem.size_units, strict=True)]
-    x = problem.standardized(np.array([*np.zeros(problem.num_base), *scaled]))
-    with torch.no_grad():
-        return problem.predict(run, torch.from_numpy(x)).numpy()[:, 0]
+    return moved(model, force, {"dry_friction": friction, "constant_force": constant})
 
 
 @pytest.mark.parametrize("constant", [0.0, 0.6])
 def test_what_sticks_stays(constant):
     """It slid with the load at once: steps of 10 ms follow no friction that fades in 0.1 mm/s."""
     assert np.abs(position(1.0, 2.0, constant=constant)).max() < WIDTH * TIME[-1]
+
+
+@pytest.mark.parametrize("servo", [False, True])
+def test_friction_grows_with_what_inputs_push(servo):
+    """A tendon over a pulley loses a share of its force; of a controller its force counts."""
+    push, spring = ("4*force - 2*x", "") if servo else ("4*force", " - 2*x")
+    place = {"name": "cart", "position": "x", "velocity": "v", "inertia": "m"}
+    model = described(
+        rates={"x": "v", "v": f"(push - v{spring})/m"},
+        define={"push": push},
+        parameters={"m": {"value": 1.0, "percent": 3}},
+        places=[{**place, "stick_velocity": WIDTH}],
+        time_step=0.01,
+    )
+    seen = moved(model, 1.0, {"load_friction": 0.25})
+    lost = "0.25*push" if servo else "0.25*4*force"
+    rates = {"x": "v", "v": f"(push - {lost} - v{spring})/m"}  # as long as it slides forwards
+    exact = moved({**model, "rates": rates, "places": []}, 1.0, {})
+    assert (np.diff(exact) > 0.0).all() and exact[-1] > 0.5
+    assert seen == pytest.approx(exact, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("rate", "define", "pushing"),
+    [
+        ("(pull - c*v)/m", {"pull": "force*0.01"}, ("pull",)),
+        ("(turn - c*v)/m", {"current": "force - 2*v", "turn": "3*current"}, ("current",)),
+        ("(force - c*v)/m", {}, ("force",)),
+        ("(force*abs(force) - c*v)/m", {}, ()),
+        ("-c*v/m", {}, ()),
+    ],
+)
+def test_what_pushes_at_a_place_is_the_first_that_holds_every_input(rate, define, pushing):
+    rates, names = {"x": "v", "v": rate}, {k: parse_expression(v) for k, v in define.items()}
+    formulas = {k: parse_expression(v) for k, v in rates.items()}
+    place = {"name": "cart", "position": "x", "velocity": "v", "inertia": "m"}
+    network = Network(formulas, {}, names, {}, {})
+    assert pushed_by_inputs(network, Place(**place), ("force",)) == pushing
+    parameters = {"m": {"value": 1.0, "percent": 3}, "c": {"value": 0.5, "percent": 3}}
+    model = described(rates=rates, define=define, parameters=parameters, places=[place])
+    if not pushing:
+        offered = {e.name for e in setup_of(cart_study(model=model)).effects}
+        assert "dry_friction" in offered and "load_friction" not in offered
 
 
 def test_what_slides_is_slowed_by_all_of_it():
