@@ -15,9 +15,11 @@ import numpy as np
 import torch
 
 from diffsim.core.arrays import Array, Mask
+from diffsim.core.figures import figure
+from diffsim.core.units import to_si
 from diffsim.data.shown import shown_step
 from diffsim.data.signal import scatter
-from diffsim.data.study import Run, Study
+from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.diagnose.checks.one_run import NUDGE
 from diffsim.identify.model import SimModel
@@ -59,6 +61,7 @@ def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
         return
     runs = [r for r in study.fit_runs if len(r.time_s) > MOST_ROWS][:12]
     begins = [b for run in runs if (b := _begin(setup.model, study, run)) is not None]
+    yield from _in_celsius(study.channels, begins)
     if len(begins) < 2:
         return
     far = _far(begins, _usual([begin.run for begin in begins]))
@@ -82,6 +85,25 @@ def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
         f"of the study say {told}: {_remedy(states, model.get('readings') or {})}",
         RULE,
     )
+
+
+def _in_celsius(channels: Sequence[Channel], begins: Sequence[_Begin]) -> Iterator[Problem]:
+    """Temperatures in kelvin, as all readings are, of a study whose numbers are degrees Celsius."""
+    zero = to_si("degC").offset
+    for i, channel in enumerate(channels):
+        off = np.array([b.seen[0, i] - b.told[0, i] for b in begins])
+        unsure = SURE_SDS * np.array([b.sd[0, i] for b in begins])
+        is_off = np.abs(off - zero) < unsure
+        if channel.unit == "K" and len(begins) and (is_off & (unsure < zero)).all():
+            seen, told = (figure(float(of[0, i]), 4) for of in (begins[0].seen, begins[0].told))
+            yield Problem(
+                "error",
+                f"run {begins[0].run.name}",
+                f"channel {channel.name} begins at {seen} K, where the study says {told}: a number "
+                f"without a unit is in K; write `{told} degC` in `states:`, and so each "
+                "temperature among the numbers",
+                RULE,
+            )
 
 
 def _begin(model: SimModel, study: Study, run: Run) -> _Begin | None:

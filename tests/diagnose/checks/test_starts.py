@@ -41,6 +41,37 @@ def test_a_run_that_begins_in_motion_is_told_with_its_states(
     assert not said or all(f"{n}: {MEASURED[n]}" in problems[0].message for n in stated)
 
 
+@pytest.mark.parametrize(
+    ("start", "room", "is_said"),
+    [
+        ({"value": 20, "sd": 1.5, "per": "run"}, 20, True),
+        ({"value": "20 degC", "sd": 1.5, "per": "run"}, "20 degC", False),
+        ({"value": 290, "sd": 5, "per": "run"}, 293, False),
+        ({"value": 20, "sd": 300, "per": "run"}, 20, False),  # as the study knows no start
+    ],
+)
+def test_numbers_in_degrees_celsius_beside_readings_in_kelvin_are_told(start, room, is_said):
+    """An offset of 273 K was answered as two causes of sensors and a turned heater."""
+    time, rng = 10.0 * np.arange(300), np.random.default_rng(1)
+    runs = []
+    for name, begin in (("a", 20.5), ("b", 19.0)):
+        seen = 293.15 + (begin - 20.0) * np.exp(-time / 2e3) + 0.1 * rng.standard_normal(300)
+        runs.append(Run(name, time, seen[:, None], {"heat": np.zeros(300)}, name))
+    model = {
+        "system": "ode",
+        "states": {"a": start},
+        "rates": {"a": "(heat - k*(a - room))/C"},
+        "inputs": ["heat"],
+        "parameters": {"k": 5.0, "C": {"value": 1e4, "percent": 5}, "room": room},
+        "readings": {"top": "a"},
+    }
+    channels = (Channel("top", "K", "temperature", sd=0.1),)
+    study = Study("tank", "ode", channels, tuple(runs), model=model)
+    problems = [p.message for p in start_problems(study, setup_of(study))]
+    assert len(problems) == is_said
+    assert not is_said or "is in K; write `20 degC` in `states:`" in problems[0]
+
+
 def test_the_usual_speed_of_a_line_is_its_slope():
     time = 0.1 * np.arange(120)
     run = Run("a", time, np.stack([3.0 * time, -0.5 * time], 1), {}, "a")
