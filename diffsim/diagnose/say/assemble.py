@@ -137,7 +137,7 @@ def report_of(
         why = f"of the extended model: its sizes are not to be trusted ({best.message})"
         checks = checks.joined([GateResult("fit_converged", False, 0.0, 1.0, why)])
     about = None if search is None else averaged(search, judgment, best, checks.changes)
-    base, chosen_by = _base(best, judgment), "" if validation is None else validation.words
+    (base, bent), chosen_by = _base(best, judgment), "" if validation is None else validation.words
     grounds = None
     if about is not None:
         grounds = Grounds(judgment, about, members, best, checks.gates, base, chosen_by)
@@ -170,6 +170,7 @@ def report_of(
         named=set_names(Hypothesis(named), effects, ()),
         best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside="" if beside is None or search is None else search.unknowns[beside].name,
+        bent=bent,
         plain_twin=_plain_twin(null.fit, best) if members else (),
         drives=case.model.drives,
         left=float(np.sqrt(best.chi2 / best.num_samples)),
@@ -368,10 +369,15 @@ def _after_test(row: CauseRow, doubts: tuple[str, ...], *, is_withdrawn: bool) -
     return replace(row, doubts=(*row.doubts, *doubts)) if row.status == LIKELY else row
 
 
-def _base(best: Fit, judgment: Judgment) -> tuple[BaseRow, ...]:
+def _base(best: Fit, judgment: Judgment) -> tuple[tuple[BaseRow, ...], tuple[BaseRow, ...]]:
+    """Base parameters, and those that are no finding, as what the fit leaves may have bent them."""
     judged = judgment.decision.verdict not in ("unrepeatable", "numerical")
-    wrong = judgment.decision.data_sheets
-    return base_rows(best, best.problem.runs, widening(best), judged=judged, wrong=wrong)
+    wrong, about = judgment.decision.data_sheets, widening(best)
+    rows = base_rows(best, best.problem.runs, about, judged=judged, wrong=wrong)
+    found = tuple(row for row in rows if row.finding)
+    if not found or best.chi2 <= MUCH_LEFT**2 * best.num_samples:
+        return rows, ()
+    return base_rows(best, best.problem.runs, about, judged=False, wrong=wrong), found
 
 
 def _plain_twin(plain: Fit, best: Fit) -> tuple[BaseRow, ...]:

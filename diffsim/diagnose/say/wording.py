@@ -95,6 +95,7 @@ class Answer:
         with_unknown: What it would leave with the best unknown cause beside, by its name [noise
             sd]; empty where none was weighed.
         before_test: What the test runs changed; None: nothing.
+        bent: Base parameters off their data sheets, where what is left may have bent them.
         plain_twin: Base parameters of the plain model, off their data sheets, that explain the
             fitted runs as well as the best set does; empty where they do not.
         drives: Base parameters that are the strengths of all drives; empty where that is unknown.
@@ -113,6 +114,7 @@ class Answer:
     left: float = 1.0
     with_unknown: Mapping[str, float] = field(default_factory=dict)
     before_test: BeforeTest | None = None
+    bent: tuple[BaseRow, ...] = ()
     plain_twin: tuple[BaseRow, ...] = ()
     drives: tuple[str, ...] = ()
 
@@ -239,7 +241,7 @@ def sentences(
         failed: Runs that could not be simulated, by name, with why.
     """
     out = [_first(answer), *_say_taken_back(answer), *_say_doubts(answer)]
-    out += [*_data_sheets(answer), *_rest(answer), *_say_unchecked(answer)]
+    out += [*data_sheets(answer), *_rest(answer), *_say_unchecked(answer)]
     if gained is not None:
         out.append(gained.words)
     elif failed:
@@ -394,7 +396,7 @@ def join_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-def _data_sheets(answer: Answer) -> list[str]:
+def data_sheets(answer: Answer) -> list[str]:
     """One sentence per base parameter far off its data sheet."""
     out = []
     for row in (row.as_read() for row in answer.causes):
@@ -406,6 +408,11 @@ def _data_sheets(answer: Answer) -> list[str]:
             if row.rivals:
                 text += f" (or {', '.join(row.rivals)} acts in its place)"
             out.append(f"{text}.")
+    if answer.bent:
+        words = join_words([row.words for row in answer.bent[:MOST_LISTED]])
+        off = "are off their data sheets" if len(answer.bent) > 1 else "is off its data sheet"
+        left = f"{figure(answer.left, 2)} times the noise"
+        out.append(f"{capital(words)} {off}: no finding while {left} is left.")
     if twin := twin_words(answer):
         out.append(f"{capital(twin)}: only these data sheets decide.")
     found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]

@@ -206,3 +206,13 @@ def test_nothing_is_certain_that_leaves_much(noise, size, status, monkeypatch):
     assert beside < (0.8 if noise < 1.0 else 1.0) * left
     said = f"{left:.2g} times the noise, {beside:.2g} with an {name} beside"
     assert any(said in s for s in report.sentences)
+
+
+@pytest.mark.parametrize("rest", [0.0, 3.0])
+def test_while_much_is_left_no_data_sheet_is_blamed(rest):
+    """Where no cause explains the rest, it may have bent the number."""
+    report = diagnosed({linear.line("rest"): rest}, (linear.line("push"),), base=(9.0, 0.0))
+    assert (report.left > 2.0) is (rest > 0.0)
+    assert report.findings == (() if rest else ("mass",))
+    assert [row.name for row in report.bent] == (["mass"] if rest else [])
+    assert any("no finding while" in s for s in report.sentences) is (rest > 0.0)

@@ -8,7 +8,7 @@ import pytest
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import BaseRow, CauseRow, ErrorRow, Interval
 from diffsim.diagnose.say.headline import first_of, headline
-from diffsim.diagnose.say.wording import Answer, capital, twin_words
+from diffsim.diagnose.say.wording import Answer, capital, data_sheets, twin_words
 
 PULSES = "pulses of 5.038 at drive, 0.5 s each 1 s, from 1.344 s"
 FELL = ErrorRow("t", "position", "um", 72.4, 7.21, 1.0, 100, 0)
@@ -417,3 +417,17 @@ def test_three_data_sheets_in_place_of_a_cause_are_a_short_sentence():
     for prior, said in ((1.0, "at 0.985 times its data sheet"), (0.0, "at 0.985")):
         one = replace(answer, plain_twin=(row("width link", 0.985, prior),))
         assert twin_words(one).endswith(f", with width link {said}")
+
+
+def test_a_number_that_the_rest_may_bend_is_no_finding():
+    """A finger's inertia was "half the data sheet" while the fit left seven times the noise."""
+
+    def row(name):
+        return BaseRow(name, name, "-", 0.5, 0.01, 0.5, 0.5, 1.0, 0.01, 9.0, 3.0)
+
+    decision = SimpleNamespace(beside=None, forms={})
+    answer = Answer("unknown", decision, (), (), (), None, left=7.0, bent=(row("inertia"),))
+    said = "Inertia is off its data sheet: no finding while 7 times the noise is left."
+    assert said in data_sheets(answer)
+    two = replace(answer, bent=(row("inertia"), row("damping")))
+    assert data_sheets(two)[0].startswith("Inertia and damping are off their data sheets")
