@@ -269,7 +269,7 @@ def _evaluate_input(
         c: grid.resampled(run.command[c], held=held) for c in formula.names if c in run.command
     }
     for gap in system.gaps.get(run.name, ()) if held else ():
-        columns = {c: gap.change(u, grid, values[gap.name]) for c, u in columns.items()}
+        columns = {c: gap.change(u, grid, values) for c, u in columns.items()}
     numbers = {n: known[n][..., None] for n in formula.names if n in known}
     u = formula({**numbers, **columns, TIME: grid.times})
     return u.expand(*u.shape[:-1], len(grid.times)) if u.ndim else u.expand(len(grid.times))

@@ -1,11 +1,12 @@
 """Rows that a recorder dropped while a command was held: it changed somewhere inside the gap.
 
-When is not recorded, so it is a nuisance of the run with the gap as its bounds, and no cause.
+When it jumped is not recorded, so it is a nuisance of the run with the gap as its bounds, and no
+cause. A command that moves from row to row went on to do so: steps on a line between its neighbors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,11 +28,13 @@ class Gap:
     Attributes:
         name: Base parameter that says when: the share of the gap that was over.
         start, end: Times of the rows beside it [s].
+        swept: Rows that are lost of a command that moves from row to row; 0: it jumped.
     """
 
     name: str
     start: float
     end: float
+    swept: int = 0
 
     @property
     def parameter(self) -> Parameter:
@@ -39,29 +42,34 @@ class Gap:
         # anything from 0 to 1 alike
         return Parameter(self.name, 0.5, 1.0 / np.sqrt(12.0), lower=0.0, upper=1.0)
 
-    def change(self, column: Tensor, grid: Grid, share: Tensor) -> Tensor:
+    def change(self, column: Tensor, grid: Grid, values: Mapping[str, Tensor]) -> Tensor:
         """A held command that changes inside the gap; steps that it cuts have the mean.
 
         Args:
             column: The command at the times of the integrator, (..., num_times); until the end of
                 the gap as before it.
             grid: Times of the integrator.
-            share: Of the gap that was over, () or (K,).
+            values: Base parameters by name: that of a jump, () or (K,).
         """
         times = grid.times
         first, last = (int(torch.searchsorted(times, t)) for t in (self.start, self.end))
         if last >= len(times):  # the first part of a run
             return column
         inside = times[first : last + 1]
-        at = self.start + share[..., None] * (self.end - self.start)
-        over = ((inside[1:] - at) / inside.diff()).clamp(0.0, 1.0)
+        whole = torch.arange(1.0, self.swept + 1.0, dtype=inside.dtype) / (self.swept + 1.0)
+        shares = whole.unbind() if self.swept else (values[self.name],)
+        over = torch.zeros(())
+        for share in shares:
+            at = self.start + share[..., None] * (self.end - self.start)
+            over = over + ((inside[1:] - at) / inside.diff()).clamp(0.0, 1.0)
+        over = over / (self.swept + 1.0)
         rise = column[..., last : last + 1] - column[..., first : first + 1]
         more = torch.nn.functional.pad(rise * over, (first, len(times) - last))
         return column + more
 
 
 def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
-    """Gaps of a run across which one of these commands jumped.
+    """Gaps of a run across which one of these commands changed.
 
     Args:
         commands: Names of commands that are held from row to row.
@@ -70,13 +78,17 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
     columns = [np.asarray(run.command[c], dtype=np.float64) for c in commands if c in run.command]
     if not len(steps) or not columns:
         return ()
-    changes = np.abs(np.diff(np.stack(columns), axis=1))
-    jumps = (changes > JUMP * np.median(changes, axis=1, keepdims=True)).any(0)
+    usual = float(np.median(steps))
+    rows = np.maximum(np.round(steps / usual), 1.0)
+    changes = np.abs(np.diff(np.stack(columns), axis=1)) / rows
+    jumps = np.any(changes > JUMP * np.median(changes, axis=1, keepdims=True), axis=0)
+    found = np.flatnonzero(np.any(changes > 0.0, axis=0) & (steps > GAP * usual))
     return tuple(
         Gap(
             f"change_in_gap_at_{1e3 * run.time_s[k]:.6g}_ms@{run.name}",
             float(run.time_s[k]),
             float(run.time_s[k + 1]),
+            0 if jumps[k] else int(rows[k]) - 1,
         )
-        for k in np.flatnonzero(jumps & (steps > GAP * np.median(steps)))
+        for k in found
     )

@@ -50,7 +50,7 @@ def _jump_inside_gaps(system: FormulaSystem, reader: Reader) -> FormulaSystem:
     held = sorted({name for formula in formulas for name in formula.names})
     found = {run.name: find_gaps(run, held) for run in system.study.runs}
     gaps = {name: of_run for name, of_run in found.items() if of_run}
-    more = [gap.parameter for of_run in gaps.values() for gap in of_run]
+    more = [gap.parameter for of_run in gaps.values() for gap in of_run if not gap.swept]
     return replace(system, gaps=gaps, base=system.base.with_further(more))
 
 
