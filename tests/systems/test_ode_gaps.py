@@ -36,10 +36,10 @@ def _run(time, command):
 def test_a_command_that_moves_on_goes_on_in_a_gap():
     """It was held over the gap: of 2 % lost rows a null had "dead band", 1.3 times the noise."""
     whole = np.arange(0.0, 2.0, 0.01)
-    time = np.delete(whole, [50, 120, 121])
+    time = np.delete(whole, [50, 120])
     run = _run(time, np.sin(3.0 * time))
     gaps = find_gaps(run, ["u"])
-    assert [gap.swept for gap in gaps] == [1, 2]
+    assert [gap.swept for gap in gaps] == [1, 1]
     grid = Grid.of(time, 0.01)
     seen = grid.resampled(run.command["u"], held=True)
     for gap in gaps:

@@ -108,8 +108,10 @@ def _moving(record: Record, run: Run, k: int) -> str | None:
         if samples is None or len(samples) != len(run.time_s) or not command.range > 0.0:
             continue
         moved, around = abs(samples.changes[k]), np.abs(samples.around(k, 5))
-        is_swept = len(around) > 0 and np.mean(around > 0.0) > SMOOTH
-        if is_swept and moved > LEAST_MOVED * command.range and moved > 2.0 * np.median(around):
+        if not len(around) or np.mean(around > 0.0) <= SMOOTH:
+            continue
+        least = max(LEAST_MOVED * command.range, LOST_JUMP * float(np.median(around)))
+        if moved > least:
             return command.name
     return None
 

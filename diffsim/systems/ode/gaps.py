@@ -79,8 +79,7 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
     if not len(steps) or not columns:
         return ()
     usual = float(np.median(steps))
-    rows = np.maximum(np.round(steps / usual), 1.0)
-    changes = np.abs(np.diff(np.stack(columns), axis=1)) / rows
+    changes = np.abs(np.diff(np.stack(columns), axis=1))
     jumps = np.any(changes > JUMP * np.median(changes, axis=1, keepdims=True), axis=0)
     found = np.flatnonzero(np.any(changes > 0.0, axis=0) & (steps > GAP * usual))
     return tuple(
@@ -88,7 +87,7 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
             f"change_in_gap_at_{1e3 * run.time_s[k]:.6g}_ms@{run.name}",
             float(run.time_s[k]),
             float(run.time_s[k + 1]),
-            0 if jumps[k] else int(rows[k]) - 1,
+            0 if jumps[k] else round(float(steps[k]) / usual) - 1,
         )
         for k in found
     )
