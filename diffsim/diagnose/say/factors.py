@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from statistics import fmean
+
+import numpy as np
 
 from diffsim.core.figures import figure
 from diffsim.core.unit_slips import UNIT_SLIPS, UnitSlip
@@ -87,17 +90,24 @@ def sheet_words(rows: Sequence[tuple[CauseRow, float]], drives: Sequence[str] = 
 
 def _say_common(found: Sequence[tuple[Interval, CauseRow]], drives: Sequence[str]) -> list[str]:
     """Numbers that one factor would put right, though it is that of no slip, as one finding; of a
-    single one only where it has a twin."""
+    single one only where it has a twin. All drives are known against each other where nothing but
+    their data sheets says how strong they are: then their values tell, not their intervals."""
     names = [row.name for _, row in found]
     if len({row.unit for _, row in found}) > 1 or (len(found) == 1 and [*drives] != names):
         return []
     low, high = max(f.low for f, _ in found), min(f.high for f, _ in found)
-    if low > high or high - low > WIDEST * abs(low):
+    if low > high:
         return []
-    value = 0.5 * (low + high)
+    values = [f.value for f, _ in found]
+    value, size = 0.5 * (low + high), ""
+    if high - low > WIDEST * abs(low):
+        value = fmean(values)
+        if len(found) < 2 or set(names) != {*drives} or np.ptp(values) > SAME * abs(value):
+            return []
+        size = f" ({figure(low)} to {figure(high)})"
     sheets = "its data sheet" if len(found) == 1 else "their data sheets"
     rows = [row for _, row in found]
-    return [_say(f"{figure(value)} times {sheets}.", value, rows, drives)]
+    return [_say(f"{figure(value)}{size} times {sheets}.", value, rows, drives)]
 
 
 def _say(words: str, value: float, rows: Sequence[CauseRow], drives: Sequence[str]) -> str:
