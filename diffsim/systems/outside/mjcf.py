@@ -143,6 +143,7 @@ class Mjcf:
         force: PlaceForces | None = None,
         time_step: float = 1.0,
         delays: Mapping[str, float] | None = None,
+        before: Mapping[str, float] | None = None,
     ) -> Array:
         """Sensors at the samples.
 
@@ -152,11 +153,14 @@ class Mjcf:
             force: Forces at joints, by their names.
             time_step: Factor on the model's own time step.
             delays: Time by which a command is heard late, by name [s].
+            before: Values of such commands before the run; without a word their first ones.
 
         Raises:
             DivergedError: the simulation left all bounds.
         """
-        (found,) = self.predict_many([Call(parameters, run, force, time_step, delays or {})])
+        (found,) = self.predict_many(
+            [Call(parameters, run, force, time_step, delays or {}, before or {})]
+        )
         if isinstance(found, Exception):
             raise found
         return found
@@ -304,6 +308,8 @@ class Mjcf:
         for command, late in call.delays.items():
             if (control := self._control_of(command, run)) is not None:
                 delays[control] = delays.get(control, 0.0) + late
+        known = ((self._control_of(command, run), value) for command, value in call.before.items())
+        before = {control: value for control, value in known if control is not None}
         is_exact = not self.held and self._reads_forces(readers)
         acting = force if force is not None and force.acts else None
         pushes = None if acting is None else self._pushes(acting, steps.starts)
@@ -311,8 +317,8 @@ class Mjcf:
             model=model,
             steps=steps,
             start=self.numbers.start_state(model, setting, float(steps.starts[0])),
-            controls=steps.controls(values, self.held, delays),
-            at_samples=steps.at_samples(values, self.held, delays) if is_exact else None,
+            controls=steps.controls(values, self.held, delays, before),
+            at_samples=steps.at_samples(values, self.held, delays, before) if is_exact else None,
             readers=readers,
             force=force,
             pushes=pushes,
