@@ -23,7 +23,6 @@ from diffsim.diagnose.judge.records import (
     LIKELY,
     ONE_LAW,
     SKILL,
-    WRONG_DATA_SHEET,
     CauseRow,
     ErrorRow,
     pooled_by_kind,
@@ -38,6 +37,7 @@ from diffsim.diagnose.say.wording import (
     plain_name,
     size_range,
     twin_words,
+    wrong_sheets,
 )
 
 MAX_SIZED = 2  # causes whose sizes are said
@@ -317,6 +317,9 @@ def _open(answer: Answer, verb: str) -> list[str]:
             len(names) == 1
             and sum(held[n].removes or total for n in more if n in held) >= SMALL * total
         )
+        sheets = wrong_sheets(answer)
+        if len(names) == 1 and len(more) == 1 and (off := sheets.get(more[0])):
+            return _beside_shared(answer, shared, names[0], verb, off)
         return _beside_shared(answer, shared, names[0] if is_told else "another cause", verb)
     if len(names) == 1 and all(parts):
         said = f"Something like {names[0]} {verb} missing"
@@ -328,13 +331,9 @@ def _open(answer: Answer, verb: str) -> list[str]:
         shown = f"{names[0].partition(' with ')[0]} or another cause"
     if not names or len(shown.split()) > MAX_OPEN:
         shown = "one of several causes"
-    off = [
-        w.removeprefix(WRONG_DATA_SHEET)
-        for w in answer.decision.forms.values()
-        if w.startswith(WRONG_DATA_SHEET)
-    ]
-    also = f" or {off[0]} is off its data sheet" if off else ""
-    if off == [shown]:  # the cause changes the very number
+    wrong = list(wrong_sheets(answer).values())
+    also = f" or {wrong[0]} is off its data sheet" if wrong else ""
+    if wrong == [shown]:  # the cause changes the very number
         also = ", or its data sheet is off"
     is_any = shown == "one of several causes" or shown.endswith(("another cause", UNNAMED))
     said = f"{capital(shown) if is_any else f'Something like {shown}'} {verb} missing{also}"
@@ -345,8 +344,17 @@ def _open(answer: Answer, verb: str) -> list[str]:
     ]
 
 
-def _beside_shared(answer: Answer, shared: Sequence[str], more: str, verb: str) -> list[str]:
-    """What all sets hold, and that another cause may act beside it; the longest first."""
+def _beside_shared(
+    answer: Answer, shared: Sequence[str], more: str, verb: str, off: str = ""
+) -> list[str]:
+    """What all sets hold, and that another cause may act beside it; the longest first.
+
+    Args:
+        shared: Names of what all sets hold.
+        more: What may act beside it, in words.
+        verb: Before "missing".
+        off: Number whose data sheet may be wrong instead, in words; empty: none.
+    """
     names = [_brief(plain_name(answer, n)) for n in shared]
     how = {row.name: _sure(row, shared) for row in effects_of(answer) if row.name in shared}
     least = max((how.get(n, PROBABLY) for n in shared), key=tuple(_VERBS).index)
@@ -356,6 +364,12 @@ def _beside_shared(answer: Answer, shared: Sequence[str], more: str, verb: str) 
     said = [f"{join_words(names)} {missing}"] if len(names) <= MAX_NAMES else []
     if len(names) > 1:
         said += [f"{_count(len(names))} causes, {names[0]} first, {missing}"]
+    if off:
+        ends = (
+            f"{more} is, too, or {off} is off its data sheet",
+            f"{more} is, too, or {off} is off",
+        )
+        return [capital(f"{text}; {end}") for text in said for end in ends]
     leads = ("these runs leave open", "open is")
     return [capital(f"{text}; {lead} {end}") for text in said for lead in leads for end in rest]
 

@@ -306,11 +306,12 @@ def _first(answer: Answer) -> str:
         asked = f"The data ask for {_sizes(_members(answer))}"
         if not answer.rivals:
             return f"{asked}, but not so clearly that it is certain."
-        forms = answer.decision.forms.values()
-        nothing = (
-            "a wrong data sheet" if any(f.startswith(WRONG_DATA_SHEET) for f in forms) else "none"
-        )
-        others = _other_sets(answer, nothing)
+        sheets = wrong_sheets(answer)
+        if answer.rivals == (tuple(n for n in answer.best_names if n not in sheets),):
+            alone = join_words([plain_name(answer, name) for name in sheets])
+            wrong = join_words(list(dict.fromkeys(sheets.values())))
+            return f"{asked}, but cannot tell {alone} from {WRONG_DATA_SHEET}{wrong}."
+        others = _other_sets(answer, "a wrong data sheet" if sheets else "none")
         return f"{asked}, but cannot tell it from {others or 'its other forms'}."
     if answer.is_taken_back:
         return (
@@ -484,6 +485,19 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
     shown = " or ".join(" with ".join(names) or nothing for names in words)
     more = len(rivals) - MOST_LISTED
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
+
+
+def wrong_sheets(answer: Answer) -> dict[str, str]:
+    """Numbers whose data sheets may be wrong in place of causes of the best set, by the causes."""
+    forms = answer.decision.forms.items()
+    found = {
+        i: what.removeprefix(WRONG_DATA_SHEET)
+        for i, what in forms
+        if what.startswith(WRONG_DATA_SHEET)
+    }
+    best = sorted(answer.decision.best) if found else []
+    pairs = zip(best, answer.best_names, strict=True) if best else ()
+    return {name: found[i] for i, name in pairs if i in found}
 
 
 def _other_sets(answer: Answer, nothing: str) -> str:
