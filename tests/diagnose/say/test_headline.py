@@ -416,6 +416,28 @@ def test_a_data_sheet_that_may_be_wrong_beside_what_all_sets_hold_is_named():
     assert headline(answer, [FELL]).startswith(said)
 
 
+def test_drives_off_by_one_factor_come_before_a_cause_in_their_place():
+    """Four drives four times too strong: one of several causes may be missing, it said."""
+    drives = tuple(f"actuator.m{k}.kp" for k in (1, 2))
+    sheets = [
+        replace(
+            cause(name, {"": Interval(2.9 * kp, 2.7 * kp, 4.1 * kp)}, status="likely", unit="-"),
+            origin="data sheet", note=f"data sheet: {kp:g} +- 2 (one standard deviation)",
+        )
+        for name, kp in zip(drives, (12.0, 20.0), strict=True)
+    ]  # fmt: skip
+    delay = cause("delay", status="cannot be told from")
+    decision = SimpleNamespace(forms={4: "a wrong data sheet of kp of m2"}, best=frozenset({4}))
+    answer = Answer(
+        "ambiguous", decision, (delay, *sheets), ((),), (), None, named=("delay",),
+        best_names=("delay",), drives=drives,
+    )  # fmt: skip
+    strong = "All drives are probably 2.9 times as strong as their data sheets say; the error"
+    assert headline(answer, [FELL]).startswith(strong)
+    one = replace(answer, drives=(*drives, "actuator.m3.kp"))
+    assert headline(one, [FELL]).startswith("Two data sheets are probably off, such as")
+
+
 def test_three_data_sheets_in_place_of_a_cause_are_a_short_sentence():
     """A network's second sentence had 37 words: "its data sheet" stood in it three times."""
 
