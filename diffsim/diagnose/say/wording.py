@@ -46,7 +46,7 @@ from diffsim.diagnose.judge.records import (
     band_words,
     no_skill_words,
 )
-from diffsim.diagnose.say.factors import gain_words, sheet_words, stated_of
+from diffsim.diagnose.say.factors import gain_words, sheet_words, stated_of, times_all_drives
 from diffsim.identify.effect import is_of_run
 
 VERDICTS = (
@@ -309,6 +309,7 @@ def _first(answer: Answer) -> str:
         sheets = wrong_sheets(answer)
         if answer.rivals == (tuple(n for n in answer.best_names if n not in sheets),):
             alone = join_words([plain_name(answer, name) for name in sheets])
+            alone = "it" if sheets.keys() == {*answer.best_names} else alone
             wrong = join_words(list(dict.fromkeys(sheets.values())))
             return f"{asked}, but cannot tell {alone} from {WRONG_DATA_SHEET}{wrong}."
         others = _other_sets(answer, "a wrong data sheet" if sheets else "none")
@@ -396,10 +397,17 @@ def join_words(words: Sequence[str]) -> str:
 
 
 def _data_sheets(answer: Answer) -> list[str]:
-    """One sentence per base parameter far off its data sheet."""
+    """One sentence per base parameter far off its data sheet, for all drives by one factor one."""
     out = []
-    for row in (row.as_read() for row in answer.causes):
-        if row.origin == DATA_SHEET:
+    found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]
+    stated = [(row, v) for row in found if (v := stated_of(row)) is not None]
+    together = sheet_words(stated, answer.drives)
+    drives = [row for row in found if row.name in answer.drives and not row.rivals]
+    is_one = times_all_drives([(r, v) for r, v in stated if r in drives], answer.drives) is not None
+    words = [row.words.lower() for row in drives]
+    is_one = is_one and any(all(w in text.lower() for w in words) for text in together)
+    for row in found:
+        if not (is_one and row in drives):
             unit = after_number(row.unit)
             size = next(iter(row.size.values()))
             said = f"{opened(row.words)} is {ends(size, unit)}"
@@ -409,9 +417,7 @@ def _data_sheets(answer: Answer) -> list[str]:
             out.append(f"{text}.")
     if twin := twin_words(answer):
         out.append(f"{capital(twin)}: only these data sheets decide.")
-    found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]
-    stated = [(row, v) for row in found if (v := stated_of(row)) is not None]
-    return [*out, *sheet_words(stated, answer.drives)]
+    return [*out, *together]
 
 
 def twin_words(answer: Answer) -> str:
