@@ -44,7 +44,7 @@ from diffsim.identify.ranges import range_of_number
 from diffsim.systems.outside.description import OutsideDescription
 from diffsim.systems.outside.joint_drive import DEFAULTS
 from diffsim.systems.outside.mjcf import Mjcf
-from diffsim.systems.outside.mjcf_laws import OWN_LAWS, path_of_law
+from diffsim.systems.outside.mjcf_laws import OWN_LAWS, path_of_law, with_hold
 from diffsim.systems.outside.source import MJCF
 from diffsim.systems.registry import description_of
 
@@ -210,6 +210,7 @@ def restate_mjcf(
         for component in components if paths else ():
             path = paths.get(component.rpartition(".")[2], paths.get(ONLY, ""))
             numbers[path] = numbers.get(path, sim.value_of(path)) + answer.saved.values[component]
+            numbers |= with_hold(sim.numbers, known, path, float(sim.plain.opt.timestep))
         carried.append(CarriedCause(cause, tuple(paths.values()), answer.cost(components)))
     with TemporaryDirectory() as folder:
         place = out if target == MUJOCO else Path(folder)

@@ -565,7 +565,9 @@ def _search_fine_enough(
         search = search_sets(search)
         steps = search.steps - started
         best = decision_of(search).best
-        is_late = steps > null.case.settings.again_steps or round_ == MAX_RENEWALS - 1
+        # all rounds share it: a pendulum's took 80 million steps, each less than the budget
+        spent = search.steps - null.case.searching
+        is_late = spent > null.case.settings.again_steps or round_ == MAX_RENEWALS - 1
         search = with_numerics(search, best, is_late=is_late)
         checked = search.numerics.get(best)
         if checked is None or checked.finer is None:

@@ -70,8 +70,9 @@ class DiagnosisSettings:
             instead of simulating everything with them; infinite: never.
         plain_steps: Weighted steps after which a single fit ends where it is; infinite:
             at its end.
-        again_steps: Weighted steps of a search up to which it is repeated where the best set needs
-            finer numerical settings; else the page says what these change. Infinite: repeated.
+        again_steps: Weighted steps of a search and its repeats up to which it is repeated where the
+            best set needs finer numerical settings; else the page says what these change. Infinite:
+            repeated.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
         noise_rounds: Largest number of searches; the noise floor is estimated again after each.

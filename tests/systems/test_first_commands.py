@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Channel, Run, Study
-from diffsim.systems.ode.first_commands import LATE as TRIED
-from diffsim.systems.ode.first_commands import is_heard_at_once
+from diffsim.systems.first_commands import LATE as TRIED
+from diffsim.systems.first_commands import is_heard_at_once
 from diffsim.systems.registry import setup_of
 
 TIME = 0.01 * np.arange(200)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from statistics import fmean
+
+import numpy as np
 
 from diffsim.core.figures import figure
 from diffsim.core.unit_slips import UNIT_SLIPS, UnitSlip
@@ -81,23 +84,46 @@ def sheet_words(rows: Sequence[tuple[CauseRow, float]], drives: Sequence[str] = 
             found.setdefault(key, (value, []))[1].append(row)
         else:
             others.append((Interval(value, low, high), row))
-    said = [_say(words, value, rows, drives) for words, (value, rows) in found.items()]
-    return [*said, *_say_common(others, drives)] if others else said
+    said = [_say(words, value, own, drives) for words, (value, own) in found.items()]
+    return [*said, *_say_common(others, rows, drives)] if others else said
 
 
-def _say_common(found: Sequence[tuple[Interval, CauseRow]], drives: Sequence[str]) -> list[str]:
+def times_all_drives(rows: Sequence[tuple[CauseRow, float]], drives: Sequence[str]) -> float | None:
+    """How many times as strong as stated all drives are, where their values agree; else None.
+
+    Args:
+        rows, drives: As of ``sheet_words``.
+    """
+    found = {r.name: next(iter(r.size.values())).value / v for r, v in rows if v}
+    values = [found[name] for name in drives if name in found]
+    is_all = len(values) == len(drives) > 1
+    value = fmean(values) if is_all else 0.0
+    return value if is_all and np.ptp(values) <= SAME * abs(value) else None
+
+
+def _say_common(
+    found: Sequence[tuple[Interval, CauseRow]],
+    rows: Sequence[tuple[CauseRow, float]],
+    drives: Sequence[str],
+) -> list[str]:
     """Numbers that one factor would put right, though it is that of no slip, as one finding; of a
-    single one only where it has a twin."""
+    single one only where it has a twin. All drives are known against each other where nothing but
+    their data sheets says how strong they are: then their values tell, not their intervals."""
     names = [row.name for _, row in found]
     if len({row.unit for _, row in found}) > 1 or (len(found) == 1 and [*drives] != names):
         return []
     low, high = max(f.low for f, _ in found), min(f.high for f, _ in found)
-    if low > high or high - low > WIDEST * abs(low):
+    if low > high:
         return []
-    value = 0.5 * (low + high)
+    value, size = 0.5 * (low + high), ""
+    if high - low > WIDEST * abs(low):
+        times = times_all_drives(rows, drives)
+        if times is None or set(names) != {*drives}:
+            return []
+        value, size = times, f" ({figure(low)} to {figure(high)})"
     sheets = "its data sheet" if len(found) == 1 else "their data sheets"
-    rows = [row for _, row in found]
-    return [_say(f"{figure(value)} times {sheets}.", value, rows, drives)]
+    own = [row for _, row in found]
+    return [_say(f"{figure(value)}{size} times {sheets}.", value, own, drives)]
 
 
 def _say(words: str, value: float, rows: Sequence[CauseRow], drives: Sequence[str]) -> str:

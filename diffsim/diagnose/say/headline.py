@@ -23,12 +23,12 @@ from diffsim.diagnose.judge.records import (
     LIKELY,
     ONE_LAW,
     SKILL,
-    WRONG_DATA_SHEET,
     CauseRow,
     ErrorRow,
     pooled_by_kind,
 )
 from diffsim.diagnose.judge.unseen import OF_ONE_RUN
+from diffsim.diagnose.say.factors import stated_of, times_all_drives
 from diffsim.diagnose.say.wording import (
     Answer,
     capital,
@@ -38,6 +38,7 @@ from diffsim.diagnose.say.wording import (
     plain_name,
     size_range,
     twin_words,
+    wrong_sheets,
 )
 
 MAX_SIZED = 2  # causes whose sizes are said
@@ -242,7 +243,7 @@ def _say_findings(answer: Answer, laws: Collection[str], *, is_denied: bool = Fa
     if answer.verdict == "ambiguous":
         return _open(answer, "may be" if is_denied else "is")
     if answer.verdict == "data_sheet":
-        return _off_sheet([row for row in answer.causes if row.origin == DATA_SHEET])
+        return _off_sheet(_sheets_of(answer), answer.drives)
     # what the extended model holds has made the error smaller, whatever singled it out
     named = [
         r
@@ -296,6 +297,9 @@ def _open(answer: Answer, verb: str) -> list[str]:
             "One law may act in place of causes that undo each other",
         ]
     sets = [answer.best_names, *answer.rivals]
+    found = _sheets_of(answer)
+    if found and not any(answer.rivals) and {*answer.best_names} == wrong_sheets(answer).keys():
+        return _off_sheet(found, answer.drives)  # they are off with the cause and without it
     if not any(answer.rivals) and not answer.decision.forms:
         return _unsure(answer)
     held = {row.name: row for row in effects_of(answer)}
@@ -317,6 +321,9 @@ def _open(answer: Answer, verb: str) -> list[str]:
             len(names) == 1
             and sum(held[n].removes or total for n in more if n in held) >= SMALL * total
         )
+        sheets = wrong_sheets(answer)
+        if len(names) == 1 and len(more) == 1 and (off := sheets.get(more[0])):
+            return _beside_shared(answer, shared, names[0], verb, off)
         return _beside_shared(answer, shared, names[0] if is_told else "another cause", verb)
     if len(names) == 1 and all(parts):
         said = f"Something like {names[0]} {verb} missing"
@@ -328,13 +335,9 @@ def _open(answer: Answer, verb: str) -> list[str]:
         shown = f"{names[0].partition(' with ')[0]} or another cause"
     if not names or len(shown.split()) > MAX_OPEN:
         shown = "one of several causes"
-    off = [
-        w.removeprefix(WRONG_DATA_SHEET)
-        for w in answer.decision.forms.values()
-        if w.startswith(WRONG_DATA_SHEET)
-    ]
-    also = f" or {off[0]} is off its data sheet" if off else ""
-    if off == [shown]:  # the cause changes the very number
+    wrong = list(wrong_sheets(answer).values())
+    also = f" or {wrong[0]} is off its data sheet" if wrong else ""
+    if wrong == [shown]:  # the cause changes the very number
         also = ", or its data sheet is off"
     is_any = shown == "one of several causes" or shown.endswith(("another cause", UNNAMED))
     said = f"{capital(shown) if is_any else f'Something like {shown}'} {verb} missing{also}"
@@ -345,8 +348,17 @@ def _open(answer: Answer, verb: str) -> list[str]:
     ]
 
 
-def _beside_shared(answer: Answer, shared: Sequence[str], more: str, verb: str) -> list[str]:
-    """What all sets hold, and that another cause may act beside it; the longest first."""
+def _beside_shared(
+    answer: Answer, shared: Sequence[str], more: str, verb: str, off: str = ""
+) -> list[str]:
+    """What all sets hold, and that another cause may act beside it; the longest first.
+
+    Args:
+        shared: Names of what all sets hold.
+        more: What may act beside it, in words.
+        verb: Before "missing".
+        off: Number whose data sheet may be wrong instead, in words; empty: none.
+    """
     names = [_brief(plain_name(answer, n)) for n in shared]
     how = {row.name: _sure(row, shared) for row in effects_of(answer) if row.name in shared}
     least = max((how.get(n, PROBABLY) for n in shared), key=tuple(_VERBS).index)
@@ -356,6 +368,12 @@ def _beside_shared(answer: Answer, shared: Sequence[str], more: str, verb: str) 
     said = [f"{join_words(names)} {missing}"] if len(names) <= MAX_NAMES else []
     if len(names) > 1:
         said += [f"{_count(len(names))} causes, {names[0]} first, {missing}"]
+    if off:
+        ends = (
+            f"{more} is, too, or {off} is off its data sheet",
+            f"{more} is, too, or {off} is off",
+        )
+        return [capital(f"{text}; {end}") for text in said for end in ends]
     leads = ("these runs leave open", "open is")
     return [capital(f"{text}; {lead} {end}") for text in said for lead in leads for end in rest]
 
@@ -373,14 +391,28 @@ def _unsure(answer: Answer) -> list[str]:
     return [f"{text}; these runs leave it open" for text in said]
 
 
-def _off_sheet(rows: Sequence[CauseRow]) -> list[str]:
-    """Sentences on data sheets where no cause is missing, the longest first."""
-    row = rows[0].as_read()
+def _sheets_of(answer: Answer) -> list[CauseRow]:
+    return [row for row in answer.causes if row.origin == DATA_SHEET]
+
+
+def _off_sheet(rows: Sequence[CauseRow], drives: Sequence[str] = ()) -> list[str]:
+    """Sentences on data sheets where no cause is missing, the longest first.
+
+    Args:
+        drives: Parameters that are the strengths of all drives; (): unknown.
+    """
+    found = [row.as_read() for row in rows]
+    stated = [(row, v) for row in found if (v := stated_of(row)) is not None]
+    times = times_all_drives(stated, drives) if len(rows) == len(drives) else None
+    how = "" if all(row.status == CERTAIN for row in rows) else f"{PROBABLY} "
+    if times is not None:
+        strong = f"All drives are {how}{figure(times)} times as strong as"
+        return [f"{strong} their data sheets say", f"{strong} stated"]
+    row = found[0]
     value, unit = next(iter(row.size.values())).value, after_number(row.unit)
     prior = row.sheet.partition(" +-")[0]
     number = next((n for d in (3, 4, 5) if (n := figure(value, d)) != prior), figure(value, 6))
     numbers = f"{number}{unit}, not {prior}{unit}"
-    how = "" if all(row.status == CERTAIN for row in rows) else f"{PROBABLY} "
     if len(rows) == 1:
         off = f"{row.words} is {how}{numbers}"
         return [f"Only a data sheet is off: {off}", opened(off)]
@@ -403,7 +435,7 @@ def _missing(
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = _by_share([row for row in named if row.origin == EFFECT], laws)
     if not effects:
-        return _off_sheet(sheet)
+        return _off_sheet(sheet, answer.drives)
     every = [*effects, *(r for r in effects_of(answer) if r.helps and r not in effects)]
     of_laws = sum(row.removes or 0.0 for row in every if row.name in laws)
     if of_laws > sum(row.removes or 0.0 for row in every if row.name not in laws):

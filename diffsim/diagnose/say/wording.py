@@ -46,7 +46,7 @@ from diffsim.diagnose.judge.records import (
     band_words,
     no_skill_words,
 )
-from diffsim.diagnose.say.factors import gain_words, sheet_words, stated_of
+from diffsim.diagnose.say.factors import gain_words, sheet_words, stated_of, times_all_drives
 from diffsim.identify.effect import is_of_run
 
 VERDICTS = (
@@ -308,11 +308,13 @@ def _first(answer: Answer) -> str:
         asked = f"The data ask for {_sizes(_members(answer))}"
         if not answer.rivals:
             return f"{asked}, but not so clearly that it is certain."
-        forms = answer.decision.forms.values()
-        nothing = (
-            "a wrong data sheet" if any(f.startswith(WRONG_DATA_SHEET) for f in forms) else "none"
-        )
-        others = _other_sets(answer, nothing)
+        sheets = wrong_sheets(answer)
+        if answer.rivals == (tuple(n for n in answer.best_names if n not in sheets),):
+            alone = join_words([plain_name(answer, name) for name in sheets])
+            alone = "it" if sheets.keys() == {*answer.best_names} else alone
+            wrong = join_words(list(dict.fromkeys(sheets.values())))
+            return f"{asked}, but cannot tell {alone} from {WRONG_DATA_SHEET}{wrong}."
+        others = _other_sets(answer, "a wrong data sheet" if sheets else "none")
         return f"{asked}, but cannot tell it from {others or 'its other forms'}."
     if answer.is_taken_back:
         return (
@@ -397,10 +399,17 @@ def join_words(words: Sequence[str]) -> str:
 
 
 def data_sheets(answer: Answer) -> list[str]:
-    """One sentence per base parameter far off its data sheet."""
+    """One sentence per base parameter far off its data sheet, for all drives by one factor one."""
     out = []
-    for row in (row.as_read() for row in answer.causes):
-        if row.origin == DATA_SHEET:
+    found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]
+    stated = [(row, v) for row in found if (v := stated_of(row)) is not None]
+    together = sheet_words(stated, answer.drives)
+    drives = [row for row in found if row.name in answer.drives and not row.rivals]
+    is_one = times_all_drives([(r, v) for r, v in stated if r in drives], answer.drives) is not None
+    words = [row.words.lower() for row in drives]
+    is_one = is_one and any(all(w in text.lower() for w in words) for text in together)
+    for row in found:
+        if not (is_one and row in drives):
             unit = after_number(row.unit)
             size = next(iter(row.size.values()))
             said = f"{opened(row.words)} is {ends(size, unit)}"
@@ -415,9 +424,7 @@ def data_sheets(answer: Answer) -> list[str]:
         out.append(f"{capital(words)} {off}: no finding while {left} is left.")
     if twin := twin_words(answer):
         out.append(f"{capital(twin)}: only these data sheets decide.")
-    found = [row.as_read() for row in answer.causes if row.origin == DATA_SHEET]
-    stated = [(row, v) for row in found if (v := stated_of(row)) is not None]
-    return [*out, *sheet_words(stated, answer.drives)]
+    return [*out, *together]
 
 
 def twin_words(answer: Answer) -> str:
@@ -491,6 +498,19 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
     shown = " or ".join(" with ".join(names) or nothing for names in words)
     more = len(rivals) - MOST_LISTED
     return shown if more <= 0 else f"{shown}, or {more} more {'sets' if more > 1 else 'set'}"
+
+
+def wrong_sheets(answer: Answer) -> dict[str, str]:
+    """Numbers whose data sheets may be wrong in place of causes of the best set, by the causes."""
+    forms = answer.decision.forms.items()
+    found = {
+        i: what.removeprefix(WRONG_DATA_SHEET)
+        for i, what in forms
+        if what.startswith(WRONG_DATA_SHEET)
+    }
+    best = sorted(answer.decision.best) if found else []
+    pairs = zip(best, answer.best_names, strict=True) if best else ()
+    return {name: found[i] for i, name in pairs if i in found}
 
 
 def _other_sets(answer: Answer, nothing: str) -> str:

@@ -23,7 +23,7 @@ from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.ode.first_commands import FEWEST_READINGS, LATE, is_heard_at_once
+from diffsim.systems.first_commands import FEWEST_READINGS, LATE, is_heard_at_once
 from diffsim.systems.ode.gaps import Gap
 from diffsim.systems.ode.keys import Events, FormulaKeys, Place, Store, Swing
 from diffsim.systems.ode.names import data_values, facts_of, scalars

@@ -13,6 +13,7 @@ from diffsim.causes.readings import usual_sample
 from diffsim.causes.row import Row
 from diffsim.identify.effect import Apply, Effect
 from diffsim.systems.ode import keys
+from diffsim.systems.ode.differences import differences
 from diffsim.systems.ode.event_effects import event_effects
 from diffsim.systems.ode.input_effects import (
     between_samples,
@@ -37,10 +38,11 @@ from diffsim.systems.ode.law_effects import law_effects
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
 from diffsim.systems.ode.place_effects import add_inertia, magnitudes_at, push_at, pushed_by_inputs
 from diffsim.systems.ode.refresh_effects import refresh_effects
+from diffsim.systems.ode.slack_effects import slack_inside, unit_apart, usual_apart
 from diffsim.systems.ode.store_effects import FLOWS_ON, flow_of
 
 COUPLING = "elastic_coupling"
-LIMIT = "limit_inside"
+LIMIT, SLACK = "limit_inside", "slack_inside"
 ODE = "ode"  # the kind of system, and its table
 
 
@@ -60,14 +62,18 @@ def ode_effects(library: Library, periods: Mapping[str, float]) -> tuple[Effect,
 
 
 def _say_well(effect: Effect, library: Library) -> Effect:
-    """An elastic coupling with words for its size, a limit as what it is; other causes as they
-    are."""
+    """An elastic coupling with words for its size, a limit and slack as what they are; other causes
+    as they are."""
     if effect.name.startswith(f"{LIMIT}_"):
         of = effect.name.removeprefix(f"{LIMIT}_")
         # of a definition that is no place's force, such as a goal of a speed, nobody states a unit
         units = {place.unit for place, _ in library.places if place.force == of}
         unit = units.pop() if len(units) == 1 else "-"
         return replace(effect, shown_unit=unit, shown_times=library.usual[of], shown_power=-1)
+    if effect.name.startswith(f"{SLACK}_"):
+        of = effect.name.removeprefix(f"{SLACK}_")
+        unit, times = unit_apart(library, of), usual_apart(library, of)
+        return replace(effect, shown_unit=unit, shown_times=times)
     if not effect.name.startswith(COUPLING) or effect.members:
         return effect
     place = next(
@@ -101,6 +107,7 @@ def plant_of(library: Library) -> Plant:
         COUPLING: coupling,
         "delay_inside": partial(late_inside, library),
         LIMIT: partial(limited_inside, library),
+        SLACK: partial(slack_inside, library),
         "slow_share": come_slowly,
         "held_between_samples": partial(between_samples, held=True),
         "straight_between_samples": partial(between_samples, held=False),
@@ -126,7 +133,10 @@ def plant_of(library: Library) -> Plant:
             IN_TIME: True,
             LATE_RECORD: library.scales.facts["begins_moving"] or not system.held,
         },
-        parts={"definition": {name: name for name in closed_loops(system.network)}},
+        parts={
+            "definition": {name: name for name in closed_loops(system.network)},
+            "difference": {name: name for name in differences(system.network)},
+        },
         functions=functions,
         magnitudes={"runs": float(max(len({r.order for r in library.study.fit_runs}), 1))},
         clocks=frozenset(system.clocks.values()),

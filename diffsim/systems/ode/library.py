@@ -20,6 +20,7 @@ from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Study
 from diffsim.identify.model import SimModel
 from diffsim.systems.ode.described import FormulaSystem, model_of
+from diffsim.systems.ode.differences import differences, key_of
 from diffsim.systems.ode.keys import Law, Place, Store
 from diffsim.systems.ode.network import product
 from diffsim.systems.ode.scene import OdeScene
@@ -103,7 +104,7 @@ class Library:
 
     @property
     def usual(self) -> Mapping[str, float]:
-        """Rms of each input and definition, by its name."""
+        """Rms of each input, definition and difference in one, by its name."""
         return self.scales.plain[USUAL]
 
 
@@ -131,12 +132,13 @@ def _find_scales(system: FormulaSystem, model: SimModel) -> Scales:
     recorded = Scales.of_runs(study)
     if not (motion.states or laws):
         return recorded
-    between = (*system.network.inputs, *system.network.definitions) if motion.states else ()
-    read = system.network.with_readings(
-        {
-            **_read_inside(system),
-            **{f"usual {n}": parse_expression(n, system.known) for n in between},
-        }
+    network, between = system.network, dict[str, Expression]()
+    if motion.states:
+        named = (*network.inputs, *network.definitions)
+        between = {n: parse_expression(n, system.known) for n in named}
+        between |= {key_of(n): found.formula for n, found in differences(network).items()}
+    read = network.with_readings(
+        {**_read_inside(system), **{f"usual {n}": formula for n, formula in between.items()}}
     )
     columns: dict[str, list[Array]] = {}
     inputs: dict[str, CommandScale] = {}

@@ -143,6 +143,7 @@ class Mjcf:
         force: PlaceForces | None = None,
         time_step: float = 1.0,
         delays: Mapping[str, float] | None = None,
+        before: Mapping[str, float] | None = None,
     ) -> Array:
         """Sensors at the samples.
 
@@ -152,11 +153,14 @@ class Mjcf:
             force: Forces at joints, by their names.
             time_step: Factor on the model's own time step.
             delays: Time by which a command is heard late, by name [s].
+            before: Values of such commands before the run; without a word their first ones.
 
         Raises:
             DivergedError: the simulation left all bounds.
         """
-        (found,) = self.predict_many([Call(parameters, run, force, time_step, delays or {})])
+        (found,) = self.predict_many(
+            [Call(parameters, run, force, time_step, delays or {}, before or {})]
+        )
         if isinstance(found, Exception):
             raise found
         return found
@@ -181,7 +185,7 @@ class Mjcf:
             run: Run that is simulated.
             force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
-        _, asked = self._take_own({}, force)
+        _, asked = self._take_own({}, force, float(self.plain.opt.timestep))
         num_forces = 0 if asked is None or self._is_known(asked) else len(asked.acting)
         of_forces = OF_CALL + OF_FORCE * num_forces if num_forces else 0.0
         of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
@@ -248,10 +252,10 @@ class Mjcf:
             self.mujoco.set_mju_user_warning(before)
 
     def _take_own(
-        self, parameters: Mapping[str, float], force: PlaceForces | None
+        self, parameters: Mapping[str, float], force: PlaceForces | None, step: float
     ) -> tuple[dict[str, float], PlaceForces | None]:
         """Parameters with the forces that MuJoCo has itself, and the forces that are left."""
-        return take_own(self.mujoco, self.numbers, parameters, force)
+        return take_own(self.mujoco, self.numbers, parameters, force, step)
 
     def _groups_of(self, calls: Sequence[Call]) -> Iterator[list[tuple[Call, Steps]]]:
         """Calls that are simulated side by side: as many steps each, in bounded memory."""
@@ -296,7 +300,7 @@ class Mjcf:
         while len(self._models) <= place:
             self._models.append(copy.copy(self.plain))
         model, run = self._models[place], call.run
-        parameters, force = self._take_own(call.parameters, call.force)
+        parameters, force = self._take_own(call.parameters, call.force, float(steps.lengths.max()))
         setting = self.numbers.put(model, parameters)
         values = self._list_controls(run)
         readers = self._find_readers(run)
@@ -304,6 +308,8 @@ class Mjcf:
         for command, late in call.delays.items():
             if (control := self._control_of(command, run)) is not None:
                 delays[control] = delays.get(control, 0.0) + late
+        known = ((self._control_of(command, run), value) for command, value in call.before.items())
+        before = {control: value for control, value in known if control is not None}
         is_exact = not self.held and self._reads_forces(readers)
         acting = force if force is not None and force.acts else None
         pushes = None if acting is None else self._pushes(acting, steps.starts)
@@ -311,8 +317,8 @@ class Mjcf:
             model=model,
             steps=steps,
             start=self.numbers.start_state(model, setting, float(steps.starts[0])),
-            controls=steps.controls(values, self.held, delays),
-            at_samples=steps.at_samples(values, self.held, delays) if is_exact else None,
+            controls=steps.controls(values, self.held, delays, before),
+            at_samples=steps.at_samples(values, self.held, delays, before) if is_exact else None,
             readers=readers,
             force=force,
             pushes=pushes,

@@ -9,6 +9,7 @@
 | ``body.NAME.payload``, ``.payload_at`` | point mass more; where on the way from joint to far end |
 | ``body.NAME.unbalance[k]`` | mass times what its center of mass is off, payload included |
 | ``joint.NAME.damping``, ``.armature``, ``.frictionloss``, ``.stiffness`` | of all its axes |
+| ``joint.NAME.solreffriction`` | time in which its friction takes hold; damped as usual |
 | ``joint.NAME.dampingpoly[k]``, ``.stiffnesspoly[k]`` | terms by powers, of later versions |
 | ``joint.NAME.start``, ``.start_rate`` | at the first sample; ``[k]`` of a free or ball joint |
 | ``actuator.NAME.kp``, ``.kv`` | gains of a servo |
@@ -38,6 +39,7 @@ KINDS = {
         "damping",
         "armature",
         "frictionloss",
+        "solreffriction",
         "stiffness",
         "start",
         "start_rate",
@@ -54,6 +56,7 @@ NOT_NEGATIVE = (
     "payload",
     "armature",
     "frictionloss",
+    "solreffriction",
     "damping",
     "forcerange",
     "weakness",
@@ -69,6 +72,7 @@ _OF_DOF = {
     "damping": "dof_damping",
     "armature": "dof_armature",
     "frictionloss": "dof_frictionloss",
+    "solreffriction": "dof_solref",
 }
 # of springs and losses by powers of what moves
 _OF_POWERS = {"dampingpoly": "dof_dampingpoly", "stiffnesspoly": "jnt_stiffnesspoly"}
@@ -220,7 +224,8 @@ class Numbers:
             return float(self.plain.jnt_stiffness[joint])
         if path.what in _OF_POWERS:
             return float(self._powers_of(self.plain, path, joint)[0, path.entry])
-        return float(getattr(self.plain, _OF_DOF[path.what])[self.plain.jnt_dofadr[joint]])
+        of_axis = getattr(self.plain, _OF_DOF[path.what])[self.plain.jnt_dofadr[joint]]
+        return float(of_axis[0] if path.what == "solreffriction" else of_axis)
 
     def put(self, model: Any, parameters: Mapping[str, float]) -> Setting:
         """Set a model's numbers, all others as the file has them.
@@ -329,7 +334,8 @@ class Numbers:
             self._powers_of(m, path, j)[:, path.entry] = value
         elif path.what in _OF_DOF:
             first = int(m.jnt_dofadr[j])
-            getattr(m, _OF_DOF[path.what])[first : first + width[1]] = value
+            of_axes = getattr(m, _OF_DOF[path.what])[first : first + width[1]]
+            of_axes[:] = (value, 1.0) if path.what == "solreffriction" else value
         else:
             is_rate = path.what == "start_rate"
             number, entry = width[is_rate], path.entry or 0

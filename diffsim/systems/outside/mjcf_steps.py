@@ -65,13 +65,16 @@ class Steps:
         starts = np.append(np.repeat(time_s[:-1], counts) + within * lengths[:-1], time_s[-1])
         return cls(np.asarray(time_s), starts, lengths, samples, is_even)
 
-    def controls(self, values: Array, held: bool, delays: Mapping[int, float]) -> Array:
+    def controls(
+        self, values: Array, held: bool, delays: Mapping[int, float], before: Mapping[int, float]
+    ) -> Array:
         """Commands over the steps, (num_steps, num_controls).
 
         Args:
             values: Commands at the samples, (num_samples, num_controls).
             held: They are held from sample to sample; else straight lines join the samples.
             delays: Time by which a control is heard late, by its index [s].
+            before: Values of such controls before the run, where these were not their first ones.
         """
         index = np.searchsorted(self.samples, np.arange(len(self.starts)), side="right") - 1
         out = values[index]
@@ -82,10 +85,12 @@ class Steps:
                 following - out
             )
         for i, late in delays.items():
-            out[:, i] = self._late(values[:, i], held, late)
+            out[:, i] = self._late(values[:, i], held, late, before.get(i, values[0, i]))
         return out
 
-    def at_samples(self, values: Array, held: bool, delays: Mapping[int, float]) -> Array:
+    def at_samples(
+        self, values: Array, held: bool, delays: Mapping[int, float], before: Mapping[int, float]
+    ) -> Array:
         """Commands at the samples themselves, (num_samples, num_controls); as ``controls``."""
         out = values.copy()
         for i, late in delays.items():
@@ -95,17 +100,27 @@ class Steps:
                 out[:, i] = values[np.maximum(at, 0), i]
             else:
                 out[:, i] = np.interp(then, self.sample_s, values[:, i])
+            if i in before:
+                out[then < self.sample_s[0] - 1e-12, i] = before[i]
         return out
 
-    def _late(self, values: Array, held: bool, late: float) -> Array:
-        """Mean of a command over each step, heard late: it grows with the delay without a jump."""
+    def _late(self, values: Array, held: bool, late: float, first: float) -> Array:
+        """Mean of a command over each step, heard late: it grows with the delay without a jump.
+
+        Args:
+            values: Command at the samples, (num_samples,).
+            first: Its value before them.
+        """
         then = self.starts - late
         if not held:
-            return np.interp(then + 0.5 * self.lengths, self.sample_s, values)
+            # the part of a step before the first sample, of which nothing changes
+            early = np.clip((self.sample_s[0] - then) / self.lengths, 0.0, 1.0)
+            middle = then + 0.5 * (1.0 + early) * self.lengths
+            return early * first + (1.0 - early) * np.interp(middle, self.sample_s, values)
         area = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(self.sample_s))])
         ends = []
         for edge in (then, then + self.lengths):
-            before = np.minimum(edge - self.sample_s[0], 0.0) * values[0]
+            before = np.minimum(edge - self.sample_s[0], 0.0) * first
             after = np.maximum(edge - self.sample_s[-1], 0.0) * values[-1]
             ends.append(np.interp(edge, self.sample_s, area) + before + after)
         return np.asarray((ends[1] - ends[0]) / self.lengths)

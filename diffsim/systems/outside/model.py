@@ -25,6 +25,7 @@ from diffsim.data.study import Command, Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.problem import PredictionError
+from diffsim.systems.outside.before_runs import BeforeRuns
 from diffsim.systems.outside.forces import ForceKnots, PlaceForces, Term
 from diffsim.systems.outside.mjcf_payloads import Carrier
 from diffsim.systems.outside.source import Call, Predict, PredictMany, Source, offers_of
@@ -48,6 +49,7 @@ class Job:
         numerics: Factors on its own settings.
         channels: Names of the channels.
         delays: Time by which the simulator hears a command late, by name [s].
+        before: Values of such commands before the run; without a word their first ones.
     """
 
     run: Run
@@ -56,6 +58,7 @@ class Job:
     numerics: Numerics
     channels: tuple[str, ...]
     delays: Mapping[str, float] = field(default_factory=dict)
+    before: Mapping[str, float] = field(default_factory=dict)
 
 
 def call(predict: Predict, label: str, job: Job) -> Array:
@@ -73,6 +76,8 @@ def call(predict: Predict, label: str, job: Job) -> Array:
         more["time_step"] = job.numerics.time_step
     if "delays" in offers:
         more["delays"] = dict(job.delays)
+    if "before" in offers:
+        more["before"] = dict(job.before)
     try:
         given = predict(dict(job.values), job.run, **more)
     except Exception as error:
@@ -85,7 +90,10 @@ def call_many(
 ) -> list[Array | SimulatorError]:
     """Channels of several jobs, or what failed, by a simulator that takes them at once; see
     ``call``."""
-    calls = [Call(dict(j.values), j.run, j.forces, j.numerics.time_step, j.delays) for j in jobs]
+    calls = [
+        Call(dict(j.values), j.run, j.forces, j.numerics.time_step, j.delays, j.before)
+        for j in jobs
+    ]
     out: list[Array | SimulatorError] = []
     for job, given in zip(jobs, predict_many(calls, threads), strict=True):
         if isinstance(given, Exception):
@@ -145,7 +153,8 @@ class Records:
             digest.update(np.ascontiguousarray(values).data)
         forces = None if job.forces is None or not job.forces.acts else job.forces.key
         seen = (run.name, run.measured.shape, *run.command, digest.digest())
-        return *seen, *job.values.items(), job.numerics, forces, *sorted(job.delays.items())
+        late = *sorted(job.delays.items()), *sorted(job.before.items())
+        return *seen, *job.values.items(), job.numerics, forces, *late
 
     def get(self, key: Hashable) -> Array | None:
         """The record of a job, by its key, if it is among the last."""
@@ -199,12 +208,16 @@ class OutsideScene(Scene):
         own = (PLAY_START, *model.clocks)  # what happens behind the simulator
         values = {name: float(v.detach()) for name, v in self.numbers.items() if name not in own}
         acting = replace(self.commands, changes=_list_acting(self.commands.changes))
-        delays: dict[str, float] = {}
-        if model.takes_delays:
-            acting, delays = _without_delays(acting, tuple(self.run.command))
+        if acting.changes:
+            acting = model.with_first_commands(acting, self.run)
+        names, delays, before = tuple(self.run.command), dict[str, float](), dict[str, float]()
+        if model.takes_delays and (acting.before is None or model.takes_before):
+            acting, delays = _without_delays(acting, names)
         heard = acting.heard(self.grid).detach().numpy()
-        run = replace(self.run, command=dict(zip(self.run.command, heard, strict=True)))
-        return Job(run, values, forces, self.numerics, model.channels, delays)
+        if delays:
+            before = _before_delays(acting, names, self.grid)
+        run = replace(self.run, command=dict(zip(names, heard, strict=True)))
+        return Job(run, values, forces, self.numerics, model.channels, delays, before)
 
     def read(self, predicted: Array) -> Tensor:
         """Channels as the sensors show them.
@@ -224,15 +237,13 @@ def _list_acting(acts: Sequence[tuple[Any, Any]]) -> tuple[tuple[Any, Any], ...]
 
 def _without_delays(commands: Commands, names: Sequence[str]) -> tuple[Commands, dict[str, float]]:
     """Commands without the delays at the end of their way, and these by name [s]: told at samples,
-    a step that comes between them is a ramp. What a command was before the run they alone know.
+    a step that comes between them is a ramp.
 
     Args:
         commands: Of one point, with all that changes them.
         names: Name of each row.
     """
     delays: dict[str, float] = {}
-    if commands.before is not None:
-        return commands, delays
     kept: list[tuple[tuple[int, ...], SignalMap]] = []
     for rows, change in reversed(commands.changes):
         is_last = not any(set(rows) & set(later) for later, _ in kept)
@@ -243,6 +254,17 @@ def _without_delays(commands: Commands, names: Sequence[str]) -> tuple[Commands,
         else:
             kept.insert(0, (rows, change))
     return replace(commands, changes=tuple(kept)), delays
+
+
+def _before_delays(commands: Commands, names: Sequence[str], grid: Grid) -> dict[str, float]:
+    """What commands that had not their first values were before the run, by name, behind all that
+    changes them but their delays."""
+    if commands.before is None:
+        return {}
+    stood = torch.where(commands.before.isnan(), commands.values[..., 0], commands.before)
+    heard = commands.pass_through(stood[:, None].expand_as(commands.values), grid)[..., 0]
+    known = (~commands.before.isnan()).tolist()
+    return {n: float(v) for n, v, is_known in zip(names, heard, known, strict=True) if is_known}
 
 
 def _is_nothing(act: SignalMap | Tensor) -> bool:
@@ -293,7 +315,7 @@ class OutsideModel(SimModel):
         self.known, self.places = tuple(known), dict(places or {})
         self.predict_run, self.one_at_a_time = source.make(), Lock()
         offers = offers_of(self.predict_run)
-        self.takes_delays = "delays" in offers
+        self.takes_delays, self.takes_before = "delays" in offers, "before" in offers
         if places and "force" not in offers:
             raise ValueError(
                 f"hooks.force names {', '.join(places)}, but predict of simulator {source.label} "
@@ -311,6 +333,8 @@ class OutsideModel(SimModel):
         if all(way & set(names) for way in ways):
             self.drives = tuple(n for n in names if any(n in way for way in ways))
         self.zeros: tuple[str, ...] = ()  # numbers that causes alone change
+        #: What was commanded before the runs, where the study may be asked
+        self.before_runs: BeforeRuns | None = None
         self._pool: Processes | None = None
 
     @checked(kinds_only=True)
@@ -376,6 +400,17 @@ class OutsideModel(SimModel):
             self._pool.end()
             self._pool = None
             raise
+
+    def with_first_commands(self, commands: Commands, run: Run) -> Commands:
+        """Commands with zero before the run where the study does not say it and they were."""
+        is_stated = commands.before is not None and not bool(commands.before.isnan().any())
+        if is_stated or self.before_runs is None or not (zero := self.before_runs.zero(run)):
+            return commands
+        usual = [0.0 if name in zero else np.nan for name in run.command]
+        earlier = torch.tensor(usual, dtype=torch.float64)
+        if commands.before is not None:
+            earlier = torch.where(commands.before.isnan(), earlier, commands.before)
+        return replace(commands, before=earlier)
 
     def _build_scene(
         self, values: Mapping[str, Tensor], run: Run, numerics: Numerics

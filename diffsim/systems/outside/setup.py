@@ -24,6 +24,7 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import BaseParameters, Quantity
+from diffsim.systems.outside.before_runs import BeforeRuns
 from diffsim.systems.outside.effects import unknown_forces
 from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.hooks import Place, instruments
@@ -98,6 +99,7 @@ def outside_setup(
         workers=workers,
     )
     model.frame = {SCALES: plant.scales.saved()}
+    model.before_runs = BeforeRuns(model, study)
     plant, limits = _with_parts(plant, model)
     return DiagnosisSetup(
         model=model,

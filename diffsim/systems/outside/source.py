@@ -20,7 +20,8 @@ from diffsim.systems.outside.environment import Environment, SteppedSimulator
 from diffsim.systems.outside.forces import PlaceForces
 
 MJCF = "diffsim.systems.outside.mjcf:Mjcf"
-OFFERS = ("force", "time_step", "delays")
+BY_NAME = ("delays", "before")  # one that takes anything would drop them
+OFFERS = ("force", "time_step", *BY_NAME)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,7 @@ class Call:
         force: Forces that it is asked to add; None: none.
         time_step: Factor on its own step.
         delays: Time by which it hears a command late, by name [s].
+        before: Values of such commands before the run; without a word their first ones.
     """
 
     parameters: Mapping[str, float]
@@ -40,6 +42,7 @@ class Call:
     force: PlaceForces | None = None
     time_step: float = 1.0
     delays: Mapping[str, float] = field(default_factory=dict)
+    before: Mapping[str, float] = field(default_factory=dict)
 
 
 Predict = Callable[..., Any]
@@ -49,7 +52,8 @@ It gets the values of parameters and start by name, and the run: its times, its 
 actuators hear them, its known facts (``setup``). It returns the channels, (num_samples,
 num_channels), or a mapping of channels by name. What it takes beside these it offers: ``force``, a
 function (time, positions, velocities) -> forces at the places; ``time_step``, a factor on its own
-step; ``delays``, by which it hears commands late between samples, too, in seconds by name.
+step; ``delays``, by which it hears commands late between samples, too, in seconds by name;
+``before``, what such commands were before the run, by name.
 """
 
 
@@ -176,12 +180,11 @@ class Source:
 
 
 def offers_of(predict: Callable[..., Any]) -> frozenset[str]:
-    """Which of ``OFFERS`` a simulator takes as keyword arguments; delays by name alone: one that
-    takes anything would drop them."""
+    """Which of ``OFFERS`` a simulator takes as keyword arguments."""
     known = inspect.signature(predict).parameters.values()
-    if any(p.kind is p.VAR_KEYWORD for p in known):
-        return frozenset(OFFERS) - {"delays"} | ({"delays"} & {p.name for p in known})
-    return frozenset(p.name for p in known) & frozenset(OFFERS)
+    found = frozenset(p.name for p in known) & frozenset(OFFERS)
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in known)
+    return found | (frozenset(OFFERS) - frozenset(BY_NAME)) if takes_any else found
 
 
 def _make_gym_environment(name: str, options: Mapping[str, Any]) -> Any:

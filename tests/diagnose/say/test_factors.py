@@ -88,6 +88,11 @@ def test_numbers_that_are_off_by_one_factor_are_one_finding():
     wide = [(gain("kp of pan", 22.0, 28.0), 6.0), (gain("kp of lift", 31.0, 37.0), 8.0)]
     for given in (apart, other, wide, rows[:1]):
         assert sheet_words(given) == []
+    assert sheet_words(wide, both)[0].startswith(  # known against each other
+        "Kp of pan and kp of lift are all 4.21 (3.88 to 4.62) times their data sheets. The twin of"
+    )
+    assert sheet_words([wide[0], (gain("kp of lift", 26.0, 37.0), 8.0)], both) == []
+    assert sheet_words(wide, (*both, "kp of wrist")) == [], "one is as stated"
     masses = [
         (gain("mass of a", 0.42, 0.43, "kg"), 1.0),
         (gain("mass of b", 0.84, 0.87, "kg"), 2.0),

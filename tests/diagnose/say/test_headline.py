@@ -26,7 +26,7 @@ def cause(name, size=None, *, words=None, status="certain", unit="mrad", **more)
 
 def said(verdict, causes, errors=(FELL,), rivals=(), forms=None, gained=None, laws=()) -> str:
     names = tuple(row.name for row in causes)
-    decision = SimpleNamespace(forms=forms or {})
+    decision = SimpleNamespace(forms=forms or {}, best=frozenset(range(len(names))))
     answer = Answer(
         verdict, decision, tuple(causes), rivals, (), None, named=names, best_names=names
     )
@@ -397,6 +397,45 @@ def test_what_a_smaller_set_has_in_common_is_named_before_what_it_lacks():
     assert headline(answer, [FELL]).startswith(
         "Clock is probably missing; these runs leave open whether stretch is, too"
     )
+
+
+def test_a_data_sheet_that_may_be_wrong_beside_what_all_sets_hold_is_named():
+    """A gear of 1.29, or a mass and a loss of 0.77: it said that another cause may be missing."""
+    delay, gain = (
+        cause("delay", removes=0.9, status="likely"),
+        cause("gear", removes=1e-3, status="cannot be told from"),
+    )
+    forms = {7: "a wrong data sheet of mass of carriage"}
+    decision = SimpleNamespace(forms=forms, best=frozenset({3, 7}))
+    names = ("delay", "gear")
+    answer = Answer(
+        "ambiguous", decision, (delay, gain), (("delay",),), (), None, named=names,
+        best_names=names,
+    )  # fmt: skip
+    said = "Delay is probably missing; gear is, too, or mass of carriage is off its data sheet:"
+    assert headline(answer, [FELL]).startswith(said)
+
+
+def test_drives_off_by_one_factor_come_before_a_cause_in_their_place():
+    """Four drives four times too strong: one of several causes may be missing, it said."""
+    drives = tuple(f"actuator.m{k}.kp" for k in (1, 2))
+    sheets = [
+        replace(
+            cause(name, {"": Interval(2.9 * kp, 2.7 * kp, 4.1 * kp)}, status="likely", unit="-"),
+            origin="data sheet", note=f"data sheet: {kp:g} +- 2 (one standard deviation)",
+        )
+        for name, kp in zip(drives, (12.0, 20.0), strict=True)
+    ]  # fmt: skip
+    delay = cause("delay", status="cannot be told from")
+    decision = SimpleNamespace(forms={4: "a wrong data sheet of kp of m2"}, best=frozenset({4}))
+    answer = Answer(
+        "ambiguous", decision, (delay, *sheets), ((),), (), None, named=("delay",),
+        best_names=("delay",), drives=drives,
+    )  # fmt: skip
+    strong = "All drives are probably 2.9 times as strong as their data sheets say; the error"
+    assert headline(answer, [FELL]).startswith(strong)
+    one = replace(answer, drives=(*drives, "actuator.m3.kp"))
+    assert headline(one, [FELL]).startswith("Two data sheets are probably off, such as")
 
 
 def test_three_data_sheets_in_place_of_a_cause_are_a_short_sentence():

@@ -113,3 +113,20 @@ def test_a_delay_stands_beside_what_the_record_can_show():
     assert resolution_words(slow).startswith("One row of the record is 5 s, ")
     some = replace(study, runs=(replace(slow.runs[0], row_s=0.01),))  # of a record of 10 ms
     assert resolution_words(some).startswith("One row of the record is 10 ms, ")
+
+
+def test_drives_that_are_off_by_one_factor_are_one_sentence():
+    sheets = [
+        replace(
+            cause(f"actuator.m{k}.kp", "likely", {"": Interval(2.9 * kp, 2.7 * kp, 4.1 * kp)}),
+            words=f"kp of m{k}", unit="-", origin="data sheet",
+            note=f"data sheet: {kp:g} +- 2 (sd)",
+        )
+        for k, kp in ((1, 12.0), (2, 20.0))
+    ]  # fmt: skip
+    drives = tuple(row.name for row in sheets)
+    text = " ".join(sentences(replace(answer("named", sheets), drives=drives), None, []))
+    assert "Kp of m1 and kp of m2 are all 2.9 (2.7 to 4.1) times their data sheets." in text
+    assert "the data sheet says" not in text
+    apart = " ".join(sentences(answer("named", sheets), None, []))
+    assert apart.count("the data sheet says") == 2

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from diffsim.diagnose import diagnosis
+from diffsim.diagnose.checks.numerics import SetNumerics
 from diffsim.diagnose.judge.judge import decision_of
 from diffsim.diagnose.search.fit import Case, null_fit, refit_under
 from diffsim.diagnose.search.search import begin, begin_from, refit, search_sets
@@ -79,3 +80,31 @@ def test_only_a_search_that_would_be_cut_short_begins_at_an_earlier_end(monkeypa
         assert begun[:1] == expected
         # and at the best set without each of its causes: coarse steps may have put one behind
         assert len(begun) == 3 * len(expected) and not any(less >= BOTH for less in begun[1:])
+
+
+def test_repeats_under_finer_settings_share_one_budget(monkeypatch):
+    """Each of a pendulum's three searches took less than its budget, all of them five times it."""
+    spent: list[tuple[int, bool]] = []
+
+    def never_enough(search, members, *, is_late=False):
+        spent.append((search.steps, is_late))
+        finer = (search.wide.numerics or Numerics()).refined(Numerics(time_step=0.5))
+        found = SetNumerics({}, (), finer)
+        return replace(search, numerics={**search.numerics, members: found})
+
+    monkeypatch.setattr(diagnosis, "with_numerics", never_enough)
+
+    def rounds(again: float) -> list[bool]:
+        spent.clear()
+        null = plain()
+        begun = null.case.model.simulations.steps
+        settings = replace(null.case.settings, again_steps=again)
+        null = replace(null, case=replace(null.case, settings=settings, searching=begun))
+        diagnosis._search_fine_enough(null, Simulations(null.wide).under(null))
+        spent[:] = [(steps - begun, is_late) for steps, is_late in spent]
+        return [is_late for _, is_late in spent]
+
+    assert len(rounds(math.inf)) == diagnosis.MAX_RENEWALS
+    first, second = (steps for steps, _ in spent[:2])
+    longest = max(first, second - first)
+    assert longest < second and rounds(0.5 * (longest + second)) == [False, True]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.data.study import Command
 from diffsim.systems.outside.hooks import Place
 from diffsim.systems.outside.mjcf import DivergedError, Mjcf
 from diffsim.systems.outside.mjcf_steps import Steps
@@ -294,16 +295,30 @@ def test_a_held_command_comes_late_within_a_sample():
     assert job.delays == {"moment_Nm": 0.013}
 
 
-def test_what_a_command_was_before_the_run_is_read_at_samples():
+@pytest.mark.parametrize("stated", [None, 0.5])
+def test_a_held_command_comes_late_behind_what_it_was_before_the_run(stated):
+    """A drive that had 0.5 N m before, and one that rested: both are heard between samples."""
+    fast = XML.replace('"0.005"', '"0.001" gravity="0 0 0"').format(MOTOR)
     study = scenes.recorded()
-    sim = Mjcf(XML.format(MOTOR), CHANNELS, {"moment_Nm": "m"}, held=True)
+    if stated is not None:
+        study = replace(study, commands=(Command("moment_Nm", before=stated),))
+    sim = Mjcf(fast, CHANNELS, {"moment_Nm": "m"}, held=True)
     setup = outside_setup(study, sim, {}, held=True)
     (delay,) = [e for e in setup.effects if e.name == "delay"]
-    size = {delay: torch.tensor([0.013], dtype=torch.float64)}
-    scene = setup.model.scene(study.runs[0], setup.model.at_prior(), size)
-    before = torch.tensor([0.5], dtype=torch.float64)
-    scene = replace(scene, commands=replace(scene.commands, before=before))
-    assert not scene.job().delays
+    (scale,) = [e for e in setup.effects if e.name == "command_gain"]
+    run = replace(study.runs[0], command={"moment_Nm": study.runs[0].command["moment_Nm"] + 1.0})
+    sizes = {scale: 0.3, delay: 0.013}  # heard last
+    sizes = {e: torch.tensor([size], dtype=torch.float64) for e, size in sizes.items()}
+    job = setup.model.scene(run, setup.model.at_prior(), sizes).job()
+    before = 1.3 * (stated or 0.0)
+    assert job.delays == {"moment_Nm": 0.013} and job.before == {"moment_Nm": before}
+    found = setup.model.predict(run, setup.model.at_prior(), sizes).numpy()
+    fine = np.linspace(run.time_s[0], run.time_s[-1], 20 * (len(run.time_s) - 1) + 1)
+    then = np.searchsorted(run.time_s, fine - 0.013 + 1e-9, side="right") - 1
+    told = np.where(then < 0, before, 1.3 * run.command["moment_Nm"][np.maximum(then, 0)])
+    blank = np.zeros((len(fine), len(scenes.CHANNELS)))
+    late = replace(run, time_s=fine, measured=blank, command={"moment_Nm": told}, columns={})
+    np.testing.assert_allclose(found, sim.predict({}, late)[::20], atol=1e-9)
 
 
 @pytest.mark.parametrize(("actuator", "gain"), [(POSITION, 0.3), (MOTOR, 1.0)])

@@ -20,8 +20,9 @@ FEWEST_READINGS = 4  # of a channel: two are spent on its gain and start
 CLEAR = 9.0  # of chi2, three standard deviations, by which the record moves at once
 
 
-def is_heard_at_once(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
-    """Whether records clearly move as they would if a first command is heard at once.
+def squares_left(records: Iterable[tuple[Array, Array]], sd: Array) -> Array:
+    """What gains and starts that nobody knows yet leave of records, in noise units, without a delay
+    and late in each of the ways, (1 + 2 len(LATE),).
 
     Args:
         records: Of each run that begins at rest, channels as predicted without a delay, late by
@@ -43,5 +44,27 @@ def is_heard_at_once(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
                 ways = np.column_stack([moved, np.ones(len(there))])
                 found = np.linalg.lstsq(ways, seen[there], rcond=None)[0]
                 left[k] += float(np.sum((seen[there] - ways @ found) ** 2))
+    return left
+
+
+def is_heard_at_once(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
+    """Whether records clearly move as they would if a first command is heard at once.
+
+    Args:
+        records, sd: As of ``squares_left``.
+    """
+    left = squares_left(records, sd)
     stood = 1 + len(LATE)
     return bool(left[:stood].min() + CLEAR < left[stood:].min())
+
+
+def is_late_behind_first(records: Iterable[tuple[Array, Array]], sd: Array) -> bool:
+    """Whether records clearly move with a first command at once, and late with later ones: what
+    moves at once in all may be late by less than a sample, which tells nothing of before.
+
+    Args:
+        records, sd: As of ``squares_left``.
+    """
+    left = squares_left(records, sd)
+    stood = slice(1, 1 + len(LATE))
+    return bool(left[stood].min() + CLEAR < np.delete(left, stood).min())
