@@ -47,6 +47,11 @@ double ContactSpace::normal_part(std::size_t k, const Vector& r) const {
   return dot3(normal(k), r.data() + 3 * node(k));
 }
 
+bool ContactSpace::any_contact() const {
+  return std::any_of(status.begin(), status.end(),
+                     [](ContactStatus s) { return s != ContactStatus::kSeparate; });
+}
+
 bool ContactSpace::any_slip() const {
   return std::find(status.begin(), status.end(), ContactStatus::kSlip) != status.end();
 }

@@ -59,6 +59,7 @@ class ContactSpace {
   /// n . r.
   double normal_part(std::size_t k, const Vector& r) const;
 
+  bool any_contact() const;
   bool any_slip() const;
   /// Whether the Newton matrix is not symmetric: some node slips with friction.
   bool any_sliding_friction() const;

@@ -33,6 +33,7 @@ void ContactStatuses::guess(const Vector& x_free) {
     const double depth = -space_.gap(k, x_free);
     double u[3];
     const double slip = space_.slip(k, x_free, u);
+    space_.status[k] = ContactStatus::kSeparate;
     if (pressing > 0.0) {
       double along[3];
       for (int i = 0; i < 3; ++i) along[i] = before[i] - pressing * n[i];

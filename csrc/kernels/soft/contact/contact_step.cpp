@@ -148,10 +148,9 @@ StepStats contact_step(const ConstantSystem& system, const StepInputs& inputs,
                        std::int64_t* status, ThreadPool& pool) {
   ContactProblem problem(system, inputs, contacts, options, contact_options, pool);
   StepProblem& objective = problem.objective;
-  ContactIterate at = contact_start(objective, system, inputs);
+  ContactIterate at = contact_start(problem);
   StepStats stats = begin_stats(objective, options, at.gradient, system.rounding_floor(at.x));
   problem.statuses.set_tolerances(stats.tolerance, length_tolerance(at.x));
-  problem.statuses.guess(free_flight(system, inputs));
   problem.statuses.remember();
   iterate(problem, at, stats);
   stats.num_solves = objective.num_solves;
