@@ -116,9 +116,9 @@ def test_nodes_that_all_but_stick_cost_no_iterations_more():
     assert max(s.num_solves.item() for s in steps) < 60
 
 
-def landed(**options) -> tuple[torch.Tensor, list]:
+def landed(cells: int, **options) -> tuple[torch.Tensor, list]:
     """Where a drilled ball is after it has landed, its half 100 times stiffer, and statistics."""
-    ball = holed_ball(30)
+    ball = holed_ball(cells)
     lowered = ball.x_rest - torch.tensor([0.0, 0.0, ABOVE - LANDING_GAP], dtype=torch.float64)
     body = rubber(type(ball)(lowered, ball.hexes), 8e-3, 100.0)
     body.solver = soft.SolverOptions(**options, rtol=1e-6)
@@ -130,15 +130,16 @@ def landed(**options) -> tuple[torch.Tensor, list]:
 
 
 @pytest.mark.cpu(8)
-def test_a_landed_body_goes_on_from_where_it_touches():
-    """Inertial positions go on into the ground, elements there inside out.
+@pytest.mark.parametrize("cells", [24, 30])
+def test_a_landing_does_not_crush_the_body(cells):
+    """The third step, in which 24 cells touch and sink in by one, and 30 have touched before.
 
-    From them the last step took 72 iterations, 3,476 cycles and 7 factors. From where the body was
-    it takes 4 iterations and 76 cycles, to where factors lead.
+    From inertial positions, with all nodes lifted out of the ground, elements were inside out and
+    it took 2,216 cycles, and 3,476 with 7 factors; now 134 and 76, to where factors lead.
     """
-    x, steps = landed(method="newton_pcg", preconditioner="multigrid")
-    assert min(s.num_contacts.item() for s in steps[1:]) > 10
-    assert max(s.num_solves.item() for s in steps) < 200
-    by_factors, _ = landed(method="newton_cholesky")
+    x, steps = landed(cells, method="newton_pcg", preconditioner="multigrid")
+    assert steps[-1].num_contacts.item() > 10
+    assert max(s.num_solves.item() for s in steps) < 250
+    by_factors, _ = landed(cells, method="newton_cholesky")
     # forces within 1e-6 of the step's, along a body 0.2 m wide
     torch.testing.assert_close(x, by_factors, rtol=0, atol=1e-8)

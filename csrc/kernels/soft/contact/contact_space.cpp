@@ -47,9 +47,9 @@ double ContactSpace::normal_part(std::size_t k, const Vector& r) const {
   return dot3(normal(k), r.data() + 3 * node(k));
 }
 
-bool ContactSpace::any_contact() const {
-  return std::any_of(status.begin(), status.end(),
-                     [](ContactStatus s) { return s != ContactStatus::kSeparate; });
+std::size_t ContactSpace::num_contacts() const {
+  return size() - static_cast<std::size_t>(
+                      std::count(status.begin(), status.end(), ContactStatus::kSeparate));
 }
 
 bool ContactSpace::any_slip() const {

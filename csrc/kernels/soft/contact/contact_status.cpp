@@ -48,6 +48,21 @@ void ContactStatuses::guess(const Vector& x_free) {
   }
 }
 
+void ContactStatuses::begin() {
+  std::fill(releases_.begin(), releases_.end(), 0);
+  cautious_ = unresolved_ = false;
+  seen_.clear();
+  remember();
+}
+
+std::size_t ContactStatuses::num_let_go(const Vector& x, const Vector& r) const {
+  std::size_t count = 0;
+  for (std::size_t k = 0; k < space_.size(); ++k)
+    count += space_.status[k] != ContactStatus::kSeparate &&
+             propose(k, x, r).status == ContactStatus::kSeparate;
+  return count;
+}
+
 ContactStatuses::Proposal ContactStatuses::propose(std::size_t k, const Vector& x,
                                                    const Vector& r) const {
   const ContactStatus now = space_.status[k];
