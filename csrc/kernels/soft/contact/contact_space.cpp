@@ -47,6 +47,11 @@ double ContactSpace::normal_part(std::size_t k, const Vector& r) const {
   return dot3(normal(k), r.data() + 3 * node(k));
 }
 
+std::size_t ContactSpace::num_contacts() const {
+  return size() - static_cast<std::size_t>(
+                      std::count(status.begin(), status.end(), ContactStatus::kSeparate));
+}
+
 bool ContactSpace::any_slip() const {
   return std::find(status.begin(), status.end(), ContactStatus::kSlip) != status.end();
 }

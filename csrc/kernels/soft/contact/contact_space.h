@@ -59,6 +59,8 @@ class ContactSpace {
   /// n . r.
   double normal_part(std::size_t k, const Vector& r) const;
 
+  std::size_t num_contacts() const;
+  bool any_contact() const { return num_contacts() > 0; }
   bool any_slip() const;
   /// Whether the Newton matrix is not symmetric: some node slips with friction.
   bool any_sliding_friction() const;

@@ -33,25 +33,7 @@ InertialEnergy inertial_energy(const Vector& x, const ConstantSystem& system,
   return {kinetic, work};
 }
 
-}  // namespace
-
-ContactIterate contact_start(StepProblem& objective, const ConstantSystem& system,
-                             const StepInputs& inputs) {
-  ContactIterate guess{with_targets(inputs.guess, system, inputs, objective.size()), 0.0, {}};
-  const InertialEnergy energy = inertial_energy(guess.x, system, inputs);
-  if (!(energy.kinetic > 0.0)) {  // statics, or the guess is y
-    guess.evaluate(objective);
-    return guess;
-  }
-  ContactIterate inertial{with_targets(inputs.y, system, inputs, objective.size()), 0.0, {}};
-  inertial.evaluate(objective);
-  // Elastic energy is not negative: the guess has at least this much.
-  if (inertial.value <= energy.kinetic - energy.work) return inertial;
-  guess.evaluate(objective);
-  if (inertial.value <= guess.value || !std::isfinite(guess.value)) return inertial;
-  return guess;
-}
-
+/// Where inertia and the given forces alone would take the nodes, (num_nodes, 3) [m].
 Vector free_flight(const ConstantSystem& system, const StepInputs& inputs) {
   Vector x(inputs.y, inputs.y + 3 * system.model().num_nodes);
   const double* inertia = inputs.inertia ? inputs.inertia : system.inertia();
@@ -59,6 +41,45 @@ Vector free_flight(const ConstantSystem& system, const StepInputs& inputs) {
     if (inertia[i / 3] > 0.0) x[i] += inputs.force[i] / inertia[i / 3];
   }
   return x;
+}
+
+/// What it takes to move nodes from x onto the constraints of their statuses, each on its own [J].
+double lifting_energy(const ContactProblem& p, const Vector& x) {
+  Vector onto;
+  p.space.correction(x, onto);
+  double energy = 0.0;
+  for (std::size_t i = 0; i < onto.size(); ++i)
+    energy += 0.5 * p.system.diagonal()[i / 3] * onto[i] * onto[i];
+  return energy;
+}
+
+}  // namespace
+
+ContactIterate contact_start(ContactProblem& problem) {
+  ContactProblem& p = problem;
+  const auto at = [&](const double* positions) {
+    return ContactIterate{with_targets(positions, p.system, p.inputs, p.objective.size()), 0.0, {}};
+  };
+  const Vector free = free_flight(p.system, p.inputs);
+  p.statuses.guess(free);
+  ContactIterate guess = at(p.inputs.guess);
+  const InertialEnergy energy = inertial_energy(guess.x, p.system, p.inputs);
+  if (!(energy.kinetic > 0.0)) {  // statics, or the guess is y
+    guess.evaluate(p.objective);
+    return guess;
+  }
+  ContactIterate inertial = at(p.inputs.y);
+  inertial.evaluate(p.objective);
+  const double lifted = inertial.value + lifting_energy(p, inertial.x);
+  // Elastic energy is not negative: the guess has at least this much.
+  if (lifted <= energy.kinetic - energy.work) return inertial;
+  guess.evaluate(p.objective);
+  if (lifted <= guess.value || !std::isfinite(guess.value)) return inertial;
+  p.statuses.guess(guess.x);
+  if (p.space.any_contact()) return guess;
+  // Without contact the guess leads to y.
+  p.statuses.guess(free);
+  return inertial.value <= guess.value ? inertial : guess;
 }
 
 double length_tolerance(const Vector& x) {

@@ -5,13 +5,10 @@
 
 namespace diffsim {
 
-/// The guess or the inertial positions y, whichever has less energy; fixed unknowns at their
-/// targets.
-ContactIterate contact_start(StepProblem& objective, const ConstantSystem& system,
-                             const StepInputs& inputs);
-
-/// Where inertia and the given forces alone would take the nodes, (num_nodes, 3) [m].
-Vector free_flight(const ConstantSystem& system, const StepInputs& inputs);
+/// The guess or the inertial positions y, whichever has less energy once its nodes are out of the
+/// obstacles, and the statuses there; fixed unknowns at their targets. Where a body has landed, y
+/// goes on into the ground: elements there are inside out, and hardly any that touch will stay.
+ContactIterate contact_start(ContactProblem& problem);
 
 /// Smallest length that counts for a body at x [m].
 double length_tolerance(const Vector& x);

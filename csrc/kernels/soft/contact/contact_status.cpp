@@ -33,6 +33,7 @@ void ContactStatuses::guess(const Vector& x_free) {
     const double depth = -space_.gap(k, x_free);
     double u[3];
     const double slip = space_.slip(k, x_free, u);
+    space_.status[k] = ContactStatus::kSeparate;
     if (pressing > 0.0) {
       double along[3];
       for (int i = 0; i < 3; ++i) along[i] = before[i] - pressing * n[i];
@@ -45,6 +46,21 @@ void ContactStatuses::guess(const Vector& x_free) {
     if (space_.status[k] == ContactStatus::kSlip && slip > 0.0)
       for (std::size_t i = 0; i < 3; ++i) space_.direction[3 * k + i] = u[i] / slip;
   }
+}
+
+void ContactStatuses::begin() {
+  std::fill(releases_.begin(), releases_.end(), 0);
+  cautious_ = unresolved_ = false;
+  seen_.clear();
+  remember();
+}
+
+std::size_t ContactStatuses::num_let_go(const Vector& x, const Vector& r) const {
+  std::size_t count = 0;
+  for (std::size_t k = 0; k < space_.size(); ++k)
+    count += space_.status[k] != ContactStatus::kSeparate &&
+             propose(k, x, r).status == ContactStatus::kSeparate;
+  return count;
 }
 
 ContactStatuses::Proposal ContactStatuses::propose(std::size_t k, const Vector& x,

@@ -20,6 +20,10 @@ class ContactStatuses {
   }
   /// First guess, from last step's forces and where the nodes would go without contact.
   void guess(const Vector& x_free);
+  /// Forgets statuses met: a step begins with those that it has.
+  void begin();
+  /// How many contacts new statuses from x and r = grad g would separate.
+  std::size_t num_let_go(const Vector& x, const Vector& r) const;
   /// Takes new statuses from x and the contact forces r = grad g; true where any changed.
   bool update(const Vector& x, const Vector& r);
   /// Lets nodes stick that a Newton step q would make slip against their direction; true where any.
