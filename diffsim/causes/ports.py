@@ -283,7 +283,7 @@ def on_place(row: Row, place: str) -> Apply:
 
 
 def _push(scene: Scene, size: Tensor, run: Run, *, place: str, formula: Expression) -> Any:
-    return scene.with_force(place, ForceLaw(formula, size[..., 0]))
+    return scene.with_force(place, ForceLaw(formula, size[..., 0], size[..., 1:].unbind(-1)))
 
 
 SESSIONS = "sessions"  # place in a study's frame: labels of the runs that were fitted

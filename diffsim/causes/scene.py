@@ -60,10 +60,12 @@ class ForceLaw:
 
     Attributes:
         size: () or (K,).
+        shapes: Further numbers, likewise.
     """
 
     formula: LawFormula
     size: Tensor
+    shapes: tuple[Tensor, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,12 +31,14 @@ class Term:
             fades.
         size: Size of the law, in the effect's unit.
         scale: Usual speed of the place, of which w is a hundredth.
+        shapes: Further numbers of the law, of simulators that have it as their own.
     """
 
     place: str
     law: LawFormula
     size: float
     scale: float = 1.0
+    shapes: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

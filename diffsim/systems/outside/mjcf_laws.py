@@ -4,7 +4,7 @@ A force that Python adds at each step is explicit. Dry friction is then viscous 
 a joint creeps that should stick, and only fine steps bear it. MuJoCo's own friction is a
 constraint: it sticks, at the file's own step, and its own loop simulates it. The 20 ms in which it
 takes hold where a file says nothing are of no joint: a pendulum creeps before it swings, and 3 mrad
-of that stay to the end of 8 s. Friction that the file lacks takes hold as fast as steps allow.
+of that stay to the end of 8 s. How soon friction that the file lacks takes hold is fitted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ OWN_LAWS = {
     "square_drag": "dampingpoly[0]",
     "cubic_stiffness": "stiffnesspoly[1]",
 }
-HOLD_STEPS = 2.0  # in which friction takes hold; MuJoCo takes no fewer
+HOLD_STEPS = 2.0  # in which friction takes hold at least; MuJoCo takes no fewer
+HOLDS_S = (1e-3, 0.02)  # as of a joint; where a file says nothing
 SIGNED = ("cubic_stiffness",)  # numbers that may be negative
 #: What a file may switch off, so that the number does nothing, by versions of MuJoCo
 _SWITCHES = {
@@ -67,20 +68,24 @@ def path_of_law(mujoco: Any, numbers: Numbers, law: str, joint: str) -> str | No
 
 
 def with_hold(
-    numbers: Numbers, parameters: Mapping[str, float], path: str, step: float
+    numbers: Numbers, parameters: Mapping[str, float], path: str, step: float, share: float
 ) -> dict[str, float]:
-    """What makes the number of a cause a cause: friction where there was none takes hold at once.
+    """What makes the number of a cause a cause: how soon friction where there was none takes hold.
 
     Args:
         numbers: Of the model.
         parameters: Values by path, without causes.
         path: Number that a cause adds to.
         step: Length of the steps [s].
+        share: Of the way between ``HOLDS_S``, by ratios.
     """
     joint, _, what = path.rpartition(".")
     hold = f"{joint}.solreffriction"
     is_new = what == OWN_LAWS["dry_friction"] and path not in parameters and hold not in parameters
-    return {hold: HOLD_STEPS * step} if is_new and numbers.value_of(path) == 0.0 else {}
+    if not is_new or numbers.value_of(path) != 0.0:
+        return {}
+    soonest, softest = HOLDS_S
+    return {hold: max(soonest * (softest / soonest) ** share, HOLD_STEPS * step)}
 
 
 def take_own(
@@ -112,6 +117,7 @@ def take_own(
             value = out.get(path, numbers.value_of(path)) + term.size
             if value >= 0.0 or law in SIGNED:
                 out[path] = value
-                out |= with_hold(numbers, parameters, path, step)
+                share = term.shapes[0] if term.shapes else 0.0
+                out |= with_hold(numbers, parameters, path, step, share)
                 taken.append(term)
     return out, force.without(taken) if taken else force

@@ -201,7 +201,13 @@ class OutsideScene(Scene):
         """The call of the simulator that this scene asks for."""
         model = self.model
         terms = [
-            Term(place, law.formula, float(law.size.detach()), model.places[place])
+            Term(
+                place,
+                law.formula,
+                float(law.size.detach()),
+                model.places[place],
+                tuple(float(shape.detach()) for shape in law.shapes),
+            )
             for place, law in self.forces
         ]
         forces = PlaceForces(tuple(model.places), terms, self.knots) if model.places else None

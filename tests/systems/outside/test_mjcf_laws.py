@@ -90,6 +90,17 @@ def test_friction_that_the_file_lacks_takes_hold_as_fast_as_steps_allow():
     assert off < 0.002 < 0.25 * crept
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_friction_takes_hold_in_the_time_that_is_fitted(share):
+    """At 1 it is MuJoCo's soft friction: a rig of MuJoCo's own was told it at no other."""
+    (term,) = forces_of("dry_friction", 0.4).terms
+    force = PlaceForces(["hinge"], [replace(term, shapes=(share,))])
+    xml = XML.replace("0.005", "0.0005")
+    holds = {HOLD: 1e-3 * 20.0**share} if share < 1.0 else {}
+    own = simulate(None, {"joint.hinge.frictionloss": 0.4, **holds}, xml)
+    np.testing.assert_allclose(simulate(force, xml=xml), own, rtol=0.0, atol=1e-12)
+
+
 NO_FRICTION = ("<option", '<option><flag frictionloss="disable"/></option><option')
 
 
