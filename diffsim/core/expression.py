@@ -215,21 +215,26 @@ _ON_FLOATS: dict[str, Callable[..., float]] = {
 
 
 def _compile_floats(node: Node, names: tuple[str, ...]) -> Callable[..., float]:
+    value = _compile_node(node, names)
+    return lambda *given: value(given)
+
+
+def _compile_node(node: Node, names: tuple[str, ...]) -> Callable[[tuple[float, ...]], float]:
+    """A function of all values at once: to unpack them at every node took as long as the rest."""
     if isinstance(node, NumberNode):
         value = node.value
-        return lambda *given: value
+        return lambda given: value
     if isinstance(node, Name):
-        place = names.index(node.name)
-        return lambda *given: given[place]
+        return operator.itemgetter(names.index(node.name))
     operation = _ON_FLOATS[node.operation]
-    parts = tuple(_compile_floats(part, names) for part in node.parts)
+    parts = tuple(_compile_node(part, names) for part in node.parts)
     if len(parts) == 1:
         (only,) = parts
-        return lambda *given: operation(only(*given))
+        return lambda given: operation(only(given))
     if len(parts) == 2:
         left, right = parts
-        return lambda *given: operation(left(*given), right(*given))
-    return lambda *given: operation(*(part(*given) for part in parts))
+        return lambda given: operation(left(given), right(given))
+    return lambda given: operation(*(part(given) for part in parts))
 
 
 def parse_expression(text: str | float, known: Iterable[str] | None = None) -> Expression:

@@ -1,8 +1,8 @@
 // Derivatives of the elastic force with respect to the energy's parameters.
 #include "kernels/soft/damping.h"
-#include "kernels/soft/element_stage.h"
 #include "kernels/soft/hourglass.h"
 #include "kernels/soft/shape_derivatives.h"
+#include "kernels/soft/solid_law.h"
 
 namespace diffsim {
 namespace {
@@ -152,38 +152,35 @@ void add_damping_tangent(const SoftModel& model, const SoftParameters& p, const 
 }
 
 /// Stresses of unit weights, at every part of a stage.
-template <typename M>
 struct UnitStresses {
-  Native P[kStageParts][M::kWeights][9];
+  Native P[kStageParts][kMostWeights][9];
 
   template <typename Group>
-  UnitStresses(const Stage<Group, M>& stage, int parts) {
-    const auto unit = unit_weights<M>();
-    for (int r = 0; r < parts; ++r)
-      for (int k = 0; k < M::kWeights; ++k) stress<M>(stage.sample(r), unit[k].data(), P[r][k]);
+  UnitStresses(const SolidLaw& law, const LawStage<Group>& stage, int parts) {
+    for (int r = 0; r < parts; ++r) law.unit_stresses(stage.sample(r), P[r]);
   }
 };
 
 /// Directions [first, last) into their vectors buffers, one behind the other.
-template <typename Group, typename M>
-void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
-                          const DampingFrames& frames, const double* x, Index first, Index last,
-                          const ParameterDirections& d, double* vectors, ThreadPool& pool) {
+template <typename Group>
+void solid_tangent_of(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                      const double* x, Index first, Index last, const ParameterDirections& d,
+                      double* vectors, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const ElementBlock& fiber = model.fiber;
+  const SolidLaw law(model);
   for_stages(solid, pool, [&](Index begin, int count) {
-    const Stage<Group, M> stage(solid, begin, count, x);
-    const UnitStresses<M> unit(stage, count * kParts);
+    const LawStage<Group> stage(law, solid, begin, count, x);
+    const UnitStresses unit(law, stage, count * kParts);
     for (int n = 0; n < count; ++n) {
       const Index g = begin + n;
       for (Index k = first; k < last; ++k) {
         Native P[kParts][9];
         for (int part = 0; part < kParts; ++part) {
-          const Weights<M> w = weights_along<Group, M>(model, g, part, d.weights, k);
+          const LawWeights w = law.weights_along<Group>(model, g, part, d.weights, k);
           const Native(*own)[9] = unit.P[n * kParts + part];
           for (int i = 0; i < 9; ++i) {
-            P[part][i] = w[0] * own[0][i];
-            for (int m = 1; m < M::kWeights; ++m) P[part][i] += w[m] * own[m][i];
+            P[part][i] = w[0] * own[0][i] + w[1] * own[1][i];
+            for (int m = 2; m < law.num_weights; ++m) P[part][i] += w[at(m)] * own[m][i];
           }
         }
         if (p.damp_mu)
@@ -194,6 +191,12 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
       }
     }
   });
+}
+
+template <typename Group>
+void fiber_tangent_of(const SoftModel& model, const SoftParameters& p, const double* x, Index first,
+                      Index last, const ParameterDirections& d, double* vectors, ThreadPool& pool) {
+  const ElementBlock& fiber = model.fiber;
   for_groups(fiber, pool, [&](Index g) {
     Native F[kParts][9];
     deformation_gradient<Group>(fiber, g, x, F);
@@ -217,27 +220,30 @@ void parameter_tangent_of(const SoftModel& model, const SoftParameters& p,
 }
 
 /// The energy is linear in weights and stiffnesses: its slopes are the energies of units.
-template <typename Group, typename M>
-void energy_slopes_of(const SoftModel& model, const SoftParameters& p, const double* x,
-                      const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
+template <typename Group>
+void solid_slopes_of(const SoftModel& model, const double* x, double* out,
+                     ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const ElementBlock& fiber = model.fiber;
-  const auto unit = unit_weights<M>();
-  const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
+  const SolidLaw law(model, x, &scratch);
   for_stages(solid, pool, [&](Index first, int count) {
-    const Stage<Group, M> stage(solid, first, count, x, kept, false);
+    const LawStage<Group> stage(law, solid, first, count, x, false);
     for (int n = 0; n < count; ++n) {
       const Index g = first + n;
-      Native by_weight[M::kWeights][kParts], P[9];
+      Native by_weight[kMostWeights][kParts], psi[kMostWeights];
       for (int part = 0; part < kParts; ++part) {
-        const auto& sample = stage.sample(n * kParts + part);
+        law.unit_energies(stage.sample(n * kParts + part), psi);
         const Native weight = split(Group::shape(solid, g).weight, part);
-        for (int k = 0; k < M::kWeights; ++k)
-          by_weight[k][part] = weight * M::stress(sample, unit[k].data(), P);
+        for (int k = 0; k < law.num_weights; ++k) by_weight[k][part] = weight * psi[k];
       }
-      add_weights<Group, M>(solid, g, by_weight, out.weights);
+      law.add_weights<Group>(solid, g, by_weight, out);
     }
   });
+}
+
+template <typename Group>
+void fiber_slopes_of(const SoftModel& model, const SoftParameters& p, const double* x,
+                     const ParameterAdjoint& out, ThreadPool& pool) {
+  const ElementBlock& fiber = model.fiber;
   for_groups(fiber, pool, [&](Index g) {
     Native F[kParts][9], by_stiffness[kParts], by_activation[kParts];
     deformation_gradient<Group>(fiber, g, x, F);
@@ -264,8 +270,10 @@ void clear_elastic(const SoftModel& model, const ParameterAdjoint& out) {
 void energy_slopes(const SoftModel& model, const SoftParameters& p, const double* x,
                    const ParameterAdjoint& out, ElasticityScratch& scratch, ThreadPool& pool) {
   clear_elastic(model, out);
-  with_types(model, [&](auto group, auto material) {
-    energy_slopes_of<decltype(group), decltype(material)>(model, p, x, out, scratch, pool);
+  with_group(model.solid, [&](auto group) {
+    using Group = decltype(group);
+    solid_slopes_of<Group>(model, x, out.weights, scratch, pool);
+    fiber_slopes_of<Group>(model, p, x, out, pool);
   });
   hourglass::add_energy_slopes(model, x, out.weights, pool);
   shape_slopes(model, p, x, out, pool);
@@ -302,9 +310,11 @@ void parameter_tangent(const SoftModel& model, const SoftParameters& p, const Da
   scratch.vectors.resize(at(std::min(count, kDirections) * model.vectors_size));
   for (Index first = 0; first < count; first += kDirections) {
     const Index last = std::min(count, first + kDirections);
-    with_types(model, [&](auto group, auto material) {
-      parameter_tangent_of<decltype(group), decltype(material)>(
-          model, p, frames, x, first, last, directions, scratch.vectors.data(), pool);
+    with_group(model.solid, [&](auto group) {
+      using Group = decltype(group);
+      solid_tangent_of<Group>(model, p, frames, x, first, last, directions, scratch.vectors.data(),
+                              pool);
+      fiber_tangent_of<Group>(model, p, x, first, last, directions, scratch.vectors.data(), pool);
     });
     for (Index k = first; k < last; ++k)
       hourglass::add_parameter_tangent(model, p, frames, x, k, directions,

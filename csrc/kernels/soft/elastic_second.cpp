@@ -12,21 +12,21 @@ using namespace elements;
 
 /// Calls use(group, jets of its parts, their stresses to fill), stresses in principal frames, and
 /// leaves what these do to nodes in the vectors buffer.
-template <typename Group, typename M, typename Use>
-void for_solid_jets(const SoftModel& model, const double* x, const double* first,
-                    const double* second, ElasticityScratch& scratch, ThreadPool& pool, Use&& use) {
+template <typename Group, typename Use>
+void for_solid_jets(const SoftModel& model, const SolidLaw& law, const double* x,
+                    const double* first, const double* second, ElasticityScratch& scratch,
+                    ThreadPool& pool, Use&& use) {
   const ElementBlock& solid = model.solid;
-  const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
   for_stages(solid, pool, [&](Index begin, int count) {
-    const Stage<Group, M> stage(solid, begin, count, x, kept, false);
+    const LawStage<Group> stage(law, solid, begin, count, x, false);
     for (int n = 0; n < count; ++n) {
       const Index g = begin + n;
       Native A[kParts][9], B[kParts][9], stress[kParts][9], P[kParts][9];
       deformation_gradient<Group>(solid, g, first, A);
       deformation_gradient<Group>(solid, g, second, B);
-      SolidJets<M> jets[kParts];
+      SolidJets jets[kParts];
       for (int part = 0; part < kParts; ++part)
-        jets[part].fill(stage.sample(n * kParts + part), A[part], B[part]);
+        law.jets(stage.sample(n * kParts + part), A[part], B[part], jets[part]);
       use(g, jets, stress);
       for (int part = 0; part < kParts; ++part) jets[part].out_of_frame(stress[part], P[part]);
       scatter_stress(Group{}, Group::shape(solid, g), P,
@@ -45,47 +45,51 @@ Native take(const Jet<Native> P[9], const Native Z[9], const Native& weight, Nat
   return total;
 }
 
-template <typename Group, typename M>
+template <typename Group>
 void solid_adjoint(const SoftModel& model, const SoftParameters& p, const double* x,
                    const double* d, const double* z, const ParameterAdjoint& out,
                    ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  for_solid_jets<Group, M>(
-      model, x, z, d, scratch, pool,
-      [&](Index g, const SolidJets<M>(&jets)[kParts], Native(&stress)[kParts][9]) {
-        Native by_weight[M::kWeights][kParts];
-        for (int part = 0; part < kParts; ++part) {
-          const SolidJets<M>& own = jets[part];
-          const Weights<M> w = weights_at<Group, M>(solid, g, part, p.weights);
-          const Native weight = split(Group::shape(solid, g).weight, part);
-          std::fill(stress[part], stress[part] + 9, Native{});
-          for (int k = 0; k < M::kWeights; ++k)
-            by_weight[k][part] = weight * take(own.P[k], own.first, w[k], stress[part]);
-        }
-        add_weights<Group, M>(solid, g, by_weight, out.weights);
-      });
+  const SolidLaw law(model, x, &scratch);
+  for_solid_jets<Group>(model, law, x, z, d, scratch, pool,
+                        [&](Index g, const SolidJets(&jets)[kParts], Native(&stress)[kParts][9]) {
+                          Native by_weight[kMostWeights][kParts];
+                          for (int part = 0; part < kParts; ++part) {
+                            const SolidJets& own = jets[part];
+                            const LawWeights w = law.weights_at<Group>(solid, g, part, p.weights);
+                            const Native weight = split(Group::shape(solid, g).weight, part);
+                            std::fill(stress[part], stress[part] + 9, Native{});
+                            for (int k = 0; k < law.num_weights; ++k)
+                              by_weight[k][part] =
+                                  weight * take(own.P[k], own.first, w[at(k)], stress[part]);
+                          }
+                          law.add_weights<Group>(solid, g, by_weight, out.weights);
+                        });
 }
 
-template <typename Group, typename M>
+template <typename Group>
 void solid_tangent(const SoftModel& model, const SoftParameters& p, const double* x,
                    const double* d, const double* dx, const ParameterDirections& along, Index k,
                    ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  for_solid_jets<Group, M>(
-      model, x, dx, d, scratch, pool,
-      [&](Index g, const SolidJets<M>(&jets)[kParts], Native(&stress)[kParts][9]) {
-        for (int part = 0; part < kParts; ++part) {
-          const auto& P = jets[part].P;
-          const Weights<M> w = weights_at<Group, M>(solid, g, part, p.weights);
-          const Weights<M> dw = weights_along<Group, M>(model, g, part, along.weights, k);
-          for (int i = 0; i < 9; ++i) {
-            Native total = w[0] * P[0][i].ab;
-            for (int m = 1; m < M::kWeights; ++m) total += w[m] * P[m][i].ab;
-            for (int m = 0; m < M::kWeights; ++m) total += dw[m] * (P[m][i].v + P[m][i].b);
-            stress[part][i] = total;
-          }
-        }
-      });
+  const SolidLaw law(model, x, &scratch);
+  for_solid_jets<Group>(model, law, x, dx, d, scratch, pool,
+                        [&](Index g, const SolidJets(&jets)[kParts], Native(&stress)[kParts][9]) {
+                          for (int part = 0; part < kParts; ++part) {
+                            const auto& P = jets[part].P;
+                            const LawWeights w = law.weights_at<Group>(solid, g, part, p.weights);
+                            const LawWeights dw =
+                                law.weights_along<Group>(model, g, part, along.weights, k);
+                            for (int i = 0; i < 9; ++i) {
+                              Native total = w[0] * P[0][i].ab + w[1] * P[1][i].ab;
+                              for (int m = 2; m < law.num_weights; ++m)
+                                total += w[at(m)] * P[m][i].ab;
+                              for (int m = 0; m < law.num_weights; ++m)
+                                total += dw[at(m)] * (P[m][i].v + P[m][i].b);
+                              stress[part][i] = total;
+                            }
+                          }
+                        });
 }
 
 /// As for_solid_jets; stresses are `pull` times the fiber's direction.
@@ -168,9 +172,9 @@ void linearized_adjoint(const SoftModel& model, const SoftParameters& p, const d
   clear(out.fiber_stiffness, model.fiber.num_elements);
   clear(out.activation, model.fiber.num_elements);
   scratch.vectors.resize(at(model.vectors_size));
-  with_types(model, [&](auto group, auto material) {
+  with_group(model.solid, [&](auto group) {
     using Group = decltype(group);
-    solid_adjoint<Group, decltype(material)>(model, p, x, d, z, out, scratch, pool);
+    solid_adjoint<Group>(model, p, x, d, z, out, scratch, pool);
     fiber_adjoint<Group>(model, p, x, d, z, out, scratch, pool);
   });
   hourglass::add_linearized_adjoint(model, p, x, d, z, out.weights, scratch.vectors.data(), pool);
@@ -182,9 +186,9 @@ void linearized_tangent(const SoftModel& model, const SoftParameters& p,
                         const double* dx, const ParameterDirections& along, Index k, double* force,
                         ElasticityScratch& scratch, ThreadPool& pool) {
   scratch.vectors.resize(at(model.vectors_size));
-  with_types(model, [&](auto group, auto material) {
+  with_group(model.solid, [&](auto group) {
     using Group = decltype(group);
-    solid_tangent<Group, decltype(material)>(model, p, x, d, dx, along, k, scratch, pool);
+    solid_tangent<Group>(model, p, x, d, dx, along, k, scratch, pool);
     fiber_tangent<Group>(model, p, x, d, dx, along, k, scratch, pool);
   });
   hourglass::add_linearized_tangent(model, p, x, d, dx, along, k, scratch.vectors.data(), pool);

@@ -116,11 +116,10 @@ void scatter_matrices(const SoftModel& model, const ElementBlock& block,
   });
 }
 
-/// Assembles one block; matrices(first, count, out) writes those of a stage's groups.
-template <typename Group, typename Make>
-void assemble(const SoftModel& model, const ElementBlock& block,
-              const std::vector<std::int32_t>& slots, Make&& matrices, double* values,
-              ElasticityScratch& scratch, ThreadPool& pool) {
+/// Assembles one block by a SolidFill or a FiberFill.
+template <typename Group, typename Fill>
+void assemble(const Fill& fill, const ElementBlock& block, const std::vector<std::int32_t>& slots,
+              double* values, ElasticityScratch& scratch, ThreadPool& pool) {
   using Matrices = MatricesOf<Group>;
   const Index chunk = kTask * std::max(Matrices::kLeastTasks, kTasksPerThread * pool.size());
   scratch.blocks.resize(at(std::min(chunk, block.num_groups) * Matrices::kSize));
@@ -129,10 +128,11 @@ void assemble(const SoftModel& model, const ElementBlock& block,
     pool.run(num_tasks(last - first, kTask), [&](Index task) {
       const Index begin = first + task * kTask;
       for_stages(begin, std::min(last, begin + kTask), [&](Index g, int count) {
-        matrices(g, count, scratch.blocks.data() + (g - first) * Matrices::kSize);
+        fill.matrices(g, count, scratch.blocks.data() + (g - first) * Matrices::kSize);
       });
     });
-    scatter_matrices<Group>(model, block, slots, scratch.blocks.data(), first, last, values, pool);
+    scatter_matrices<Group>(fill.model, block, slots, scratch.blocks.data(), first, last, values,
+                            pool);
   }
 }
 
@@ -140,19 +140,47 @@ void assemble(const SoftModel& model, const ElementBlock& block,
 template <typename Group>
 constexpr bool kFibersInSolid = !Group::kInLanes;
 
-/// Element matrices of a stage's groups, of the solid and of the fibers, by their tangents dP/dF.
+/// Element matrices of groups of fibers, by their tangents dP/dF.
+template <typename Group>
+struct FiberFill {
+  const SoftModel& model;
+  const SoftParameters& p;
+  const double* x;
+  bool clamp;
+
+  void matrices(Index first, int count, double* out) const {
+    for (int n = 0; n < count; ++n, out += MatricesOf<Group>::kSize) {
+      GroupTangent tangent{};
+      add(first + n, tangent);
+      element_matrix(Group::shape(model.fiber, first + n), tangent, out);
+    }
+  }
+
+  /// Adds the tangent of a group of fibers.
+  void add(Index g, GroupTangent& tangent) const {
+    Native F[kParts][9];
+    deformation_gradient<Group>(model.fiber, g, x, F);
+    for (int part = 0; part < kParts; ++part) {
+      const FiberPart f = fiber_part<Group>(model, p, g, part, F[part]);
+      add_fiber_tangent(f.state, f.pull, clamp, tangent.H[part]);
+    }
+  }
+};
+
+/// The same of the solid, with the fibers that lie in it.
 template <typename Group, typename M>
-struct TangentFill {
+struct SolidFill {
   const SoftModel& model;
   const SoftParameters& p;
   const DampingFrames& frames;
   const double* x;
   bool clamp;
   KeptSamples<M> kept;
+  FiberFill<Group> fibers;
 
-  void solid_matrices(Index first, int count, double* out) const {
+  void matrices(Index first, int count, double* out) const {
     GroupTangent tangents[kStage];
-    solid(first, count, tangents);
+    fill(first, count, tangents);
     for (int n = 0; n < count; ++n, out += MatricesOf<Group>::kSize) {
       if constexpr (!Group::kInLanes)
         element_matrix(model.solid.hex_nodes[at(model.solid.hex_class[at(first + n)])], tangents[n],
@@ -164,15 +192,7 @@ struct TangentFill {
     }
   }
 
-  void fiber_matrices(Index first, int count, double* out) const {
-    for (int n = 0; n < count; ++n, out += MatricesOf<Group>::kSize) {
-      GroupTangent tangent{};
-      fiber(first + n, tangent);
-      element_matrix(Group::shape(model.fiber, first + n), tangent, out);
-    }
-  }
-
-  void solid(Index first, int count, GroupTangent* tangents) const {
+  void fill(Index first, int count, GroupTangent* tangents) const {
     const ElementBlock& block = model.solid;
     const Stage<Group, M> stage(block, first, count, x, kept, false);
     for (int r = 0; r < count * kParts; ++r) {
@@ -192,33 +212,9 @@ struct TangentFill {
       for (int n = 0; n < count; ++n)
         for (Index k = model.fibers_start[at(first + n)]; k < model.fibers_start[at(first + n + 1)];
              ++k)
-          fiber(model.fibers_of[at(k)], tangents[n]);
-  }
-
-  /// Adds the tangent of a group of fibers.
-  void fiber(Index g, GroupTangent& tangent) const {
-    Native F[kParts][9];
-    deformation_gradient<Group>(model.fiber, g, x, F);
-    for (int part = 0; part < kParts; ++part) {
-      const FiberPart f = fiber_part<Group>(model, p, g, part, F[part]);
-      add_fiber_tangent(f.state, f.pull, clamp, tangent.H[part]);
-    }
+          fibers.add(model.fibers_of[at(k)], tangents[n]);
   }
 };
-
-template <typename Group, typename M>
-void tangent_of(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
-                const double* x, bool clamp, double* values, ElasticityScratch& scratch,
-                ThreadPool& pool) {
-  const TangentFill<Group, M> fill{model, p, frames, x, clamp, kept_samples<M>(scratch, model, x)};
-  const auto solid = [&](Index g, int count, double* out) { fill.solid_matrices(g, count, out); };
-  pool.run_ranges(model.values_size(), kZeros,
-                  [&](Index begin, Index end) { std::fill(values + begin, values + end, 0.0); });
-  assemble<Group>(model, model.solid, model.solid_slot, solid, values, scratch, pool);
-  if constexpr (kFibersInSolid<Group>) return;
-  const auto fibers = [&](Index g, int count, double* out) { fill.fiber_matrices(g, count, out); };
-  assemble<Group>(model, model.fiber, model.fiber_slot, fibers, values, scratch, pool);
-}
 
 /// Nodal forces of a group along z, by the tangents of its parts.
 template <typename Group>
@@ -231,37 +227,35 @@ void scatter_product(const ElementBlock& block, Index g, const GroupTangent& tan
 }
 
 template <typename Group, typename M>
-void tangent_product_of(const SoftModel& model, const SoftParameters& p,
-                        const DampingFrames& frames, const double* x, const double* z,
-                        ElasticityScratch& scratch, ThreadPool& pool) {
-  const TangentFill<Group, M> fill{model, p, frames, x, false, kept_samples<M>(scratch, model, x)};
-  double* fibers = scratch.vectors.data() + model.fiber_vectors_start;
-  for_stages(model.solid, pool, [&](Index first, int count) {
+void solid_product(const SolidFill<Group, M>& fill, const double* z, double* vectors,
+                   ThreadPool& pool) {
+  for_stages(fill.model.solid, pool, [&](Index first, int count) {
     GroupTangent tangents[kStage];
-    fill.solid(first, count, tangents);
+    fill.fill(first, count, tangents);
     for (int n = 0; n < count; ++n)
-      scatter_product<Group>(model.solid, first + n, tangents[n], z, scratch.vectors.data());
+      scatter_product<Group>(fill.model.solid, first + n, tangents[n], z, vectors);
   });
-  if constexpr (kFibersInSolid<Group>) {
-    std::fill(fibers, scratch.vectors.data() + model.vectors_size, 0.0);
-  } else {
-    for_groups(model.fiber, pool, [&](Index g) {
-      GroupTangent tangent{};
-      fill.fiber(g, tangent);
-      scatter_product<Group>(model.fiber, g, tangent, z, fibers);
-    });
-  }
 }
 
-/// Adds the matrices of one block to that of a small body; matrices as in assemble().
-template <typename Group, typename Make>
-void add_to_small(const ElementBlock& block, const std::vector<SmallPlace>& places, Make&& matrices,
-                  SmallCholesky& to) {
+template <typename Group>
+void fiber_product(const FiberFill<Group>& fill, const double* z, double* vectors,
+                   ThreadPool& pool) {
+  for_groups(fill.model.fiber, pool, [&](Index g) {
+    GroupTangent tangent{};
+    fill.add(g, tangent);
+    scatter_product<Group>(fill.model.fiber, g, tangent, z, vectors);
+  });
+}
+
+/// Adds the matrices of one block to that of a small body.
+template <typename Group, typename Fill>
+void add_to_small(const Fill& fill, const ElementBlock& block,
+                  const std::vector<SmallPlace>& places, SmallCholesky& to) {
   using Matrices = MatricesOf<Group>;
   constexpr int kPairs = Group::kNodes * (Group::kNodes + 1) / 2;
   alignas(64) double all[kStage * Matrices::kSize];
   for_stages(0, block.num_groups, [&](Index first, int count) {
-    matrices(first, count, all);
+    fill.matrices(first, count, all);
     for (int k = 0; k < count; ++k) {
       const double* matrix = all + k * Matrices::kSize;
       const Index begin = (first + k) * Matrices::kElements;
@@ -308,15 +302,12 @@ void add_small_tangent(const SoftModel& model, const SoftParameters& p, const Da
   with_types(model, [&](auto group, auto material) {
     using Group = decltype(group);
     using M = decltype(material);
-    const TangentFill<Group, M> fill{model, p,     frames,
-                                     x,     false, kept_samples<M>(scratch, model, x)};
-    add_to_small<Group>(
-        model.solid, places.solid,
-        [&](Index g, int count, double* out) { fill.solid_matrices(g, count, out); }, to);
+    const FiberFill<Group> fibers{model, p, x, false};
+    const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
+    const SolidFill<Group, M> solid{model, p, frames, x, false, kept, fibers};
+    add_to_small<Group>(solid, model.solid, places.solid, to);
     if constexpr (!kFibersInSolid<Group>)
-      add_to_small<Group>(
-          model.fiber, places.fiber,
-          [&](Index g, int count, double* out) { fill.fiber_matrices(g, count, out); }, to);
+      add_to_small<Group>(fibers, model.fiber, places.fiber, to);
   });
 }
 
@@ -324,19 +315,38 @@ void tangent_product(const SoftModel& model, const SoftParameters& p, const Damp
                      const double* x, const double* z, double* out, ElasticityScratch& scratch,
                      ThreadPool& pool) {
   scratch.vectors.resize(at(model.vectors_size));
+  double* solid_vectors = scratch.vectors.data();
+  double* fiber_vectors = solid_vectors + model.fiber_vectors_start;
   with_types(model, [&](auto group, auto material) {
-    tangent_product_of<decltype(group), decltype(material)>(model, p, frames, x, z, scratch, pool);
+    using Group = decltype(group);
+    using M = decltype(material);
+    const FiberFill<Group> fibers{model, p, x, false};
+    const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
+    const SolidFill<Group, M> solid{model, p, frames, x, false, kept, fibers};
+    solid_product(solid, z, solid_vectors, pool);
+    if constexpr (kFibersInSolid<Group>)
+      std::fill(fiber_vectors, solid_vectors + model.vectors_size, 0.0);
+    else
+      fiber_product(fibers, z, fiber_vectors, pool);
   });
-  hourglass::add_product(model, p, frames, x, z, scratch.vectors.data(), pool);
-  gather_vectors(model, scratch.vectors.data(), out, pool);
+  hourglass::add_product(model, p, frames, x, z, solid_vectors, pool);
+  gather_vectors(model, solid_vectors, out, pool);
 }
 
 void tangent(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
              const double* x, bool clamp, double* values, ElasticityScratch& scratch,
              ThreadPool& pool) {
+  pool.run_ranges(model.values_size(), kZeros,
+                  [&](Index begin, Index end) { std::fill(values + begin, values + end, 0.0); });
   with_types(model, [&](auto group, auto material) {
-    tangent_of<decltype(group), decltype(material)>(model, p, frames, x, clamp, values, scratch,
-                                                    pool);
+    using Group = decltype(group);
+    using M = decltype(material);
+    const FiberFill<Group> fibers{model, p, x, clamp};
+    const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
+    const SolidFill<Group, M> solid{model, p, frames, x, clamp, kept, fibers};
+    assemble<Group>(solid, model.solid, model.solid_slot, values, scratch, pool);
+    if constexpr (!kFibersInSolid<Group>)
+      assemble<Group>(fibers, model.fiber, model.fiber_slot, values, scratch, pool);
   });
 }
 

@@ -10,13 +10,9 @@ namespace {
 using namespace elements;
 
 template <typename Group, typename M>
-double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
-                          const DampingFrames& frames, const double* x, ElasticityScratch& scratch,
-                          ThreadPool& pool) {
+void solid_gradient(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
+                    const double* x, ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const ElementBlock& fiber = model.fiber;
-  scratch.vectors.resize(at(model.vectors_size));
-  scratch.partial.resize(at(solid.num_groups + fiber.num_groups));
   const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
   for_stages(solid, pool, [&](Index first, int count) {
     const Stage<Group, M> stage(solid, first, count, x, kept, p.damp_mu != nullptr);
@@ -42,6 +38,12 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
       scratch.partial[at(g)] = sum(fold(energy));
     }
   });
+}
+
+template <typename Group>
+void fiber_gradient(const SoftModel& model, const SoftParameters& p, const double* x,
+                    ElasticityScratch& scratch, ThreadPool& pool) {
+  const ElementBlock& fiber = model.fiber;
   for_groups(fiber, pool, [&](Index g) {
     const auto& shape = Group::shape(fiber, g);
     Native F[kParts][9], P[kParts][9], energy[kParts];
@@ -52,11 +54,8 @@ double energy_gradient_of(const SoftModel& model, const SoftParameters& p,
     }
     scatter_stress(Group{}, shape, P,
                    scratch.vectors.data() + model.fiber_vectors_start + g * fiber.vectors_size());
-    scratch.partial[at(solid.num_groups + g)] = sum(fold(energy));
+    scratch.partial[at(model.solid.num_groups + g)] = sum(fold(energy));
   });
-  double energy = 0.0;
-  for (double e : scratch.partial) energy += e;
-  return energy;
 }
 
 }  // namespace
@@ -88,10 +87,15 @@ DampingFrames damping_frames(const SoftModel& model, const double* x_frame,
 double energy_gradient(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
                        const double* x, double* gradient, ElasticityScratch& scratch,
                        ThreadPool& pool) {
-  double energy = with_types(model, [&](auto group, auto material) {
-    return energy_gradient_of<decltype(group), decltype(material)>(model, p, frames, x, scratch,
-                                                                   pool);
+  scratch.vectors.resize(at(model.vectors_size));
+  scratch.partial.resize(at(model.solid.num_groups + model.fiber.num_groups));
+  with_types(model, [&](auto group, auto material) {
+    using Group = decltype(group);
+    solid_gradient<Group, decltype(material)>(model, p, frames, x, scratch, pool);
+    fiber_gradient<Group>(model, p, x, scratch, pool);
   });
+  double energy = 0.0;
+  for (double e : scratch.partial) energy += e;
   energy += hourglass::add_gradient(model, p, frames, x, scratch, pool);
   gather_vectors(model, scratch.vectors.data(), gradient, pool);
   return energy;

@@ -143,15 +143,6 @@ Weights<M> weights_along(const SoftModel& model, Index g, int part, const double
   return weights_at<Group, M>(model.solid, g, part, values + k * model.weights_size());
 }
 
-/// Entry k is one for weight k and zero for the others: as an energy is linear in its weights, what
-/// it then gives is its derivative with respect to that one.
-template <typename M>
-std::array<Weights<M>, M::kWeights> unit_weights() {
-  std::array<Weights<M>, M::kWeights> unit{};
-  for (int k = 0; k < M::kWeights; ++k) unit[k][k] = broadcast<Native>(1.0);
-  return unit;
-}
-
 /// Adds v[weight][part] to a (num_weights, num_elements) array.
 template <typename Group, typename M>
 void add_weights(const ElementBlock& solid, Index g, const Native (&v)[M::kWeights][kParts],

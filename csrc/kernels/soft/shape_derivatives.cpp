@@ -9,21 +9,6 @@ namespace {
 
 using namespace elements;
 
-/// Stress P of a sample, its tangent dP/dF on and above the diagonal, and psi.
-struct SampleLaw {
-  Native P[9], H[81] = {}, psi;
-};
-
-template <typename Group, typename M>
-SampleLaw solid_law(const ElementBlock& solid, const SoftParameters& p,
-                    const typename M::template Sample<Native>& sample, Index g, int part) {
-  SampleLaw law;
-  const auto w = weights_at<Group, M>(solid, g, part, p.weights);
-  law.psi = stress<M>(sample, w.data(), law.P);
-  stiffness<M>(sample, w.data(), false, law.H);
-  return law;
-}
-
 template <typename Group>
 SampleLaw fiber_law(const SoftModel& model, const SoftParameters& p, Index g, int part,
                     const Native F[9]) {
@@ -38,11 +23,10 @@ SampleLaw fiber_law(const SoftModel& model, const SoftParameters& p, Index g, in
 struct StressJets {
   Native v[9], a[9], b[9], ab[9];
 
-  template <typename M>
-  StressJets(const SolidJets<M>& jets, const Weights<M>& w) {
+  StressJets(const SolidJets& jets, int num_weights, const LawWeights& w) {
     Native sum[4][9] = {};
     for (int i = 0; i < 9; ++i)
-      for (int k = 0; k < M::kWeights; ++k) {
+      for (int k = 0; k < num_weights; ++k) {
         const Jet<Native>& P = jets.P[k][i];
         sum[0][i] += w[at(k)] * P.v, sum[1][i] += w[at(k)] * P.a;
         sum[2][i] += w[at(k)] * P.b, sum[3][i] += w[at(k)] * P.ab;
@@ -151,15 +135,16 @@ void add_gradients(const ElementBlock& block, const TableLanes<Group>& lanes, In
 }
 
 /// Adds the solid's derivatives to the tables; z null: those of E.
-template <typename Group, typename M>
+template <typename Group>
 void solid_adjoint(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
                    const double* x, const double* d, const double* z, double* tables,
                    ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const TableLanes<Group> lanes(solid);
+  const SolidLaw solid_law(model);
   const bool is_damped = z && p.damp_mu;
   for_groups(solid, pool, [&](Index g) {
-    const Stage<Group, M> stage(solid, g, 1, x);
+    const LawStage<Group> stage(solid_law, solid, g, 1, x);
     WorkAlong<Group> work(solid, g, x, d, z);
     NodesAlong<Group> frame(solid, g, is_damped ? frames.x_frame : x);
     NodesAlong<Group> velocity(solid, g, is_damped ? frames.x_velocity : x);
@@ -167,18 +152,22 @@ void solid_adjoint(const SoftModel& model, const SoftParameters& p, const Dampin
     if (z) deformation_gradient<Group>(solid, g, z, Z);
     if (d) deformation_gradient<Group>(solid, g, d, D);
     for (int part = 0; part < kParts; ++part) {
+      const LawWeights w = solid_law.weights_at<Group>(solid, g, part, p.weights);
       if (!z) {
-        const SampleLaw law = solid_law<Group, M>(solid, p, stage.sample(part), g, part);
+        SampleLaw law;
+        solid_law.fill(stage.sample(part), w, law);
         std::copy(law.P, law.P + 9, work.x.by[part]);
         lanes.add(tables, g, part, lanes.kWeight, law.psi);
         continue;
       }
       if (d) {
-        SolidJets<M> jets;
-        jets.fill(stage.sample(part), Z[part], D[part]);
-        work.fill(part, StressJets(jets, weights_at<Group, M>(solid, g, part, p.weights)));
+        SolidJets jets;
+        solid_law.jets(stage.sample(part), Z[part], D[part], jets);
+        work.fill(part, StressJets(jets, solid_law.num_weights, w));
       } else {
-        work.fill(part, solid_law<Group, M>(solid, p, stage.sample(part), g, part), Z[part]);
+        SampleLaw law;
+        solid_law.fill(stage.sample(part), w, law);
+        work.fill(part, law, Z[part]);
       }
       if (is_damped) {
         Native end[9], TY[9], FnTY[9];
@@ -245,9 +234,9 @@ void adjoint_or_slopes(const SoftModel& model, const SoftParameters& p, const Da
                        const ParameterAdjoint& out, ThreadPool& pool) {
   if (!out.tables) return;
   std::fill(out.tables, out.tables + model.tables_size(), 0.0);
-  with_types(model, [&](auto group, auto material) {
+  with_group(model.solid, [&](auto group) {
     using Group = decltype(group);
-    solid_adjoint<Group, decltype(material)>(model, p, frames, x, d, z, out.tables, pool);
+    solid_adjoint<Group>(model, p, frames, x, d, z, out.tables, pool);
     fiber_adjoint<Group>(model, p, x, d, z, out.tables);
   });
   hourglass::add_shape_adjoint(model, p, frames, x, d, z, out.tables, pool);
@@ -296,14 +285,15 @@ void linearize(const SampleLaw& law, const StressJets& jets, const Native dD[9],
   }
 }
 
-template <typename Group, typename M>
+template <typename Group>
 void solid_tangent(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
                    const double* x, const double* d, const double* tables, double* vectors,
                    ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
   const TableLanes<Group> lanes(solid);
+  const SolidLaw solid_law(model);
   for_groups(solid, pool, [&](Index g) {
-    const Stage<Group, M> stage(solid, g, 1, x);
+    const LawStage<Group> stage(solid_law, solid, g, 1, x);
     const MovedShape<Group> moved(solid, lanes, tables, g);
     Native dF[kParts][9], dFn[kParts][9], dFv[kParts][9], P[kParts][9], dP[kParts][9];
     Native D[kParts][9] = {}, dD[kParts][9] = {};
@@ -317,11 +307,13 @@ void solid_tangent(const SoftModel& model, const SoftParameters& p, const Dampin
       deformation_gradient<Group>(solid, g, moved.shape, frames.x_velocity, dFv);
     }
     for (int part = 0; part < kParts; ++part) {
-      const SampleLaw law = solid_law<Group, M>(solid, p, stage.sample(part), g, part);
+      const LawWeights w = solid_law.weights_at<Group>(solid, g, part, p.weights);
+      SampleLaw law;
+      solid_law.fill(stage.sample(part), w, law);
       if (d) {
-        SolidJets<M> jets;
-        jets.fill(stage.sample(part), dF[part], D[part]);
-        const StressJets stress(jets, weights_at<Group, M>(solid, g, part, p.weights));
+        SolidJets jets;
+        solid_law.jets(stage.sample(part), dF[part], D[part], jets);
+        const StressJets stress(jets, solid_law.num_weights, w);
         linearize(law, stress, dD[part], P[part], dP[part]);
       } else {
         std::copy(law.P, law.P + 9, P[part]);
@@ -409,9 +401,9 @@ void add_shape_tangent(const SoftModel& model, const SoftParameters& p, const Da
                        const ParameterDirections& directions, double* vectors, ThreadPool& pool) {
   if (!directions.tables) return;
   const double* tables = directions.tables + k * model.tables_size();
-  with_types(model, [&](auto group, auto material) {
+  with_group(model.solid, [&](auto group) {
     using Group = decltype(group);
-    solid_tangent<Group, decltype(material)>(model, p, frames, x, d, tables, vectors, pool);
+    solid_tangent<Group>(model, p, frames, x, d, tables, vectors, pool);
     fiber_tangent<Group>(model, p, x, d, tables, vectors, pool);
   });
   hourglass::add_shape_tangent(model, p, frames, x, d, tables, vectors, pool);
