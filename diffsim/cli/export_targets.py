@@ -210,7 +210,7 @@ def restate_mjcf(
         for component in components if paths else ():
             path = paths.get(component.rpartition(".")[2], paths.get(ONLY, ""))
             numbers[path] = numbers.get(path, sim.value_of(path)) + answer.saved.values[component]
-            share = answer.saved.values.get(f"hold_of_{cause}", 0.0)
+            share = answer.saved.values.get(f"hold_of_{cause}", 1.0)
             step = float(sim.plain.opt.timestep)
             numbers |= with_hold(sim.numbers, known, path, step, share)
         carried.append(CarriedCause(cause, tuple(paths.values()), answer.cost(components)))

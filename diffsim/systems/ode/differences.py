@@ -42,7 +42,8 @@ class Difference:
             return slack
         made = Apply(node.operation, tuple(self._replace(p, slack, pulled) for p in node.parts))
         names = tuple(part.name for part in node.parts if isinstance(part, Name))
-        is_speed = node.operation == "sub" and self.speeds in (names, names[::-1])
+        is_speed = bool(self.speeds) and self.speeds in (names, names[::-1])
+        is_speed = is_speed and node.operation == "sub"
         return Apply("mul", (made, pulled)) if is_speed else made
 
 

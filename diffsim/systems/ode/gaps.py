@@ -19,6 +19,8 @@ from diffsim.data.study import Run
 from diffsim.identify.model import Parameter
 
 JUMP = 3.0  # usual changes from row to row, which are none of a command that rests
+MOST_SWEPT = 2  # lost rows that a line bridges: of more nobody knows what it did
+EVEN = 0.1  # of a usual step, that a gap is off whole ones: a row that came late lost none
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,16 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
     usual = float(np.median(steps))
     changes = np.abs(np.diff(np.stack(columns), axis=1))
     jumps = np.any(changes > JUMP * np.median(changes, axis=1, keepdims=True), axis=0)
-    found = np.flatnonzero(np.any(changes > 0.0, axis=0) & (steps > GAP * usual))
+    rows = np.round(steps / usual)
+    is_lost = (rows <= MOST_SWEPT + 1) & (np.abs(steps - rows * usual) < EVEN * usual)
+    is_swept = is_lost & np.any(changes > 0.0, axis=0)
+    found = np.flatnonzero((jumps | is_swept) & (steps > GAP * usual))
     return tuple(
         Gap(
             f"change_in_gap_at_{1e3 * run.time_s[k]:.6g}_ms@{run.name}",
             float(run.time_s[k]),
             float(run.time_s[k + 1]),
-            0 if jumps[k] else round(float(steps[k]) / usual) - 1,
+            0 if jumps[k] else int(rows[k]) - 1,
         )
         for k in found
     )

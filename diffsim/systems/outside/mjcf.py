@@ -19,7 +19,7 @@ from __future__ import annotations
 import copy
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +32,7 @@ from diffsim.copter.exchange.mjcf_text import whole_scene
 from diffsim.core.arrays import Array, Mask
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
-from diffsim.systems.outside.mjcf_laws import take_own
+from diffsim.systems.outside.mjcf_laws import hold_of, path_of_law, take_own
 from diffsim.systems.outside.mjcf_numbers import Numbers, several_axes
 from diffsim.systems.outside.mjcf_payloads import carriers_of
 from diffsim.systems.outside.mjcf_steps import Steps
@@ -190,6 +190,17 @@ class Mjcf:
         of_forces = OF_CALL + OF_FORCE * num_forces if num_forces else 0.0
         of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
         return Steps.count(run.time_s, float(self.plain.opt.timestep)) * of_step
+
+    def fits_hold(self, place: str, parameters: Collection[str]) -> bool:
+        """Whether it is open how soon friction takes hold that a cause brings to a joint.
+
+        Args:
+            place: Name of the joint.
+            parameters: Paths that a study states.
+        """
+        path = path_of_law(self.mujoco, self.numbers, "dry_friction", place)
+        stated = dict.fromkeys(parameters, 0.0)
+        return path is not None and hold_of(self.numbers, stated, path) is not None
 
     def strengths(self, reaches: Mapping[str, float]) -> dict[str, tuple[float, str]]:
         """What each commanded actuator with a name may push with, and its unit, by its name: no

@@ -67,24 +67,41 @@ def path_of_law(mujoco: Any, numbers: Numbers, law: str, joint: str) -> str | No
     return f"joint.{joint}.{what}"
 
 
+def hold_of(numbers: Numbers, parameters: Mapping[str, float], path: str) -> str | None:
+    """The number that says how soon friction takes hold; None: not friction, or somebody said it.
+
+    Where a file or a study has friction, or another softness than MuJoCo's usual, that stays.
+
+    Args:
+        numbers: Of the model.
+        parameters: Values by path, without causes.
+        path: Number that a cause adds to.
+    """
+    joint, _, what = path.rpartition(".")
+    hold = f"{joint}.solreffriction"
+    if what != OWN_LAWS["dry_friction"] or path in parameters or hold in parameters:
+        return None
+    is_new = numbers.value_of(path) == 0.0 and numbers.value_of(hold) == HOLDS_S[1]
+    return hold if is_new else None
+
+
 def with_hold(
     numbers: Numbers, parameters: Mapping[str, float], path: str, step: float, share: float
 ) -> dict[str, float]:
-    """What makes the number of a cause a cause: how soon friction where there was none takes hold.
+    """How soon friction takes hold that a cause brings to a joint, by path; empty where it is said.
 
     Args:
         numbers: Of the model.
         parameters: Values by path, without causes.
         path: Number that a cause adds to.
         step: Length of the steps [s].
-        share: Of the way between ``HOLDS_S``, by ratios.
+        share: Of the way between ``HOLDS_S``, by ratios, as far as the file's own steps allow.
     """
-    joint, _, what = path.rpartition(".")
-    hold = f"{joint}.solreffriction"
-    is_new = what == OWN_LAWS["dry_friction"] and path not in parameters and hold not in parameters
-    if not is_new or numbers.value_of(path) != 0.0:
+    hold = hold_of(numbers, parameters, path)
+    if hold is None:
         return {}
-    soonest, softest = HOLDS_S
+    soonest = max(HOLDS_S[0], HOLD_STEPS * float(numbers.plain.opt.timestep))
+    softest = max(soonest, HOLDS_S[1])
     return {hold: max(soonest * (softest / soonest) ** share, HOLD_STEPS * step)}
 
 
@@ -117,7 +134,7 @@ def take_own(
             value = out.get(path, numbers.value_of(path)) + term.size
             if value >= 0.0 or law in SIGNED:
                 out[path] = value
-                share = term.shapes[0] if term.shapes else 0.0
+                share = term.shapes[0] if term.shapes else 1.0
                 out |= with_hold(numbers, parameters, path, step, share)
                 taken.append(term)
     return out, force.without(taken) if taken else force

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import blake2b
@@ -280,6 +280,7 @@ def _is_nothing(act: SignalMap | Tensor) -> bool:
 
 
 Strengths = Callable[[Mapping[str, float]], Mapping[str, tuple[float, str]]]
+FitsHold = Callable[[str, Collection[str]], bool]
 SAMPLE = 20.0  # weighted steps of a sample: simulators take some of their own
 
 
@@ -335,6 +336,8 @@ class OutsideModel(SimModel):
         self.carriers: Mapping[str, Carrier] = getattr(simulator, "carriers", {})
         #: Function of the largest commands by name: what actuators push with at most, and its unit
         self.strengths: Strengths | None = getattr(simulator, "strengths", None)
+        #: Function (place, names of base parameters): whether how soon friction holds is a number
+        self.fits_hold: FitsHold | None = getattr(simulator, "fits_hold", None)
         names, ways = [p.name for p in base], getattr(simulator, "drives", ())
         if all(way & set(names) for way in ways):
             self.drives = tuple(n for n in names if any(n in way for way in ways))

@@ -103,7 +103,7 @@ def outside_setup(
     plant, limits = _with_parts(plant, model)
     return DiagnosisSetup(
         model=model,
-        effects=(*_with_limits(list_causes(plant), limits), *more_effects),
+        effects=(*_with_limits(_with_holds(list_causes(plant), model), limits), *more_effects),
         unknowns=unknown_forces(plant.places, study.runs),
         settings=settings or DiagnosisSettings(),
     )
@@ -139,6 +139,20 @@ def _with_parts(plant: Plant, model: OutsideModel) -> tuple[Plant, dict[str, tup
         },
     )
     return plant, {f"{LIMIT}_{spell_plainly(n)}": of for n, of in strengths.items()}
+
+
+def _with_holds(effects: Iterable[Effect], model: OutsideModel) -> Iterator[Effect]:
+    """Causes; how soon friction takes hold is a number of theirs where it does something."""
+    asked, names = model.fits_hold, {p.name.partition("@")[0] for p in model.base}
+    for effect in effects:
+        own = [p for p in model.places if effect.name.endswith(f"_at_{spell_plainly(p)}")]
+        of = own or list(model.places)
+        is_open = asked is not None and all(asked(place, names) for place in of)
+        yield effect if is_open or not _holds(effect) else replace(effect, shapes={})
+
+
+def _holds(effect: Effect) -> bool:
+    return any(name.startswith("hold_of_") for name in effect.shapes)
 
 
 def _with_limits(

@@ -18,7 +18,7 @@ from diffsim.systems.outside.mjcf_steps import Steps
 from diffsim.systems.outside.source import Call
 from tests.systems.outside.test_mjcf import CHANNELS, OWN, XML
 
-HOLD, HOLD_S = "joint.hinge.solreffriction", 0.01  # two steps of the file
+HOLD = "joint.hinge.solreffriction"
 SIZES = {
     "viscous_friction": 0.1,
     "dry_friction": 0.4,
@@ -48,8 +48,7 @@ def test_a_cause_that_mujoco_has_is_its_number(law):
     stated = 0.06 if law == "viscous_friction" else 0.0
     path, size = f"joint.hinge.{OWN_LAWS[law]}", SIZES[law]
     found = simulate(forces_of(law, size))
-    holds = {HOLD: HOLD_S} if law == "dry_friction" else {}
-    np.testing.assert_array_equal(found, simulate(None, {path: stated + size, **holds}))
+    np.testing.assert_array_equal(found, simulate(None, {path: stated + size}))
     np.testing.assert_array_equal(  # beside the study's own value of the number
         simulate(forces_of(law, size), {path: 0.2}), simulate(None, {path: 0.2 + size})
     )
@@ -84,21 +83,44 @@ def test_friction_that_the_file_lacks_takes_hold_as_fast_as_steps_allow():
             rate += step * (push - OWN["gravity_moment"] * np.sin(angle)) / OWN["inertia"]
             angle += step * rate
     sim = Mjcf(xml, CHANNELS, held=True)
-    dry = sim.predict({}, run, forces_of("dry_friction", size))[:, 0]
+    (term,) = forces_of("dry_friction", size).terms
+    sharp = PlaceForces(["hinge"], [replace(term, shapes=(0.0,))])
+    dry = sim.predict({}, run, sharp)[:, 0]
     creeping = sim.predict({"joint.hinge.frictionloss": size}, run)[:, 0]
     off, crept = (float(np.abs(found - seen).max()) for found in (dry, creeping))
     assert off < 0.002 < 0.25 * crept
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_friction_takes_hold_in_the_time_that_is_fitted(share):
-    """At 1 it is MuJoCo's soft friction: a rig of MuJoCo's own was told it at no other."""
+@pytest.mark.parametrize(("step", "soonest"), [("0.005", 0.01), ("0.0005", 1e-3)])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0, None])
+def test_friction_takes_hold_in_the_time_that_is_fitted(share, step, soonest):
+    """At 1, as in models saved before it was fitted, it is MuJoCo's soft friction."""
     (term,) = forces_of("dry_friction", 0.4).terms
-    force = PlaceForces(["hinge"], [replace(term, shapes=(share,))])
-    xml = XML.replace("0.005", "0.0005")
-    holds = {HOLD: 1e-3 * 20.0**share} if share < 1.0 else {}
+    force = PlaceForces(["hinge"], [replace(term, shapes=() if share is None else (share,))])
+    xml = XML.replace("0.005", step)
+    holds = {HOLD: soonest * (0.02 / soonest) ** share} if share not in (1.0, None) else {}
     own = simulate(None, {"joint.hinge.frictionloss": 0.4, **holds}, xml)
     np.testing.assert_allclose(simulate(force, xml=xml), own, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("joint", "stated", "is_open"),
+    [
+        ("", (), True),
+        ('frictionloss="0.1"', (), False),
+        ('solreffriction="0.08 1"', (), False),
+        ("", ("joint.hinge.frictionloss",), False),
+    ],
+)
+def test_what_a_file_says_of_friction_stays(joint, stated, is_open):
+    xml = XML.replace("<joint", f"<joint {joint}", 1)
+    sim = Mjcf(xml, CHANNELS)
+    assert sim.fits_hold("hinge", stated) is is_open
+    (term,) = forces_of("dry_friction", 0.4).terms
+    parts = [PlaceForces(["hinge"], [replace(term, shapes=(s,))]) for s in (0.0, 1.0)]
+    numbers = dict.fromkeys(stated, 0.05)
+    a, b = (simulate(force, numbers, xml) for force in parts)
+    assert np.array_equal(a, b) is not is_open
 
 
 NO_FRICTION = ("<option", '<option><flag frictionloss="disable"/></option><option')
