@@ -24,7 +24,7 @@ from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.model import Parameter
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.description import BaseParameters, Quantity
-from diffsim.systems.outside.before_runs import BeforeRuns
+from diffsim.systems.outside.before_runs import STOOD, BeforeRuns
 from diffsim.systems.outside.effects import unknown_forces
 from diffsim.systems.outside.environment import Environment
 from diffsim.systems.outside.hooks import Place, instruments
@@ -99,8 +99,11 @@ def outside_setup(
         workers=workers,
     )
     model.frame = {SCALES: plant.scales.saved()}
-    model.before_runs = BeforeRuns(model, study)
     plant, limits = _with_parts(plant, model)
+    # a simulator that takes delays alone has them behind the first values
+    if model.takes_before or not model.takes_delays:
+        model.before_runs = BeforeRuns(model, study)
+        model.frame = {**model.frame, STOOD: sorted(model.before_runs.stood)}
     return DiagnosisSetup(
         model=model,
         effects=(*_with_limits(_with_holds(list_causes(plant), model), limits), *more_effects),
