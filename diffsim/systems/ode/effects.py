@@ -152,7 +152,7 @@ def _list_places(library: Library) -> dict[str, Place]:
         # what drives it, and has an inertia of its own, may be apart from what moves there
         has_inertia = place.force in network.definitions and place.inertia != "1"
         is_driven = place.force is None or (has_inertia and has_linear_drive(network, place))
-        pushed = place.force or pushed_by_inputs(network, place, library.system.held)
+        pushed = place.force or pushed_by_inputs(library.system, place)
         is_plain = (place.unit, place.position_unit) == ("N", "m") and len(library.places) == 1
         found[place.name] = Place(
             magnitudes_at(scale),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from diffsim.causes.row import Row
@@ -10,6 +10,7 @@ from diffsim.core.expression import Expression, parse_expression
 from diffsim.identify.effect import Apply
 from diffsim.systems.description import Quantity
 from diffsim.systems.ode.applying import by_formulas, entering, symbol
+from diffsim.systems.ode.described import FormulaSystem
 from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library, PlaceScale
 from diffsim.systems.ode.network import RATE, Change, Network, filled, is_linear, named, written_out
@@ -97,7 +98,7 @@ def _list_letters(
     }
     if place.force is not None:
         out["load"] = named(place.force)
-    elif pushing := pushed_by_inputs(library.system.network, place, library.system.held):
+    elif pushing := pushed_by_inputs(library.system, place):
         out["load"] = load_at(library.system.network, place, out["inertia"], pushing)
     width = "width" if place.stick_velocity else f"width*{sticking(place)}"
     stop = f"min(hard, {STOP_LIMIT / library.system.step**2!r}*inertia)"
@@ -183,25 +184,35 @@ def add_inertia(library: Library, place: Place, name: str) -> Apply:
     return by_formulas(Change(factors={place.velocity: factor}), symbol(name))
 
 
-def pushed_by_inputs(network: Network, place: Place, inputs: Collection[str]) -> tuple[str, ...]:
+def pushed_by_inputs(system: FormulaSystem, place: Place) -> tuple[str, ...]:
     """Names without which no input pushes at a place, its rate a straight line over each.
 
-    Args:
-        inputs: Names of the inputs.
+    What a goal of a position pushes with depends on where positions have their zero: no load. A
+    definition that sees how the place moves, as that of a servo, is one whatever its inputs are.
 
     Returns:
         The first definition that takes all inputs with it, else the inputs themselves; empty where
-        none pushes, or its rate is no straight line over them.
+        none pushes, or nobody knows with what force.
     """
+    network, inputs = system.network, set(system.held)
     for name in network.definitions:
         rate = written_out(network.rates[place.velocity], network, but=name)
-        if name in rate.names and set(rate.names).isdisjoint(inputs) and is_linear(rate, name):
-            known = written_out(network.definitions[name], network)
-            if not set(known.names).isdisjoint(inputs):
+        if name in rate.names and inputs.isdisjoint(rate.names) and is_linear(rate, name):
+            known = set(written_out(network.definitions[name], network).names)
+            sees = not known.isdisjoint((place.position, place.velocity))
+            if known & inputs and (sees or all(_is_force(system, n) for n in known & inputs)):
                 return (name,)
     rate = written_out(network.rates[place.velocity], network)
-    found = tuple(name for name in inputs if name in rate.names)
-    return found if all(is_linear(rate, name) for name in found) else ()
+    found = tuple(name for name in system.held if name in rate.names)
+    is_known = all(is_linear(rate, name) and _is_force(system, name) for name in found)
+    return found if is_known else ()
+
+
+def _is_force(system: FormulaSystem, name: str) -> bool:
+    """Whether an input is made of forces or torques alone, by the units of its commands."""
+    units = {c.name: c.unit for c in system.study.commands}
+    used = [n for n in system.inputs[name].names if n in units]
+    return bool(used) and all(units[n] in ("N", "N m") for n in used)
 
 
 def load_at(

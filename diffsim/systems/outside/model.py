@@ -410,6 +410,7 @@ class OutsideModel(SimModel):
             self._pool = None
             raise
 
+    @checked(kinds_only=True)
     def with_first_commands(self, commands: Commands, run: Run) -> Commands:
         """Commands with zero before the run where the study does not say it and they were."""
         is_stated = commands.before is not None and not bool(commands.before.isnan().any())

@@ -45,6 +45,7 @@ def test_a_run_that_begins_in_motion_is_told_with_its_states(
     ("start", "room", "is_said"),
     [
         ({"value": 20, "sd": 1.5, "per": "run"}, 20, True),
+        (20, 20, True),  # known exactly, as they say, and 1 K off
         ({"value": "20 degC", "sd": 1.5, "per": "run"}, "20 degC", False),
         ({"value": 290, "sd": 5, "per": "run"}, 293, False),
         ({"value": 20, "sd": 300, "per": "run"}, 20, False),  # as the study knows no start

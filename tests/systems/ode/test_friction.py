@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.core.expression import parse_expression
-from diffsim.data.study import Run
+from diffsim.data.study import Command, Run
 from diffsim.identify import Problem, WhiteNoise, fit
-from diffsim.systems.ode.keys import Place
-from diffsim.systems.ode.network import Network
-from diffsim.systems.ode.place_effects import pushed_by_inputs
 from diffsim.systems.registry import setup_of
 from tests.systems.toy_cart import cart_study, described
 
@@ -21,7 +17,7 @@ TIME = 0.01 * np.arange(200.0)
 
 def moved(model, force, sizes):
     """Where a cart is under a steady force and causes of given sizes, (num_samples,) [m]."""
-    study = cart_study(model=model)
+    study = replace(cart_study(model=model), commands=(Command("force", "N"),))
     setup = setup_of(study)
     effects = tuple(e for e in setup.effects if e.name in sizes)
     run = Run("a", TIME, np.zeros((len(TIME), 1)), {"force": np.full(len(TIME), force)}, "a")
@@ -71,26 +67,28 @@ def test_friction_grows_with_what_inputs_push(servo):
 
 
 @pytest.mark.parametrize(
-    ("rate", "define", "pushing"),
+    ("rate", "define", "unit", "is_offered"),
     [
-        ("(pull - c*v)/m", {"pull": "force*0.01"}, ("pull",)),
-        ("(turn - c*v)/m", {"current": "force - 2*v", "turn": "3*current"}, ("current",)),
-        ("(force - c*v)/m", {}, ("force",)),
-        ("(force*abs(force) - c*v)/m", {}, ()),
-        ("-c*v/m", {}, ()),
+        ("(pull - c*v)/m", {"pull": "force*0.01"}, "N", True),
+        ("(turn - c*v)/m", {"current": "force - 2*v", "turn": "3*current"}, "V", True),
+        ("(force - c*v)/m", {}, "N", True),
+        ("(force*abs(force) - c*v)/m", {}, "N", False),
+        ("-c*v/m", {}, "N", False),
+        # a goal of a position has its zero anywhere; of a voltage nobody knows the force
+        ("(9*(force - x) - c*v)/m", {}, "m", False),
+        ("(9*(goal - x) - c*v)/m", {"goal": "2*force"}, "m", False),
+        ("(push - c*v)/m", {"push": "9*(2*force - x)"}, "m", True),
+        ("(2*force - c*v)/m", {}, "V", False),
     ],
 )
-def test_what_pushes_at_a_place_is_the_first_that_holds_every_input(rate, define, pushing):
-    rates, names = {"x": "v", "v": rate}, {k: parse_expression(v) for k, v in define.items()}
-    formulas = {k: parse_expression(v) for k, v in rates.items()}
-    place = {"name": "cart", "position": "x", "velocity": "v", "inertia": "m"}
-    network = Network(formulas, {}, names, {}, {})
-    assert pushed_by_inputs(network, Place(**place), ("force",)) == pushing
+def test_load_is_what_inputs_push_with_where_that_is_known(rate, define, unit, is_offered):
     parameters = {"m": {"value": 1.0, "percent": 3}, "c": {"value": 0.5, "percent": 3}}
+    place = {"name": "cart", "position": "x", "velocity": "v", "inertia": "m"}
+    rates = {"x": "v", "v": rate}
     model = described(rates=rates, define=define, parameters=parameters, places=[place])
-    if not pushing:
-        offered = {e.name for e in setup_of(cart_study(model=model)).effects}
-        assert "dry_friction" in offered and "load_friction" not in offered
+    study = replace(cart_study(model=model), commands=(Command("force", unit),))
+    names = {effect.name for effect in setup_of(study).effects}
+    assert "dry_friction" in names and ("load_friction" in names) is is_offered
 
 
 def test_what_slides_is_slowed_by_all_of_it():
