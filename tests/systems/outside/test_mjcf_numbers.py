@@ -238,7 +238,7 @@ def test_calls_are_counted_where_they_are_made():
     study = scenes.recorded()
     sim = Mjcf(XML.format(POSITION), CHANNELS, {"moment_Nm": "m"})
     setup = outside_setup(study, sim, {}, places=[Place("elbow", "N m", 0.05, speed=3.0)])
-    model, run = setup.model, study.runs[0]
+    model, run = setup.model.with_shapes_of(setup.effects), study.runs[0]
     (friction,) = [e for e in setup.effects if e.name == "stribeck_friction_at_elbow"]
     (own,) = [e for e in setup.effects if e.name == "dry_friction_at_elbow"]
     (scale,) = [e for e in setup.effects if e.name == "sensor_scale_of_angle"]
