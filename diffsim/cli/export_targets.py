@@ -211,8 +211,7 @@ def restate_mjcf(
             path = paths.get(component.rpartition(".")[2], paths.get(ONLY, ""))
             numbers[path] = numbers.get(path, sim.value_of(path)) + answer.saved.values[component]
             share = answer.saved.values.get(f"hold_of_{cause}", 1.0)
-            step = float(sim.plain.opt.timestep)
-            numbers |= with_hold(sim.numbers, known, path, step, share)
+            numbers |= with_hold(sim.numbers, known, path, share)
         carried.append(CarriedCause(cause, tuple(paths.values()), answer.cost(components)))
     with TemporaryDirectory() as folder:
         place = out if target == MUJOCO else Path(folder)

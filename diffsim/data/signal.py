@@ -47,6 +47,7 @@ FEWEST_VALUES = 8  # different readings from which on steps are no coincidence
 ON_STEP = 0.05  # of a step: how far off it a reading may lie
 ROUND = 1e-9  # of the range: readings that close are equal
 GAP = 1.5  # usual time steps: a longer one lacks a row
+COMMAND_JUMP = 3.0  # usual changes from row to row, beyond which a command jumped
 
 
 def step_of(readings: Array) -> float | None:

@@ -11,7 +11,7 @@ import numpy as np
 from diffsim.core.figures import counted
 from diffsim.data.record.finding import Finding, rows_shown
 from diffsim.data.record.signals import FEW, Record, Samples, Signal
-from diffsim.data.signal import GAP
+from diffsim.data.signal import COMMAND_JUMP, GAP
 from diffsim.data.stamps import JUMP
 from diffsim.data.study import Run
 
@@ -110,7 +110,7 @@ def _moving(record: Record, run: Run, k: int) -> str | None:
         moved, around = abs(samples.changes[k]), np.abs(samples.around(k, 5))
         if not len(around) or np.mean(around > 0.0) <= SMOOTH:
             continue
-        least = max(LEAST_MOVED * command.range, LOST_JUMP * float(np.median(around)))
+        least = max(LEAST_MOVED * command.range, COMMAND_JUMP * float(np.median(around)))
         if moved > least:
             return command.name
     return None

@@ -30,7 +30,7 @@ LEAST_ROWS, MOST_ROWS, ROW_SHARE = 6, 32, 0.01  # of a run, that show where and 
 COMMAND_CHANGES = 3.0  # likewise: times what the run's commands, moved by their sd, change
 FAR_SHARES = np.array([[0.2], [0.5]])  # of the usual motion and of the usual speed
 SURE_SDS = 6.0  # sd of noise and priors together
-_ROOM = 0.1  # of 273 K: temperatures that a rig begins with
+ROOM = 0.1  # of 273 K: temperatures that a rig begins with
 ALIKE_SHARE = 0.5  # of the largest difference, that all runs have alike; of each, not by starts
 
 
@@ -94,7 +94,7 @@ def _in_celsius(channels: Sequence[Channel], begins: Sequence[_Begin]) -> Iterat
     for i, channel in enumerate(channels):
         off = np.array([b.seen[0, i] - b.told[0, i] for b in begins])
         unsure = SURE_SDS * np.array([b.sd[0, i] for b in begins])
-        is_off = np.abs(off - zero) < np.maximum(unsure, _ROOM * zero)
+        is_off = np.abs(off - zero) < np.maximum(unsure, ROOM * zero)
         if channel.unit == "K" and len(begins) and (is_off & (unsure < zero)).all():
             seen, told = (figure(float(of[0, i]), 4) for of in (begins[0].seen, begins[0].told))
             yield Problem(

@@ -297,8 +297,8 @@ def _open(answer: Answer, verb: str) -> list[str]:
             "One law may act in place of causes that undo each other",
         ]
     sets = [answer.best_names, *answer.rivals]
-    found = _sheets_of(answer)
-    if found and not any(answer.rivals) and {*answer.best_names} == wrong_sheets(answer).keys():
+    found, wrong = _sheets_of(answer), wrong_sheets(answer)
+    if found and not any(answer.rivals) and {*answer.best_names} == wrong.keys():
         return _off_sheet(found, answer.drives)  # they are off with the cause and without it
     if not any(answer.rivals) and not answer.decision.forms:
         return _unsure(answer)
@@ -321,8 +321,7 @@ def _open(answer: Answer, verb: str) -> list[str]:
             len(names) == 1
             and sum(held[n].removes or total for n in more if n in held) >= SMALL * total
         )
-        sheets = wrong_sheets(answer)
-        if len(names) == 1 and len(more) == 1 and (off := sheets.get(more[0])):
+        if len(names) == 1 and len(more) == 1 and (off := wrong.get(more[0])):
             return _beside_shared(answer, shared, names[0], verb, off)
         return _beside_shared(answer, shared, names[0] if is_told else "another cause", verb)
     if len(names) == 1 and all(parts):
@@ -335,9 +334,9 @@ def _open(answer: Answer, verb: str) -> list[str]:
         shown = f"{names[0].partition(' with ')[0]} or another cause"
     if not names or len(shown.split()) > MAX_OPEN:
         shown = "one of several causes"
-    wrong = list(wrong_sheets(answer).values())
-    also = f" or {wrong[0]} is off its data sheet" if wrong else ""
-    if wrong == [shown]:  # the cause changes the very number
+    off_sheets = list(wrong.values())
+    also = f" or {off_sheets[0]} is off its data sheet" if off_sheets else ""
+    if off_sheets == [shown]:  # the cause changes the very number
         also = ", or its data sheet is off"
     is_any = shown == "one of several causes" or shown.endswith(("another cause", UNNAMED))
     said = f"{capital(shown) if is_any else f'Something like {shown}'} {verb} missing{also}"

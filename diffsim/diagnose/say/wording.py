@@ -418,10 +418,10 @@ def data_sheets(answer: Answer) -> list[str]:
                 text += f" (or {', '.join(row.rivals)} acts in its place)"
             out.append(f"{text}.")
     if answer.bent:
-        words = join_words([row.words for row in answer.bent[:MOST_LISTED]])
+        bent = join_words([row.words for row in answer.bent[:MOST_LISTED]])
         off = "are off their data sheets" if len(answer.bent) > 1 else "is off its data sheet"
         left = f"{figure(answer.left, 2)} times the noise"
-        out.append(f"{capital(words)} {off}: no finding while {left} is left.")
+        out.append(f"{capital(bent)} {off}: no finding while {left} is left.")
     if twin := twin_words(answer):
         out.append(f"{capital(twin)}: only these data sheets decide.")
     return [*out, *together]

@@ -15,11 +15,11 @@ class Difference:
 
     Attributes:
         node: As it is written there.
-        speeds: Speeds of the same places, in this order; none where these are no plain states.
+        speeds: Speeds of the same places, in this order; None where these are no plain states.
     """
 
     node: Apply
-    speeds: tuple[str, ...]
+    speeds: tuple[str, ...] | None
 
     @property
     def formula(self) -> Expression:
@@ -42,8 +42,7 @@ class Difference:
             return slack
         made = Apply(node.operation, tuple(self._replace(p, slack, pulled) for p in node.parts))
         names = tuple(part.name for part in node.parts if isinstance(part, Name))
-        is_speed = bool(self.speeds) and self.speeds in (names, names[::-1])
-        is_speed = is_speed and node.operation == "sub"
+        is_speed = node.operation == "sub" and self.speeds in (names, names[::-1])
         return Apply("mul", (made, pulled)) if is_speed else made
 
 
@@ -66,7 +65,7 @@ def _find(node: Node, network: Network) -> Iterator[Difference]:
         if all(places) and places[0] != places[1]:
             is_plain = all(isinstance(part, Name) for part in node.parts)
             speeds = (_speed_of(place, network) for place in places)
-            yield Difference(node, tuple(speeds) if is_plain else ())
+            yield Difference(node, tuple(speeds) if is_plain else None)
     for part in node.parts:
         yield from _find(part, network)
 

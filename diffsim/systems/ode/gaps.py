@@ -14,11 +14,10 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.signals import Grid
-from diffsim.data.signal import GAP
+from diffsim.data.signal import COMMAND_JUMP, GAP
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter
 
-JUMP = 3.0  # usual changes from row to row, which are none of a command that rests
 MOST_SWEPT = 2  # lost rows that a line bridges: of more nobody knows what it did
 EVEN = 0.1  # of a usual step, that a gap is off whole ones: a row that came late lost none
 
@@ -82,7 +81,7 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
         return ()
     usual = float(np.median(steps))
     changes = np.abs(np.diff(np.stack(columns), axis=1))
-    jumps = np.any(changes > JUMP * np.median(changes, axis=1, keepdims=True), axis=0)
+    jumps = np.any(changes > COMMAND_JUMP * np.median(changes, axis=1, keepdims=True), axis=0)
     rows = np.round(steps / usual)
     is_lost = (rows <= MOST_SWEPT + 1) & (np.abs(steps - rows * usual) < EVEN * usual)
     is_swept = is_lost & np.any(changes > 0.0, axis=0)

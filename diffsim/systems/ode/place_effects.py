@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 from diffsim.causes.row import Row
@@ -13,7 +13,7 @@ from diffsim.systems.ode.applying import by_formulas, entering, symbol
 from diffsim.systems.ode.described import FormulaSystem
 from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library, PlaceScale
-from diffsim.systems.ode.network import RATE, Change, Network, filled, is_linear, named, written_out
+from diffsim.systems.ode.network import RATE, Change, filled, is_linear, named, written_out
 from diffsim.systems.ode.scene import at_start
 
 STICK = 0.01  # of the usual velocity: below it dry friction fades
@@ -96,10 +96,6 @@ def _list_letters(
         "hard": filled(parse_expression(f"{stiffness}*exp(stop_hardness)"), own),
         "loss": filled(parse_expression("exp(stop_loss)"), own),
     }
-    if place.force is not None:
-        out["load"] = named(place.force)
-    elif pushing := pushed_by_inputs(library.system, place):
-        out["load"] = load_at(library.system.network, place, out["inertia"], pushing)
     width = "width" if place.stick_velocity else f"width*{sticking(place)}"
     stop = f"min(hard, {STOP_LIMIT / library.system.step**2!r}*inertia)"
     return out | {
@@ -117,13 +113,15 @@ def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Appl
         row: Cause with ``at: force``, of the effect's name.
     """
     name = row.name
+    law = row.said("law", "ode")
     parts = _list_letters(library, place, scale, name)
+    if "load" in parse_expression(law).names:
+        parts["load"] = load_at(library.system, place, parts["inertia"])
     own = {
         k: parse_expression(repr(s.value)) if s.sd is None else named(f"{k} of {name}")
         for k, s in row.shapes.items()
     }
     slow = f"slow state of {name}"
-    law = row.said("law", "ode")
     # letters of a row's own are of its formula alone: a `width` there is not that of w
     known = {**parts, **own}
     letters = parse_expression(law, known)
@@ -215,15 +213,16 @@ def _is_force(system: FormulaSystem, name: str) -> bool:
     return bool(used) and all(units[n] in ("N", "N m") for n in used)
 
 
-def load_at(
-    network: Network, place: Place, inertia: Expression, pushing: Sequence[str]
-) -> Expression:
-    """Force that inputs put on a place: its inertia times what they change of its rate.
+def load_at(system: FormulaSystem, place: Place, inertia: Expression) -> Expression:
+    """The force that a place states; else what inputs put on it: inertia times what they change of
+    its rate.
 
     Args:
         inertia: Inertia there.
-        pushing: Names without which no input pushes, as ``pushed_by_inputs`` finds them.
     """
+    if place.force is not None:
+        return named(place.force)
+    network, pushing = system.network, pushed_by_inputs(system, place)
     but = pushing[0] if pushing[0] in network.definitions else ""
     rate = written_out(network.rates[place.velocity], network, but=but)
     idle = filled(rate, {name: parse_expression("0") for name in pushing})

@@ -185,7 +185,7 @@ class Mjcf:
             run: Run that is simulated.
             force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
-        _, asked = self._take_own({}, force, float(self.plain.opt.timestep))
+        _, asked = self._take_own({}, force)
         num_forces = 0 if asked is None or self._is_known(asked) else len(asked.acting)
         of_forces = OF_CALL + OF_FORCE * num_forces if num_forces else 0.0
         of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
@@ -199,8 +199,7 @@ class Mjcf:
             parameters: Paths that a study states.
         """
         path = path_of_law(self.mujoco, self.numbers, "dry_friction", place)
-        stated = dict.fromkeys(parameters, 0.0)
-        return path is not None and hold_of(self.numbers, stated, path) is not None
+        return path is not None and hold_of(self.numbers, parameters, path) is not None
 
     def strengths(self, reaches: Mapping[str, float]) -> dict[str, tuple[float, str]]:
         """What each commanded actuator with a name may push with, and its unit, by its name: no
@@ -263,10 +262,10 @@ class Mjcf:
             self.mujoco.set_mju_user_warning(before)
 
     def _take_own(
-        self, parameters: Mapping[str, float], force: PlaceForces | None, step: float
+        self, parameters: Mapping[str, float], force: PlaceForces | None
     ) -> tuple[dict[str, float], PlaceForces | None]:
         """Parameters with the forces that MuJoCo has itself, and the forces that are left."""
-        return take_own(self.mujoco, self.numbers, parameters, force, step)
+        return take_own(self.mujoco, self.numbers, parameters, force)
 
     def _groups_of(self, calls: Sequence[Call]) -> Iterator[list[tuple[Call, Steps]]]:
         """Calls that are simulated side by side: as many steps each, in bounded memory."""
@@ -311,7 +310,7 @@ class Mjcf:
         while len(self._models) <= place:
             self._models.append(copy.copy(self.plain))
         model, run = self._models[place], call.run
-        parameters, force = self._take_own(call.parameters, call.force, float(steps.lengths.max()))
+        parameters, force = self._take_own(call.parameters, call.force)
         setting = self.numbers.put(model, parameters)
         values = self._list_controls(run)
         readers = self._find_readers(run)

@@ -9,7 +9,7 @@ of that stay to the end of 8 s. How soon friction that the file lacks takes hold
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from typing import Any
 
@@ -25,7 +25,7 @@ OWN_LAWS = {
     "square_drag": "dampingpoly[0]",
     "cubic_stiffness": "stiffnesspoly[1]",
 }
-HOLD_STEPS = 2.0  # in which friction takes hold at least; MuJoCo takes no fewer
+HOLD_STEPS = 2.0  # in which friction takes hold at least: MuJoCo itself takes no fewer
 HOLDS_S = (1e-3, 0.02)  # as of a joint; where a file says nothing
 SIGNED = ("cubic_stiffness",)  # numbers that may be negative
 #: What a file may switch off, so that the number does nothing, by versions of MuJoCo
@@ -67,14 +67,14 @@ def path_of_law(mujoco: Any, numbers: Numbers, law: str, joint: str) -> str | No
     return f"joint.{joint}.{what}"
 
 
-def hold_of(numbers: Numbers, parameters: Mapping[str, float], path: str) -> str | None:
+def hold_of(numbers: Numbers, parameters: Collection[str], path: str) -> str | None:
     """The number that says how soon friction takes hold; None: not friction, or somebody said it.
 
     Where a file or a study has friction, or another softness than MuJoCo's usual, that stays.
 
     Args:
         numbers: Of the model.
-        parameters: Values by path, without causes.
+        parameters: Paths that a study states.
         path: Number that a cause adds to.
     """
     joint, _, what = path.rpartition(".")
@@ -86,15 +86,14 @@ def hold_of(numbers: Numbers, parameters: Mapping[str, float], path: str) -> str
 
 
 def with_hold(
-    numbers: Numbers, parameters: Mapping[str, float], path: str, step: float, share: float
+    numbers: Numbers, parameters: Collection[str], path: str, share: float
 ) -> dict[str, float]:
     """How soon friction takes hold that a cause brings to a joint, by path; empty where it is said.
 
     Args:
         numbers: Of the model.
-        parameters: Values by path, without causes.
+        parameters: Paths that a study states.
         path: Number that a cause adds to.
-        step: Length of the steps [s].
         share: Of the way between ``HOLDS_S``, by ratios, as far as the file's own steps allow.
     """
     hold = hold_of(numbers, parameters, path)
@@ -102,15 +101,11 @@ def with_hold(
         return {}
     soonest = max(HOLDS_S[0], HOLD_STEPS * float(numbers.plain.opt.timestep))
     softest = max(soonest, HOLDS_S[1])
-    return {hold: max(soonest * (softest / soonest) ** share, HOLD_STEPS * step)}
+    return {hold: soonest * (softest / soonest) ** share}
 
 
 def take_own(
-    mujoco: Any,
-    numbers: Numbers,
-    parameters: Mapping[str, float],
-    force: PlaceForces | None,
-    step: float,
+    mujoco: Any, numbers: Numbers, parameters: Mapping[str, float], force: PlaceForces | None
 ) -> tuple[dict[str, float], PlaceForces | None]:
     """Parameters with the forces that MuJoCo has itself, and the forces that are left.
 
@@ -121,7 +116,6 @@ def take_own(
         numbers: Of the model.
         parameters: Values by path.
         force: Forces that are asked for.
-        step: Length of the steps [s].
     """
     out = dict(parameters)
     if force is None or not force.acts:
@@ -135,6 +129,6 @@ def take_own(
             if value >= 0.0 or law in SIGNED:
                 out[path] = value
                 share = term.shapes[0] if term.shapes else 1.0
-                out |= with_hold(numbers, parameters, path, step, share)
+                out |= with_hold(numbers, parameters, path, share)
                 taken.append(term)
     return out, force.without(taken) if taken else force

@@ -148,14 +148,11 @@ def _with_holds(effects: Iterable[Effect], model: OutsideModel) -> Iterator[Effe
     """Causes; how soon friction takes hold is a number of theirs where it does something."""
     asked, names = model.fits_hold, {p.name.partition("@")[0] for p in model.base}
     for effect in effects:
-        own = [p for p in model.places if effect.name.endswith(f"_at_{spell_plainly(p)}")]
-        of = own or list(model.places)
-        is_open = asked is not None and all(asked(place, names) for place in of)
-        yield effect if is_open or not _holds(effect) else replace(effect, shapes={})
-
-
-def _holds(effect: Effect) -> bool:
-    return any(name.startswith("hold_of_") for name in effect.shapes)
+        if any(name.startswith("hold_of_") for name in effect.shapes):
+            own = [p for p in model.places if effect.name.endswith(f"_at_{spell_plainly(p)}")]
+            if asked is None or not all(asked(place, names) for place in own or model.places):
+                effect = replace(effect, shapes={})
+        yield effect
 
 
 def _with_limits(
