@@ -255,7 +255,7 @@ def _read(path: Path) -> dict[str, Any]:
     return {"": numbers_in(TIMES.sub("", path.read_text("utf-8")))}
 
 
-CLOCK = re.compile(r"seconds|elapsed|date|commit|version|machine|path|cpu|folder")
+CLOCK = re.compile(r"seconds|elapsed|date|commit|version|machine|path|cpu|folder|^code$")
 
 
 def _told(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
