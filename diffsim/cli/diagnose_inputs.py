@@ -41,7 +41,6 @@ FIRST: dict[str, Any] = {
     "first_mesh": 2.0,
     "dear_steps": 0.3e6,
     "plain_steps": PLAIN_SHARE * FIRST_STEPS,
-    "again_steps": 16e6,
 }
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,15 @@ from diffsim.diagnose.checks.gates import (
 )
 from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
-from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, could_be_misfit, numerical_effects
+from diffsim.diagnose.checks.numerics import (
+    NUMERICS_LAMBDA,
+    SetNumerics,
+    check_numerics_of_set,
+    could_be_misfit,
+    numerical_effects,
+    refine_within,
+    with_names,
+)
 from diffsim.diagnose.discover.answer import in_words, with_laws_said
 from diffsim.diagnose.discover.stage import Begin, FoundLaws, at_data_sheet, find_laws
 from diffsim.diagnose.inputs import Inputs
@@ -43,10 +52,12 @@ from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
 from diffsim.diagnose.search.coarse import (
-    NullCorrection,
+    SLOWEST,
+    CorrectionAt,
     carried,
     coarse_gate,
     corrected,
+    find_correction,
     renewed_at,
 )
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, screen
@@ -88,9 +99,11 @@ FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensi
 ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws are short of it
 ROOM_RECORDS = 960.0  # simulations that what is kept for laws must allow: a beam's took 170 CPU s
 LEAST_ROOM = 0.2  # of it, without which laws are not looked for
+OF_ANSWER = 4.0  # budgets of refinement, that the finest of a few simulations at an answer may cost
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
 Begins = Sequence[Begin]
+Ends = Sequence[tuple[Members, Array]]  # sets with their ends, standardized coordinates
 NOISE_CHANGED = 0.03  # relative; a larger change of the floor asks for another round
 
 
@@ -486,8 +499,9 @@ def search_rounds(
         again: Sets that an earlier search found, at whose ends it begins.
     """
     case = null.case
+    known = [_set_at(null.wide, begin_at) for begin_at in first]
     for round_ in range(case.settings.noise_rounds):
-        search = _search_fine_enough(null, simulations, first, again)
+        search = _search_fine_enough(null, simulations, known, again)
         null, simulations = search.null, search.simulations
         best = simulations.fitted[decision_of(search).best]
         residuals = residuals_by_run(case.study.fit_runs, best.record)
@@ -498,41 +512,57 @@ def search_rounds(
         if is_same or round_ == case.settings.noise_rounds - 1:
             break
         null = null.under(after)
-        again = _best_sets(search) if case.correction is not None else ()
+        again = _best_sets(search) if null.case.correction is not None else ()
     # the report shows the floor that the best set leaves
     return replace(search, null=replace(null, noise=after))
 
 
 def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
-    """The search under a correction that holds at its answer, where coarse simulations have one.
+    """The search under a correction that holds at its answer, where coarse simulations have one;
+    with finer settings from there, where they are affordable and none does.
 
     Returns:
         The search, and what coarse simulations have wrong at the answer.
     """
-    size = 0.0
-    for round_ in range(MAX_RENEWALS):
-        null, fit = search.null, search.fit_of(decision_of(search).best)
+    size = math.inf
+    for round_ in count():
+        null, fit, before = search.null, search.fit_of(decision_of(search).best), size
         if fit.problem.correction is None:
             return search, ()
+        is_affordable = null.case.beyond is not None
         null.case.progress("search", 0.84, "finer simulations of the answer")
         try:
-            new, size = renewed_at(fit)
+            new, size = renewed_at(fit, is_affordable=is_affordable)
         except DiffsimError:  # finer simulations fail at the answer, which stays as it is
             size = math.inf
             break
-        if size < NUMERICS_LAMBDA or round_ == MAX_RENEWALS - 1:
+        is_last = size > SLOWEST * before if is_affordable else round_ == MAX_RENEWALS - 1
+        if size < NUMERICS_LAMBDA or is_last:
             break
-        case = replace(null.case, correction=new)
-        if case.store is not None:
-            case = replace(case, store=case.store.sibling(f"renewed{round_}"))
-        carry = partial(carried, old=fit.problem.correction, new=new, runs=fit.problem.runs)
-        problem, best_cost = case.problem(null.noise.whitener), search.best_cost()
-        ended = gauss_newton(problem, carry(null.at), best_cost=best_cost)
-        null = Null(case, null.noise, *ended, null.num_spikes, null.num_misread)
-        made, again = search.simulations.moved(null, carry, case.store), _best_sets(search)
+        case, again = replace(null.case, correction=new), _best_sets(search)
+        null, made = _under(case, search, f"renewed{round_}")
         search = search_rounds(null, made, again=again)
+    if (
+        is_affordable and NUMERICS_LAMBDA <= size < math.inf
+    ):  # friction that sticks by coarse steps alone
+        return _search_finely(search), ()
     search = weigh_unknowns_beside(search, decision_of(search).best)
     return search, (coarse_gate(size, search.null.fit.problem),)
+
+
+def _search_finely(search: Search) -> Search:
+    """The search from what it found, everything simulated with settings that suit that, as far as
+    the budget allows."""
+    null, fit = search.null, search.fit_of(decision_of(search).best)
+    case = replace(null.case, correction=None, beyond=None)
+    plain = replace(fit, problem=replace(fit.problem, correction=None))
+    budget, once = case.settings.refine_budget, replace(plain.problem, numerics=None).cost()
+    checked = check_numerics_of_set(plain, plain.problem.record(fit.x), case.settings)
+    numerics, *_ = refine_within(plain, budget, checked.changes, checked.gates, once)
+    case.progress("search", 0.3, "finer numerical settings, which the best set needs")
+    found = [(members, search.fit_of(members).x) for members in _best_sets(search)]
+    null = _store_anew(refit_under(replace(null, case=case), numerics))
+    return _search_from(null, Simulations(null.wide, null.case.store).under(null), found)
 
 
 def _best_sets(search: Search) -> list[Members]:
@@ -545,46 +575,60 @@ def _best_sets(search: Search) -> list[Members]:
 
 
 def _search_fine_enough(
-    null: Null, simulations: Simulations, first: Begins = (), again: Sequence[Members] = ()
+    null: Null, simulations: Simulations, first: Ends = (), again: Sequence[Members] = ()
 ) -> Search:
-    """Search under numerical settings that are fine enough for the best set, as far as the budgets
-    allow; simulations under coarser ones do not serve. Where the search began at a set that is
-    known, or its budget would not last for the same one with finer settings, it begins at the set
-    which was found."""
-    found = [_set_at(null.wide, begin_at) for begin_at in first]
-    for round_ in range(MAX_RENEWALS):
-        started = null.case.model.simulations.steps
-        search = begin(null, simulations)
-        for members, x in found:
-            search = begin_from(search, members, x)
-        for members in again:
-            search = refit(search, members)
-        fits = search.fits
-        if cut := [s for s in again[:1] if s in fits and fits[s].ended == "budget"]:
-            search = fitted_to_end(search, cut)  # others are held against it, and begin there
-        search = search_sets(search)
-        steps = search.steps - started
-        best = decision_of(search).best
-        # all rounds share it: a pendulum's took 80 million steps, each less than the budget
-        spent = search.steps - null.case.searching
-        is_late = spent > null.case.settings.again_steps or round_ == MAX_RENEWALS - 1
-        search = with_numerics(search, best, is_late=is_late)
-        checked = search.numerics.get(best)
-        if checked is None or checked.finer is None:
-            break
-        if not is_late:
-            finer = replace(null.wide, numerics=checked.finer)
-            is_short = finer.cost() / null.wide.cost() * steps > _steps_left(search)
-            # beyond the budget only where the settings may be what the set does not explain
-            is_late = is_short and not could_be_misfit(search.fit_of(best), checked.gates)
-        if is_late:
-            return replace(search, numerics={**search.numerics, best: checked.postponed()})
-        null.case.progress("search", 0.3, "finer numerical settings, which the best set needs")
-        null = _store_anew(refit_under(null, checked.finer), simulations)
-        sets = _best_sets(search)
-        found = [(s, search.fit_of(s).x) for s in sets] if is_short or first else []
-        simulations = Simulations(null.wide, null.case.store).under(null)
-    return search
+    """Search; where numerical settings are too coarse for the best set, finer simulations at its
+    fit correct all others, and the search goes on."""
+    search = _search_from(null, simulations, first, again)
+    best = decision_of(search).best
+    search = with_numerics(search, best)
+    checked = search.numerics.get(best)
+    if null.case.correction is not None or checked is None or not checked.may_refine:
+        return search
+    null.case.progress("search", 0.3, "finer simulations of the best set")
+    fit, at = search.fit_of(best), search.simulations.fitted[best]
+    dearest = OF_ANSWER * null.case.settings.refine_budget
+    once = replace(fit.problem, numerics=None).cost()
+    try:
+        found = find_correction(fit, replace(at, x=fit.x), dearest, once)
+    except DiffsimError:  # finer simulations fail there: the settings stay as they are
+        return search
+    beyond = SetNumerics(found.changes, with_names(found.gates))
+    case = replace(null.case, correction=found.correction, beyond=beyond)
+    null, simulations = _under(case, search, "corrected")
+    return _search_from(null, simulations, again=_best_sets(search))
+
+
+def _search_from(
+    null: Null, simulations: Simulations, first: Ends = (), again: Sequence[Members] = ()
+) -> Search:
+    search = begin(null, simulations)
+    for members, x in first:
+        search = begin_from(search, members, x)
+    for members in again:
+        search = refit(search, members)
+    fits = search.fits
+    if cut := [s for s in again[:1] if s in fits and fits[s].ended == "budget"]:
+        search = fitted_to_end(search, cut)  # others are held against it, and begin there
+    return search_sets(search)
+
+
+def _under(case: Case, search: Search, label: str) -> tuple[Null, Simulations]:
+    """The plain model and all that was simulated under the correction of a case.
+
+    Args:
+        case: Of the search, with another correction.
+        label: Where results under it are kept.
+    """
+    null, new = search.null, case.correction
+    assert new is not None
+    if case.store is not None:
+        case = replace(case, store=case.store.sibling(label))
+    problem = case.problem(null.noise.whitener)
+    carry = partial(carried, old=null.case.correction, new=new, runs=problem.runs)
+    ended = gauss_newton(problem, carry(null.at), best_cost=search.best_cost())
+    null = Null(case, null.noise, *ended, null.num_spikes, null.num_misread)
+    return null, search.simulations.moved(null, carry, case.store)
 
 
 def _set_at(wide: Problem, begin_at: Begin) -> tuple[Members, Array]:
@@ -599,16 +643,11 @@ def _set_at(wide: Problem, begin_at: Begin) -> tuple[Members, Array]:
     return members, np.array([of.get(wide.names[i], 0.0) for i, of in zip(own, known, strict=True)])
 
 
-def _steps_left(search: Search) -> float:
-    """Weighted steps that refits may still take; infinite: as many as there are."""
-    return search.null.case.searching + search.settings.refit_steps - search.steps
-
-
-def _store_anew(null: Null, before: Simulations) -> Null:
+def _store_anew(null: Null) -> Null:
     """With a store of its own: what is kept there holds for one choice of numerical settings."""
-    if before.store is None:
+    if (before := null.case.store) is None:
         return null
-    store = Store(before.store.folder.parent, _key(null.case), before.store.tally)
+    store = Store(before.folder.parent, _key(null.case), before.tally)
     return replace(null, case=replace(null.case, store=store))
 
 
@@ -643,7 +682,7 @@ def _check_null(
 ) -> tuple[Null, Checks, Simulations]:
     """Numerical settings and gradients at the null fit, everything linearized there."""
     refined = check_numerics(null) if once == 0.0 else None
-    found: NullCorrection | RefinedNull
+    found: CorrectionAt | RefinedNull
     if refined is None:
         null, found = corrected(null, once or null.fit.problem.cost())
     else:

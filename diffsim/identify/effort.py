@@ -67,12 +67,9 @@ class DiagnosisSettings:
         first_mesh: Factor on the size of the model's own cells to begin with, where that pays.
         dear_steps: Weighted steps of a simulation of all fitted runs from which an answer begins
             with ``first_mesh``, and is told once what finer settings change (``Correction``)
-            instead of simulating everything with them; infinite: never.
+            instead of simulating everything with them; infinite: never, but at the best set.
         plain_steps: Weighted steps after which a single fit ends where it is; infinite:
             at its end.
-        again_steps: Weighted steps of a search and its repeats up to which it is repeated where the
-            best set needs finer numerical settings; else the page says what these change. Infinite:
-            repeated.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
         noise_rounds: Largest number of searches; the noise floor is estimated again after each.
@@ -86,6 +83,5 @@ class DiagnosisSettings:
     first_mesh: float = 1.0
     dear_steps: float = math.inf
     plain_steps: float = math.inf
-    again_steps: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
     noise_rounds: int = 3

@@ -166,48 +166,40 @@ class SetNumerics:
 
     Attributes:
         changes: Change of the record by refining each setting, by its name, (N,) each.
-        finer: Settings from which it passes, or the finest within the budget; None: it passes, or
-            none finer are allowed.
+        gates: One per setting.
+        may_refine: Whether a setting fails, and finer ones are within the budget.
     """
 
     changes: dict[str, Array]
     gates: tuple[GateResult, ...]
-    finer: Numerics | None
-
-    def postponed(self) -> SetNumerics:
-        """The same, where no further search is made with the finer settings."""
-        left = "; the search was not repeated with finer settings"
-        gates = (g if g.passed else replace(g, note=g.note + left) for g in self.gates)
-        return SetNumerics(self.changes, tuple(gates), None)
+    may_refine: bool = False
 
 
-def check_numerics_of_set(
-    fit: Fit, record: Array, settings: DiagnosisSettings, *, is_late: bool = False
-) -> SetNumerics:
+def check_numerics_of_set(fit: Fit, record: Array, settings: DiagnosisSettings) -> SetNumerics:
     """Check the numerical settings at the fit of a set of causes.
 
     Args:
         record: Its prediction, (N,).
         settings: Budget of refinement.
-        is_late: Nobody will search with finer settings: ``finer`` is no more than some within the
-            budget, from which the gate may not pass yet.
     """
+    problem = fit.problem
     here = Linearization(fit.x, record, (), np.zeros((len(record), 0)))
-    changes = numerics_changes(fit.problem, here)
+    changes = numerics_changes(problem, here)
     gates = tuple(numerics_gate(fit, changes))
-    used = fit.problem.numerics or Numerics()
-    finer, paid = used, 1.0
-    if not settings.accept_numerics and settings.refine_budget > 1.0 and names_of_failed(gates):
-        once = replace(fit.problem, numerics=None).cost()
-        # what refined settings cost is said of them
-        is_enough = is_late and not any(getattr(used, name) < 1.0 for name in REFINEMENTS)
-        budget = settings.refine_budget
-        finer, _, _, paid = refine_within(
-            fit, budget, changes, gates, once, is_any_enough=is_enough
-        )
-    noted = note_numerics(gates, fit.problem.numerics, paid, settings.refine_budget, finer == used)
-    noted = tuple(replace(g, note=f"{g.note}; with the named causes") for g in noted)
-    return SetNumerics(changes, noted, None if finer == used else finer)
+    used, once = problem.numerics or Numerics(), replace(problem, numerics=None).cost()
+    costs = [
+        replace(problem, numerics=used.refined(REFINEMENTS[name])).cost()
+        for name in names_of_failed(gates)
+    ]
+    budget, is_asked = settings.refine_budget, not settings.accept_numerics
+    may_refine = is_asked and budget > 1.0 and min(costs, default=math.inf) <= budget * once
+    noted = note_numerics(gates, problem.numerics, problem.cost() / once, budget, not may_refine)
+    return SetNumerics(changes, with_names(noted), may_refine)
+
+
+def with_names(gates: Sequence[GateResult]) -> tuple[GateResult, ...]:
+    """Gates with a note that they were asked at the named causes."""
+    return tuple(replace(g, note=f"{g.note}; with the named causes") for g in gates)
 
 
 def refine_within(
@@ -216,11 +208,8 @@ def refine_within(
     changes: dict[str, Array],
     gates: tuple[GateResult, ...],
     once: float,
-    *,
-    is_any_enough: bool = False,
 ) -> tuple[Numerics, dict[str, Array], tuple[GateResult, ...], float]:
-    """Settings from which the gate passes at the same parameters, within the budget; or any finer
-    ones within it, where these are enough.
+    """Settings from which the gate passes at the same parameters, within the budget.
 
     Args:
         fit: Fit whose parameters are kept.
@@ -228,7 +217,6 @@ def refine_within(
         changes: Change of the record by refining each setting, by its name, (N,) each.
         gates: The numerics gate, which fails.
         once: Weighted steps of a plain simulation.
-        is_any_enough: Whether any finer settings are.
 
     Returns:
         The settings, the changes and gates there, and the cost of a simulation over the plain one.
@@ -245,8 +233,6 @@ def refine_within(
                 unaffordable.add(name)
             else:
                 numerics, paid, record = finer, tried.cost() / once, tried.record(x)
-                if is_any_enough:
-                    return numerics, changes, gates, paid
         if record is None:
             break
         there = Linearization(x, record, (), np.zeros((len(record), 0)))

@@ -243,12 +243,12 @@ def _settle_best_set(judgment: Judgment, checks: Checks) -> tuple[Judgment, Chec
     if search is None:
         return judgment, checks, NONE
     if best:
-        search = with_numerics(search, best, is_late=True)
+        search = with_numerics(search, best)
         checks = checks.at_set(search.numerics.get(best))
         judgment = _with_forms(judgment, search, checks.unrefined)
     decision = judgment.decision
     members = judgment.helps | (decision.best if decision.verdict in NAMES else NONE)
-    search = with_numerics(judgment.search or search, members, is_late=True)
+    search = with_numerics(judgment.search or search, members)
     judgment = replace(judgment, search=search)
     return judgment, checks.at_set(search.numerics.get(members)), members
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from diffsim.core.figures import figure
 from diffsim.data.study import Run
 from diffsim.diagnose.checks.gates import COARSE, GateResult
-from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, numerics_gate
+from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, length, numerics_gate
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
@@ -36,7 +36,7 @@ CHEAP = 2.0  # times the first simulation: to refine more than is needed
 
 
 @dataclass(frozen=True, eq=False)
-class NullCorrection:
+class CorrectionAt:
     """A correction, with what is left beyond it.
 
     Attributes:
@@ -50,14 +50,14 @@ class NullCorrection:
     gates: tuple[GateResult, ...]
 
 
-def corrected(null: Null, once: float) -> tuple[Null, NullCorrection]:
+def corrected(null: Null, once: float) -> tuple[Null, CorrectionAt]:
     """The plain model with the correction that its fit asks for, and fitted again.
 
     Args:
         null: The plain model, fitted with coarse settings.
         once: Weighted steps of a simulation of all runs with the cells that were given.
     """
-    found = _find_correction(null, once)
+    found = find_correction(null.fit, null.at, null.case.settings.refine_budget, once)
     case = replace(null.case, correction=found.correction)
     x = null.at.x - found.correction.shift.numpy()
     problem = case.problem(null.noise.whitener)
@@ -67,15 +67,23 @@ def corrected(null: Null, once: float) -> tuple[Null, NullCorrection]:
     return replace(null, case=case, fit=fit, at=at), found
 
 
-def _find_correction(null: Null, once: float) -> NullCorrection:
-    refined = [_refine_setting(null, name, once) for name in REFINEMENTS]
-    coarse = null.fit.problem.numerics or Numerics()
+def find_correction(fit: Fit, at: Linearization, dearest: float, once: float) -> CorrectionAt:
+    """The correction that a fit asks for.
+
+    Args:
+        fit: Fit with coarse settings, not corrected.
+        at: Linearization at its end, base parameters first.
+        dearest: Cost of the finest simulation, at most, in the first one's.
+        once: Weighted steps of a simulation of all runs with the cells that were given.
+    """
+    refined = [_refine_setting(fit, at, name, dearest * once, CHEAP * once) for name in REFINEMENTS]
+    coarse = fit.problem.numerics or Numerics()
     finer = tuple(Finer(r.numerics, r.shift) for r in refined if r.numerics != coarse)
     total = np.sum([r.added for r in refined], axis=0)
-    correction = Correction(null.fit.problem, null.at.x, finer)
+    correction = Correction(fit.problem, at.x, finer)
     gates = tuple(_gate(r, coarse) for r in refined)
     changes = {r.name: _next(r.sizes) * r.change for r in refined}
-    return NullCorrection(correction.known(null.fit.problem.runs, total), changes, gates)
+    return CorrectionAt(correction.known(fit.problem.runs, total), changes, gates)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,28 +111,36 @@ class _RefinedSetting:
         return _next(self.sizes) * self.sizes[-1]
 
 
-def _refine_setting(null: Null, name: str, once: float) -> _RefinedSetting:
-    """Refine a setting until what is left is well below the limit, or costs too much."""
-    problem, at = null.fit.problem, null.at
-    coarse, dearest = problem.numerics or Numerics(), null.case.settings.refine_budget
+def _refine_setting(
+    fit: Fit, at: Linearization, name: str, dearest: float, cheap: float
+) -> _RefinedSetting:
+    """Refine a setting until what is left is well below the limit, or costs too much.
+
+    Args:
+        fit, at: As of ``find_correction``.
+        dearest, cheap: Weighted steps of the finest simulation, at most: as far as it is needed,
+            and beyond.
+    """
+    problem, coarse = fit.problem, fit.problem.numerics or Numerics()
+    by_base = at.slopes(range(problem.num_base))
     nothing = np.zeros_like(at.record)
     here = _RefinedSetting(name, coarse, np.zeros(problem.num_base), nothing, nothing)
     for _ in range(MAX_LEVELS):
         there = here.numerics.refined(REFINEMENTS[name])
         finer = replace(problem, numerics=there)
         record = finer.record(at.x)
-        raw = numerics_gate(null.fit, {name: record - at.record})[0].value
+        raw = numerics_gate(fit, {name: record - at.record})[0].value
         if not here.sizes and raw < NEGLIGIBLE:  # or the model has no such setting
             return replace(here, sizes=(raw,), change=record - at.record)
-        shift, added = _fit_shift(null.fit, record, here.shift)
-        change = at.columns @ (shift - here.shift) + added - here.added
-        size = numerics_gate(null.fit, {name: change})[0].value
+        shift, added = _fit_shift(fit, record, here.shift)
+        change = by_base @ (shift - here.shift) + added - here.added
+        size = numerics_gate(fit, {name: change})[0].value
         here = _RefinedSetting(name, there, shift, added, change, (*here.sizes, size))
         enough = here.left < NUMERICS_LAMBDA
         if min(size, here.left) < 0.5 * NUMERICS_LAMBDA:
             break
         next_cost = replace(problem, numerics=there.refined(REFINEMENTS[name])).cost()
-        if next_cost > once * (CHEAP if enough else dearest):
+        if next_cost > (cheap if enough else dearest):
             break
     return here
 
@@ -190,7 +206,7 @@ def _shift(fit: Fit, change: Array) -> Array:
     return np.asarray(moved[: fit.problem.num_base])
 
 
-def renewed_at(fit: Fit) -> tuple[Correction, float]:
+def renewed_at(fit: Fit, *, is_affordable: bool = False) -> tuple[Correction, float]:
     """The correction made at a fit, its shifts too, and how much it differs there.
 
     A plain model that lacks a large cause may end where finer steps ask for another damping; at
@@ -198,10 +214,12 @@ def renewed_at(fit: Fit) -> tuple[Correction, float]:
 
     Args:
         fit: Fit of a corrected problem.
+        is_affordable: Whether another round costs little: what fitted numbers could take up of a
+            change counts, too, as it moves them.
 
     Returns:
         The new correction; and the length of what it changes of the record there, as the numerics
-        gate measures it [noise and prior sd].
+        gate measures it [noise and prior sd], or all of it.
     """
     problem = fit.problem
     assert problem.correction is not None
@@ -218,23 +236,27 @@ def renewed_at(fit: Fit) -> tuple[Correction, float]:
         total = total + added if total.size else added
     new = Correction(coarse, fit.x, tuple(finer)).known(problem.runs, total)
     moved = replace(problem, correction=new).record(fit.x) - problem.record(fit.x)
-    return new, numerics_gate(fit, {COARSE: moved})[0].value
+    whole = length(problem.whiten_all(moved))
+    return new, whole if is_affordable else numerics_gate(fit, {COARSE: moved})[0].value
 
 
 def carried(
-    at: Linearization, old: Correction, new: Correction, runs: Sequence[Run]
+    at: Linearization, old: Correction | None, new: Correction, runs: Sequence[Run]
 ) -> Linearization:
     """A linearization under one correction where the same coarse simulation serves under another.
 
     Args:
         at: Under the old one.
-        old, new: Corrections with the same coarse settings.
+        old, new: Corrections with the same coarse settings; None: there was none.
         runs: Runs of its record.
     """
-    base = old.problem.model.values
-    x = _point_shifted(at.x, (old.shift - new.shift).numpy())
+    base = new.problem.model.values
+    shift, added = -new.shift, new.over(runs)
+    if old is not None:
+        shift, added = shift + old.shift, added - old.over(runs)
+    x = _point_shifted(at.x, shift.numpy())
     x[: len(base.low)] = np.clip(x[: len(base.low)], base.low, base.high)
-    return replace(at, x=x, record=at.record + new.over(runs) - old.over(runs))
+    return replace(at, x=x, record=at.record + added)
 
 
 def coarse_gate(size: float, problem: Problem) -> GateResult:

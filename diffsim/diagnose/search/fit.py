@@ -29,6 +29,7 @@ from diffsim.diagnose.checks.noise import (
     without_spikes,
 )
 from diffsim.diagnose.checks.numerics import (
+    SetNumerics,
     could_be_misfit,
     names_of_failed,
     note_numerics,
@@ -160,6 +161,7 @@ class Case:
         searching: Its weighted steps where the search begins: budgets of the search count from it.
         numerics: Refined numerical settings of all simulations; None: the model's own.
         correction: What finer settings than ``numerics`` change, made at one point; None: nothing.
+        beyond: What is left to refine beyond a correction that was made at a set; None: at none.
         num_tests: Test runs that are kept, and looked at after the answer is frozen.
     """
 
@@ -175,6 +177,7 @@ class Case:
     searching: int = 0
     numerics: Numerics | None = None
     correction: Correction | None = None
+    beyond: SetNumerics | None = None
     num_tests: int = 0
 
     def problem(self, whitener: Whitener | None = None) -> Problem:

@@ -127,21 +127,23 @@ def search_sets(search: Search) -> Search:
     return search if search.null.case.correction is not None else weigh_unknowns(search, center)
 
 
-def with_numerics(search: Search, members: Members, *, is_late: bool = False) -> Search:
+def with_numerics(search: Search, members: Members) -> Search:
     """Check the numerical settings at the fit of a set, once; at that of the plain model they were
     checked before; those of corrected simulations are checked by their correction.
 
     Args:
         search: Sets that were weighed so far.
         members: Effects of the set, by index.
-        is_late: Nobody will search with finer settings.
     """
     case = search.null.case
-    accepted = case.settings.accept_numerics or case.correction is not None
-    if accepted or members == NONE or members in search.numerics:
+    if case.settings.accept_numerics or members == NONE or members in search.numerics:
         return search
-    record = search.simulations.fitted[members].record
-    found = check_numerics_of_set(search.fit_of(members), record, case.settings, is_late=is_late)
+    found = case.beyond
+    if case.correction is None:
+        record = search.simulations.fitted[members].record
+        found = check_numerics_of_set(search.fit_of(members), record, case.settings)
+    if found is None:
+        return search
     return replace(search, numerics={**search.numerics, members: found})
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from diffsim.diagnose import diagnosis
-from diffsim.diagnose.checks.numerics import SetNumerics
+from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, length
 from diffsim.diagnose.judge.judge import decision_of
 from diffsim.diagnose.search.fit import Case, null_fit, refit_under
 from diffsim.diagnose.search.search import begin, begin_from, refit, search_sets
@@ -64,7 +64,8 @@ def test_a_cause_that_finer_settings_do_not_ask_for_is_left(coarse):
     assert decision_of(again).best == both
 
 
-def test_only_a_search_that_would_be_cut_short_begins_at_an_earlier_end(monkeypatch):
+def rounds(monkeypatch, step, holds):
+    """A search by long steps, and the sets at which another one by shorter steps begins."""
     begun = []
 
     def watched(search, members, x):
@@ -72,39 +73,34 @@ def test_only_a_search_that_would_be_cut_short_begins_at_an_earlier_end(monkeypa
         return begin_from(search, members, x)
 
     monkeypatch.setattr(diagnosis, "begin_from", watched)
-    for steps, expected in ((math.inf, []), (1.0, [BOTH])):
-        begun.clear()
-        null = plain(steps)
-        null = replace(null, case=replace(null.case, model=toy.model(null.case.study.runs, 0.02)))
-        diagnosis._search_fine_enough(null, Simulations(null.wide).under(null))
-        assert begun[:1] == expected
-        # and at the best set without each of its causes: coarse steps may have put one behind
-        assert len(begun) == 3 * len(expected) and not any(less >= BOTH for less in begun[1:])
+    if not holds:  # as of friction that sticks by long steps alone: worse from one to the next
+        sizes = iter((3.0, 4.0))
+        told = diagnosis.renewed_at
+        monkeypatch.setattr(
+            diagnosis, "renewed_at", lambda fit, is_affordable: (told(fit)[0], next(sizes))
+        )
+    null = plain()
+    null = replace(null, case=replace(null.case, model=toy.model(null.case.study.runs, step)))
+    made = diagnosis.search_rounds(null, Simulations(null.wide).under(null))
+    assert made.null.case.correction is not None and made.null.case.beyond is not None
+    return begun, *diagnosis._renew_correction(made)
 
 
-def test_repeats_under_finer_settings_share_one_budget(monkeypatch):
-    """Each of a pendulum's three searches took less than its budget, all of them five times it."""
-    spent: list[tuple[int, bool]] = []
+def test_long_steps_are_corrected_by_short_ones_at_the_best_set(monkeypatch):
+    begun, search, gates = rounds(monkeypatch, 0.01, holds=True)
+    assert best_of(search) == BOTH and not begun
+    assert [g.passed for g in gates] == [True]
+    fit = search.fit_of(decision_of(search).best)
+    fine = replace(fit.problem, correction=None, numerics=fit.problem.correction.finest)
+    off = fit.problem.whiten_all(fine.record(fit.x) - fit.problem.record(fit.x))
+    rough = replace(fine, numerics=None)
+    without = fit.problem.whiten_all(fine.record(fit.x) - rough.record(fit.x))
+    assert length(off) < NUMERICS_LAMBDA < length(without)
 
-    def never_enough(search, members, *, is_late=False):
-        spent.append((search.steps, is_late))
-        finer = (search.wide.numerics or Numerics()).refined(Numerics(time_step=0.5))
-        found = SetNumerics({}, (), finer)
-        return replace(search, numerics={**search.numerics, members: found})
 
-    monkeypatch.setattr(diagnosis, "with_numerics", never_enough)
-
-    def rounds(again: float) -> list[bool]:
-        spent.clear()
-        null = plain()
-        begun = null.case.model.simulations.steps
-        settings = replace(null.case.settings, again_steps=again)
-        null = replace(null, case=replace(null.case, settings=settings, searching=begun))
-        diagnosis._search_fine_enough(null, Simulations(null.wide).under(null))
-        spent[:] = [(steps - begun, is_late) for steps, is_late in spent]
-        return [is_late for _, is_late in spent]
-
-    assert len(rounds(math.inf)) == diagnosis.MAX_RENEWALS
-    first, second = (steps for steps, _ in spent[:2])
-    longest = max(first, second - first)
-    assert longest < second and rounds(0.5 * (longest + second)) == [False, True]
+def test_where_corrections_do_not_hold_short_steps_are_taken_from_what_was_found(monkeypatch):
+    begun, search, gates = rounds(monkeypatch, 0.02, holds=False)
+    assert best_of(search) == BOTH and not gates
+    assert begun[0] == BOTH  # then without each of its causes: long steps may have put one behind
+    assert len(begun) > 1 and not any(less >= BOTH for less in begun[1:])
+    assert search.null.case.correction is None and search.wide.numerics.time_step < 1.0
