@@ -99,7 +99,6 @@ FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensi
 ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws are short of it
 ROOM_RECORDS = 960.0  # simulations that what is kept for laws must allow: a beam's took 170 CPU s
 LEAST_ROOM = 0.2  # of it, without which laws are not looked for
-OF_ANSWER = 4.0  # budgets of refinement, that the finest of a few simulations at an answer may cost
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
 Begins = Sequence[Begin]
@@ -587,10 +586,9 @@ def _search_fine_enough(
         return search
     null.case.progress("search", 0.3, "finer simulations of the best set")
     fit, at = search.fit_of(best), search.simulations.fitted[best]
-    dearest = OF_ANSWER * null.case.settings.refine_budget
     once = replace(fit.problem, numerics=None).cost()
     try:
-        found = find_correction(fit, replace(at, x=fit.x), dearest, once)
+        found = find_correction(fit, replace(at, x=fit.x), null.case.settings, once)
     except DiffsimError:  # finer simulations fail there: the settings stay as they are
         return search
     beyond = SetNumerics(found.changes, with_names(found.gates))

@@ -178,15 +178,17 @@ def _second(
 
 
 def _reasons(answer: Answer, first: str) -> list[str]:
-    """Doubts of what is named, that of a first answer last; whose it is where others have none, and
-    where the first sentence names it."""
+    """Doubts of what the first sentence names, else of all that is; that of a first answer last;
+    whose it is where others have none, and where the first sentence names it."""
     rows = [r for r in answer.causes_with(CERTAIN, LIKELY) if r.doubts or r.status == CERTAIN]
+    named = [row for row in rows if _brief(row.words).lower() in first.lower()]
+    if any(row.doubts for row in named):
+        rows = named
     doubts = dict.fromkeys(why for row in _by_share(rows) for why in row.doubts)
     said = []
     for why in sorted(doubts, key=lambda why: why == FIRST_ANSWER):
         own = [row for row in rows if why in row.doubts]
-        is_named = any(_brief(row.words).lower() in first.lower() for row in own)
-        is_of_all = len(own) == len(rows) or why == FIRST_ANSWER or not is_named
+        is_of_all = len(own) == len(rows) or why == FIRST_ANSWER or not named
         whose = "" if is_of_all else f"{join_words([_brief(row.words) for row in own[:2]])}, as "
         text = f"{whose}{_of_several(why) if whose and len(own) > 1 else why}"
         said.append(text if len(text.split()) <= MAX_WORDS - len(NOT_CERTAIN.split()) else why)

@@ -24,12 +24,14 @@ from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Fit, Problem
 from diffsim.identify.correction import Correction, Finer
+from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.fitting import posterior_covariance
 from diffsim.identify.linearization import Linearization
 from diffsim.identify.numerics import REFINEMENTS, Numerics
 
 Array = NDArray[np.float64]
-MAX_LEVELS = 4  # refinements of one setting
+MAX_LEVELS = 6  # refinements of one setting: a gantry's steps of 2 ms moved 101 noise sd
+FINEST_SHARE = 1.0 / 32.0  # of a search, that its finest simulation may cost: there are a few
 SECOND_ORDER, SLOWEST = 0.25, 0.7  # ratio of a change to the one before, as far as it is taken
 NEGLIGIBLE = 0.1  # noise and prior sd that a setting moves: no correction is needed
 CHEAP = 2.0  # times the first simulation: to refine more than is needed
@@ -57,7 +59,7 @@ def corrected(null: Null, once: float) -> tuple[Null, CorrectionAt]:
         null: The plain model, fitted with coarse settings.
         once: Weighted steps of a simulation of all runs with the cells that were given.
     """
-    found = find_correction(null.fit, null.at, null.case.settings.refine_budget, once)
+    found = find_correction(null.fit, null.at, null.case.settings, once)
     case = replace(null.case, correction=found.correction)
     x = null.at.x - found.correction.shift.numpy()
     problem = case.problem(null.noise.whitener)
@@ -67,16 +69,21 @@ def corrected(null: Null, once: float) -> tuple[Null, CorrectionAt]:
     return replace(null, case=case, fit=fit, at=at), found
 
 
-def find_correction(fit: Fit, at: Linearization, dearest: float, once: float) -> CorrectionAt:
+def find_correction(
+    fit: Fit, at: Linearization, settings: DiagnosisSettings, once: float
+) -> CorrectionAt:
     """The correction that a fit asks for.
 
     Args:
         fit: Fit with coarse settings, not corrected.
         at: Linearization at its end, base parameters first.
-        dearest: Cost of the finest simulation, at most, in the first one's.
+        settings: Budgets of refinement and of the search.
         once: Weighted steps of a simulation of all runs with the cells that were given.
     """
-    refined = [_refine_setting(fit, at, name, dearest * once, CHEAP * once) for name in REFINEMENTS]
+    dearest = settings.refine_budget * once
+    if math.isfinite(settings.search.refit_steps):
+        dearest = max(dearest, FINEST_SHARE * settings.search.refit_steps)
+    refined = [_refine_setting(fit, at, name, dearest, CHEAP * once) for name in REFINEMENTS]
     coarse = fit.problem.numerics or Numerics()
     finer = tuple(Finer(r.numerics, r.shift) for r in refined if r.numerics != coarse)
     total = np.sum([r.added for r in refined], axis=0)
