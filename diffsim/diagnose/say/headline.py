@@ -181,7 +181,12 @@ def _reasons(answer: Answer, first: str) -> list[str]:
     """Doubts of what the first sentence names, else of all that is; that of a first answer last;
     whose it is where others have none, and where the first sentence names it."""
     rows = [r for r in answer.causes_with(CERTAIN, LIKELY) if r.doubts or r.status == CERTAIN]
-    named = [row for row in rows if _brief(row.words).lower() in first.lower()]
+    of_sheets = "data sheet" in first  # of which all drives are one
+    named = [
+        row
+        for row in rows
+        if _brief(row.words).lower() in first.lower() or (of_sheets and row.origin == DATA_SHEET)
+    ]
     if any(row.doubts for row in named):
         rows = named
     doubts = dict.fromkeys(why for row in _by_share(rows) for why in row.doubts)
@@ -435,7 +440,8 @@ def _missing(
     how = {row.name: PERHAPS if is_open else _sure(row, answer.named) for row in named}
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = _by_share([row for row in named if row.origin == EFFECT], laws)
-    if not effects:
+    is_surer = sheet and not any(MAY_BE_ANOTHER.match(why) for why in sheet[0].doubts)
+    if not effects or (is_surer and all(how[row.name] == PERHAPS for row in effects)):
         return _off_sheet(sheet, answer.drives)
     every = [*effects, *(r for r in effects_of(answer) if r.helps and r not in effects)]
     of_laws = sum(row.removes or 0.0 for row in every if row.name in laws)
