@@ -125,7 +125,7 @@ class Gain:
             interval = f"{self.num_blocks} {what} too few for an interval"
         why = ""
         if (far := self.farthest[0]) > FAR_OFF:
-            why = f"; {self.farthest[1]} of them is {figure(far, 2)} standard deviations off"
+            why = f"; {self.farthest[1]} is {figure(far, 2)} standard deviations off in them"
         if self.is_below_noise:
             share = percent(float(np.sqrt(max(self.left, 0.0))))
             why = f"; the stated noise is too large, {share} of it is left"

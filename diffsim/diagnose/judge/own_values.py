@@ -22,7 +22,7 @@ from diffsim.identify.effort import FIT_RTOL
 
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
 
-
+_FIRST_NOISE = re.compile(r"first (.+) noise")  # of what a run's start is read from
 #: A cause at a place whose name holds a capital letter: no word, but a name of the user's file.
 _AT_NAMED = re.compile(r"([a-z\d_ ]+)[_ ](at|of|from)[_ ]((?!all_|every_)[a-z\d_]*[A-Z][\w.]*)")
 
@@ -35,6 +35,8 @@ def words_of(name: str) -> str:
     stem, _, fact = stem.partition("[")
     part, _, quantity = stem.partition(".")[2].rpartition(".")
     words = (quantity if part else stem).replace("_", " ").replace(".", " ")
+    if first := _FIRST_NOISE.fullmatch(words):
+        words = f"noise of the first reading of {first[1]}"
     if named := _AT_NAMED.fullmatch(stem):
         place = named[3].replace(".", " ").replace("_and_", " and ")
         words = f"{named[1].replace('_', ' ')} {named[2]} {place}"
