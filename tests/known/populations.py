@@ -91,11 +91,22 @@ def public_calls(room: str) -> Callable[[Path], Mapping[str, Any]]:
     return make
 
 
+_last_ready: dict[Callable[[Path], Study], Ready] = {}
+
+
+def ready_of(study: Callable[[Path], Study], folder: Path) -> Ready:
+    """A study and its setup; what its causes have simulated serves its slopes."""
+    if study not in _last_ready:
+        _last_ready.clear()
+        _last_ready[study] = Ready(study(folder))
+    return _last_ready[study]
+
+
 def causes_of(study: Callable[[Path], Study]) -> Callable[[Path], Mapping[str, Any]]:
     """Channels of a study without a cause, and what each cause changes at a share of its size."""
 
     def make(folder: Path) -> dict[str, Any]:
-        ready = Ready(study(folder))
+        ready = ready_of(study, folder)
         out: dict[str, Any] = {"plain": ready.plain}
         for effect in ready.effects.values():
             found = ready.shown(ready.run, {effect: uniform(effect, SHARE)})
@@ -117,7 +128,7 @@ def slopes_of(study: Callable[[Path], Study]) -> Callable[[Path], Mapping[str, A
     with a few causes, unknown ones among them, shapes in space, variables and courses of laws."""
 
     def make(folder: Path) -> dict[str, Any]:
-        ready = Ready(study(folder))
+        ready = ready_of(study, folder)
         setup, run = ready.setup, ready.run
         smooth = tuple(e for e in setup.effects if e.smooth)[:FEW]
         asked = Problem(setup.model, (run,), WhiteNoise(ready.channels), smooth)
@@ -382,10 +393,14 @@ COMMANDS = {
 POPULATIONS: dict[str, Answers] = {
     **{f"public {room}": Answers(public_calls(room)) for room in ROOMS},
     "ranges of arguments": Answers(lambda _: refused_ranges()),
-    **{f"causes {name}": Answers(causes_of(lambda _, n=name: study_of(n))) for name in NAMES},
-    **{f"causes {name}": Answers(causes_of(make)) for name, make in STUDIES.items()},
-    **{f"slopes {name}": Answers(slopes_of(lambda _, n=name: study_of(n)), 1e-5) for name in NAMES},
-    **{f"slopes {name}": Answers(slopes_of(make), 1e-5) for name, make in STUDIES.items()},
+    **{
+        f"{what} {name}": answers
+        for name, make in ({n: lambda _, n=n: study_of(n) for n in NAMES} | STUDIES).items()
+        for what, answers in (
+            ("causes", Answers(causes_of(make))),
+            ("slopes", Answers(slopes_of(make), 1e-5)),
+        )
+    },
     **{f"case {name}": Answers(make, 1e-5) for name, make in CASES.items()},
     **{f"answer {name}": Answers(make, 1e-4) for name, make in ANSWERS.items()},
     **{f"shown {name}": Answers(make, 1e-4) for name, make in SHOWN.items()},

@@ -270,9 +270,10 @@ def fit_color(series: Sequence[Array], sd: float) -> Array:
     # nothing is left, it is white, or its memory is too long to be seen
     if not len(a) or _num_independent(a, num_samples) < MIN_DEVIATIONS:
         return none
-    blocks = [_whitening_block(len(x), a) for x in parts]
-    chi2 = float(sum(np.sum((w @ x) ** 2) for w, x in zip(blocks, parts, strict=True)))
-    log_det = float(sum(np.log(w.diagonal()).sum() for w in blocks))
+    blocks = {length: _whitening_block(length, a) for length in set(map(len, parts))}
+    chi2 = float(sum(np.sum((blocks[len(x)] @ x) ** 2) for x in parts))
+    log_dets = {length: np.log(block.diagonal()).sum() for length, block in blocks.items()}
+    log_det = float(sum(log_dets[len(x)] for x in parts))
     gained = 0.5 * (sum(float(x @ x) for x in parts) - chi2) + log_det
     price = 0.5 * float(np.log(num_samples))
     has_stated_size = not _is_of_own_size(chi2 / num_samples, _num_squares(a, num_samples))

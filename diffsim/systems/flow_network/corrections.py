@@ -7,6 +7,8 @@ to the sizes. Two dimensions.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import torch
 from torch import Tensor
 
@@ -37,11 +39,15 @@ class FlowDerivatives:
         spacing = min(grid.spacing)
         self.fit = MovingFit(self.centers.numpy(), targets.numpy(), spacing)
         self.inside = inside.reshape(-1).nonzero()[:, 0]
-        sources = grid.centers.reshape(-1, 2)[self.inside]
         around = torch.nn.functional.max_pool2d(wet, 7, stride=1, padding=3)[0, 0] > 0.0
         self.around = around.reshape(-1).nonzero()[:, 0]  # walls may move by two cells
-        targets = grid.nodes.reshape(-1, 2)[self.around]
-        self.fit_inside = MovingFit(sources.numpy(), targets.numpy(), spacing)
+
+    @cached_property
+    def fit_inside(self) -> MovingFit:
+        """Of what is known in ``inside``, at the nodes ``around``."""
+        sources = self.grid.centers.reshape(-1, 2)[self.inside]
+        targets = self.grid.nodes.reshape(-1, 2)[self.around]
+        return MovingFit(sources.numpy(), targets.numpy(), min(self.grid.spacing))
 
     def gradient(self, velocity: Tensor) -> Tensor:
         """d v_i / d x_j at the centers of fluid cells, (cases, 2, 2, num_fluid_cells) [1/s].

@@ -132,6 +132,15 @@ class _Balance:
         mean = float(self.resistance.detach().mean())
         self.flow_scale = max(pumped, pushed / mean, 1e-6 / mean)
         self.pressure_scale = self.flow_scale * mean
+        # made here, with gradients: the search for the balance has none
+        self.units = torch.eye(nodes, dtype=torch.float64)  # a row for each node
+        self.free, self.starts, self.ends = (
+            torch.tensor(list(places), dtype=torch.long)
+            for places in (layout.free, layout.starts, layout.ends)
+        )
+        self.entrance = self._compute_entrance_losses()
+        self.given, self.leaky = self._compute_exchange()
+        self.slope = self._make_constant_slope()
 
     def solved(self) -> Tensor:
         """The unknowns, (levels, num_free + num_tubes)."""
@@ -141,31 +150,44 @@ class _Balance:
 
     def at(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """Residual (levels, unknowns) over its scales [-], and its slope."""
-        s, layout = self.scene, self.scene.layout
-        n = len(layout.free)
+        n, free = len(self.free), self.free
         pressure, flow = self._join_pressures(y), y[:, n:] * self.flow_scale
-        free = list(layout.free)
-        pumps = torch.zeros(len(self.incidence), dtype=torch.float64)
-        given = torch.zeros(len(y), len(pumps), dtype=torch.float64)
-        for k, node in enumerate(layout.pumps):
-            pumps[node] += 1.0
-            given = given + self.drive[:, k, None] * _make_unit_row(len(pumps), node)
-        leaks = [s.number(f"leak_at_{layout.nodes[node]}") for node in free]
-        leaky = s.number("leak") * pumps[free] + (torch.stack(leaks) if leaks else _ZERO)
-        mass = (flow @ self.incidence.mT + given)[:, free] - leaky * pressure[:, free]
+        mass = (flow @ self.incidence.mT + self.given).index_select(1, free)
+        mass = mass - self.leaky * pressure.index_select(1, free)
         widened, steep = linearize_pressure(pressure, self.compliance)
         used, rise = self._compute_drop(flow)
-        drop = widened[:, list(layout.starts)] - widened[:, list(layout.ends)]
+        drop = widened.index_select(1, self.starts) - widened.index_select(1, self.ends)
         residual = torch.cat([mass / self.flow_scale, (drop - used) / self.pressure_scale], 1)
-        slope = y.new_zeros(len(y), y.shape[1], y.shape[1])
-        slope[:, :n, n:] = self.incidence[free]
-        slope[:, :n, :n] = torch.diag_embed(
-            (-leaky / self.flow_scale * self.pressure_scale).detach()
-        )
+        slope = self.slope.repeat(len(y), 1, 1)
         steep = steep.detach()[:, None, :] * -self.incidence.mT
-        slope[:, n:, :n] = steep[:, :, free]
-        slope[:, n:, n:] = -torch.diag_embed(rise.detach()) * self.flow_scale / self.pressure_scale
+        slope[:, n:, :n] = steep.index_select(2, free)
+        tubes = slope[:, n:, n:].diagonal(dim1=-2, dim2=-1)
+        tubes.copy_(-rise.detach() * self.flow_scale / self.pressure_scale)
         return residual, slope
+
+    def _compute_exchange(self) -> tuple[Tensor, Tensor]:
+        """What pumps give each node, (levels, num_nodes) [m^3/s], and what leaks from each free one
+        over its pressure, (num_free,) [m^3/(s Pa)]."""
+        s, layout = self.scene, self.scene.layout
+        pumps = torch.zeros(len(self.incidence), dtype=torch.float64)
+        given = torch.zeros(len(self.held), len(pumps), dtype=torch.float64)
+        for k, node in enumerate(layout.pumps):
+            pumps[node] += 1.0
+            given = given + self.drive[:, k, None] * self.units[node]
+        leaks = [s.number(f"leak_at_{layout.nodes[node]}") for node in layout.free]
+        leaky = s.number("leak") * pumps[self.free]
+        return given, leaky + (torch.stack(leaks) if leaks else _ZERO)
+
+    def _make_constant_slope(self) -> Tensor:
+        """What every slope of the residual has, (num_unknowns, num_unknowns)."""
+        layout, n = self.scene.layout, len(self.scene.layout.free)
+        unknowns = n + len(layout.starts)
+        slope = torch.zeros(unknowns, unknowns, dtype=torch.float64)
+        slope[:n, n:] = self.incidence[self.free]
+        slope[:n, :n] = torch.diag_embed(
+            (-self.leaky / self.flow_scale * self.pressure_scale).detach()
+        )
+        return slope
 
     def read(self, y: Tensor) -> Tensor:
         """What ideal meters show, (levels, num_channels)."""
@@ -189,9 +211,9 @@ class _Balance:
         layout = self.scene.layout
         out = torch.zeros(len(y), len(self.incidence), dtype=torch.float64)
         for k, node in enumerate(layout.free):
-            out = out + self.pressure_scale * y[:, k, None] * _make_unit_row(out.shape[1], node)
+            out = out + self.pressure_scale * y[:, k, None] * self.units[node]
         for k, node in enumerate(layout.held):
-            out = out + self.held[:, k, None] * _make_unit_row(out.shape[1], node)
+            out = out + self.held[:, k, None] * self.units[node]
         return out
 
     def _compute_tubes(self) -> tuple[Tensor, Tensor]:
@@ -253,15 +275,20 @@ class _Balance:
         thinned = (1.0 + rate**2) ** (-0.5 * self.thinning)
         factor = (thinned * weight).sum(-1)
         bend = (thinned * weight * (1.0 - self.thinning * rate**2 / (1.0 + rate**2))).sum(-1)
-        k = torch.zeros(flow.shape[1], dtype=torch.float64)
-        for branch in s.layout.branches:
-            if s.layout.shapes[branch] != "resistance":
-                area = self._compute_area(branch)
-                k = k + 0.5 * s.density * s.number("entrance_loss") / area**2 * _make_unit_row(
-                    len(k), branch
-                )
+        k = self.entrance
         used = self.resistance * factor * flow + k * flow * flow.abs()
         return used, self.resistance * bend + 2.0 * k * flow.abs()
+
+    def _compute_entrance_losses(self) -> Tensor:
+        """Drop over the square of the flow, (num_tubes,)."""
+        s, layout = self.scene, self.scene.layout
+        k = torch.zeros(len(layout.tubes), dtype=torch.float64)
+        rows = torch.eye(len(k), dtype=torch.float64)
+        for branch in layout.branches:
+            if layout.shapes[branch] != "resistance":
+                area = self._compute_area(branch)
+                k = k + 0.5 * s.density * s.number("entrance_loss") / area**2 * rows[branch]
+        return k
 
 
 def _correct_for_sides(ratio: Tensor) -> Tensor:
@@ -269,7 +296,3 @@ def _correct_for_sides(ratio: Tensor) -> Tensor:
     n = torch.arange(1.0, 40.0, 2.0, dtype=torch.float64)
     terms = torch.tanh(0.5 * torch.pi * n / ratio) / n**5
     return 1.0 - 192.0 / torch.pi**5 * ratio * terms.sum()
-
-
-def _make_unit_row(count: int, index: int) -> Tensor:
-    return torch.eye(count, dtype=torch.float64)[index]

@@ -123,9 +123,15 @@ class NetworkDevice:
             narrowing: Narrowing of the middle of the branch to each outlet, relative to its width,
                 (num_outlets,) [-].
         """
-        distance, place = self.coordinates(points)
-        half = torch.tensor([0.5 * s.width for s in self.segments], dtype=points.dtype)
-        share = torch.zeros(len(self.segments), dtype=points.dtype)
+        return self.level_set_at(*self.coordinates(points), offset, narrowing)
+
+    @checked(kinds_only=True)
+    def level_set_at(
+        self, distance: Tensor, place: Tensor, offset: float, narrowing: tuple[float, ...]
+    ) -> Tensor:
+        """The same from ``coordinates``, which the walls do not move."""
+        half = torch.tensor([0.5 * s.width for s in self.segments], dtype=distance.dtype)
+        share = torch.zeros(len(self.segments), dtype=distance.dtype)
         for branch, amount in zip(self.branches, narrowing, strict=True):
             share[branch] = amount
         hump = 0.5 + 0.5 * torch.cos(2.0 * torch.pi * (place - 0.5) / self.throat)

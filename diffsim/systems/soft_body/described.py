@@ -13,6 +13,7 @@ from torch import Tensor
 
 from diffsim import contact
 from diffsim.causes.scene import Commands, Instruments, grid_at
+from diffsim.core.layer import may_be_differentiated
 from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.identify.numerics import Numerics
 from diffsim.soft.materials import CONSTANTS
@@ -144,7 +145,8 @@ class DescribedModel:
         out["rayleigh_beta"], out["rayleigh_alpha"] = own["rayleigh_beta"], own["rayleigh_alpha"]
         tilt = torch.stack([own["gravity_roll"], own["gravity_pitch"], torch.zeros(()).double()])
         vector = torch.tensor(given.gravity.vector, dtype=torch.float64)
-        out["gravity"] = matrix_from_rotation_vector(tilt) @ vector
+        is_level = not may_be_differentiated() and not bool(tilt.any())
+        out["gravity"] = vector if is_level else matrix_from_rotation_vector(tilt) @ vector
         attached = [
             self._find_mass(i, own, run) * rig.load_shares[i]
             for i, load in enumerate(given.masses)

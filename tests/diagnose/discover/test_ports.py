@@ -108,7 +108,6 @@ def test_a_pump_that_warms_is_found_with_its_time():
     assert is_confirmed(report)
 
 
-@pytest.mark.cpu(18)  # forces have no tangents: every term is simulated
 def test_a_force_at_a_place_of_an_outside_simulator_is_found():
     """A brake that begins at 1 rad/s, one way only: position, speed and command are weighed."""
     brake = parse_expression("-size*max(v - 1.0, 0)", OF_FORCES)
