@@ -163,7 +163,7 @@ def test_a_gain_that_own_values_pay_for_is_not_confirmed():
     sure = Gain(0.8, 0.7, 0.9, 3.0, 20, farthest=(2.9, "zero closing"))
     bought = replace(sure, farthest=(5.0, "zero closing"))
     assert (sure.status, bought.status) == ("confirmed", "not confirmed")
-    assert bought.words.endswith("zero closing of them is 5 standard deviations off.")
+    assert bought.words.endswith("zero closing is 5 standard deviations off in them.")
     row = ErrorRow("a", "position", "mm", 2.0, 1.1, 1.0, 100, 1)
     assert (
         "the gain needs zero closing 5 standard deviations off on unseen runs"
