@@ -130,7 +130,7 @@ class RodStatics:
         given = self._op_arguments(start, seen, offset) | {"tolerance": float(tolerance)}
         strains, places, turns = _ops.rod_solve(**given, straight=straight)
         if not bool((is_found := turns.detach() < tolerance).all()):
-            rested = self._rested(strains.shape)
+            rested = self._come_to_rest(strains.shape)
             given["start"] = torch.where(is_found[..., None, None], strains.detach(), rested)
             strains, places, turns = _ops.rod_solve(**given, straight=False)
         most = float(turns.detach().max())
@@ -144,7 +144,7 @@ class RodStatics:
         return strains, places[..., len(self.points.names) :, :]
 
     @torch.no_grad()
-    def _rested(self, shape: torch.Size) -> Tensor:
+    def _come_to_rest(self, shape: torch.Size) -> Tensor:
         """Strains of rods that have come from unloaded close to rest, (K, S, N, 3) [1/m].
 
         Each element goes the way that its moment alone would bend it, some of it at a time; less
