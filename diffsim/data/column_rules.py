@@ -41,6 +41,9 @@ _IS_HELD = "held for many samples"
 MIN_EQUAL = 10  # samples: fewer may be equal by chance
 _LARGE = 0.05  # of the range: changes of what is held and looks commanded
 _CLEANER = 0.2  # of the noise of what follows it
+_NO_ORDER = (
+    0.5  # of all scatter: rows next to each other differ by so much where they have no order
+)
 _ALIKE = 0.7  # correlation of a motion with what it follows
 _MOST_SAMPLES = 4000  # of a run, that are compared
 _RARE = 3.0  # times the steps of the record: samples of a file of commands, held in between
@@ -370,7 +373,8 @@ def _follows(values: Sequence[Array], leader: Sequence[Array]) -> bool:
         a, b = a[:n][there], b[:n][there]
         if len(a) < MIN_EQUAL or not np.ptp(a) > 0.0 or not np.ptp(b) > 0.0:
             continue
-        if np.corrcoef(a, b)[0, 1] < _ALIKE:
+        # of poses in no order none is later
+        if np.corrcoef(a, b)[0, 1] < _ALIKE or scatter(np.diff(b), 1) > _NO_ORDER * np.std(b):
             return False
         # the rate of change tells later from earlier: a lag d makes a - b = -d db/dt
         slope = np.gradient(b)

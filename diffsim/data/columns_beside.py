@@ -6,7 +6,7 @@ out: text, constants, clocks, copies of another column, and what a run lacks.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from keyword import kwlist
 
@@ -48,7 +48,10 @@ def numeric_columns(samples: RunSamples, keep: Rows | slice = slice(None)) -> di
 
 
 def choose_columns(
-    runs: Sequence[Run], used: Collection[str], taken: Collection[str]
+    runs: Sequence[Run],
+    used: Collection[str],
+    taken: Collection[str],
+    unit_cells: Mapping[str, str],
 ) -> tuple[tuple[Run, ...], tuple[Column, ...]]:
     """The columns that may explain something, in SI units, under names that formulas can use.
 
@@ -56,6 +59,7 @@ def choose_columns(
         runs: Runs with all numeric columns of their files, by header.
         used: Headers that the study uses.
         taken: Names of channels, commands and facts.
+        unit_cells: Of files with a row of units, what stands there, by header.
 
     Returns:
         The runs with these columns alone, and what is known of each.
@@ -63,7 +67,7 @@ def choose_columns(
     names = _WORDS | set(taken)
     columns, units = [], {}
     for header in _headers_that_tell(runs, used):
-        said = column_of(header)
+        said = column_of(header, unit_cells.get(header, ""))
         name = next(n for n in _count_up(said.base) if n not in names)
         names.add(name)
         units[header] = said.unit
@@ -80,25 +84,33 @@ def choose_columns(
 def outputs_of(study: Study) -> frozenset[str]:
     """Columns beside that are outputs of the experiment, such as another marker of the same leg.
 
-    The channels of the same unit tell them row by row: what is left of a channel follows such a
-    column by itself, and nothing acts through it.
+    The channels of one unit tell them row by row: what is left of a channel follows such a column
+    by itself, and nothing acts through it. Channels of several units would tell an input, too, by
+    the model turned round.
 
     Args:
         study: Study with columns beside; its test runs are not looked at.
     """
-    runs, found = study.fit_runs or study.runs, []
+    runs = study.fit_runs or study.runs
+    measured = np.concatenate([run.measured for run in runs])
+    units = np.array([channel.unit for channel in study.channels])
+    found = []
     for column in study.columns:
-        alike = [i for i, c in enumerate(study.channels) if column.unit in (None, c.unit)]
-        rows = np.concatenate([run.measured[:, alike] for run in runs])
         values = np.concatenate([run.columns[column.name] for run in runs])
-        seen = np.isfinite(rows).all(axis=1) & np.isfinite(values)
-        if not alike or not seen.sum() > len(alike) + 1:
-            continue
-        given = np.column_stack([np.ones(seen.sum()), rows[seen]])
-        told = given @ np.linalg.lstsq(given, values[seen], rcond=None)[0]
-        if np.var(values[seen] - told) < _UNTOLD_SHARE * np.var(values[seen]):
+        alike = dict.fromkeys(u for u in units if column.unit in (None, u))
+        if any(_is_told(values, measured[:, units == unit]) for unit in alike):
             found.append(column.name)
     return frozenset(found)
+
+
+def _is_told(values: Array, rows: Array) -> bool:
+    """Whether a line through each row of channels tells a column, but for a small share."""
+    seen = np.isfinite(rows).all(axis=1) & np.isfinite(values)
+    if not seen.sum() > rows.shape[1] + 1:
+        return False
+    given = np.column_stack([np.ones(seen.sum()), rows[seen]])
+    told = given @ np.linalg.lstsq(given, values[seen], rcond=None)[0]
+    return bool(np.var(values[seen] - told) < _UNTOLD_SHARE * np.var(values[seen]))
 
 
 def _headers_that_tell(runs: Sequence[Run], used: Collection[str]) -> Iterator[str]:

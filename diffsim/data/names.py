@@ -37,8 +37,8 @@ _UNITS = {
 }
 CLOCK = re.compile(r"time$", re.I)  # a clock if it only grows, as systime; settling_time does not
 COUNTER = re.compile(
-    r"^((frame|sample|index|idx|row|count|counter|seq)(_?(id|nr|no|num|number|index|count))?|"
-    r"i|n|nr|no)$",
+    r"^((frame|sample|index|idx|row|count|counter|seq|pose|image|bild|zeile|schritt|messpunkt)"
+    r"(_?(id|nr|no|num|number|index|count))?|i|n|nr|no)$",
     re.I,
 )
 TRIAL = re.compile(
@@ -51,7 +51,8 @@ _DESIRED = (
 )
 COMMAND = re.compile(
     rf"(^|_)({_DESIRED}|input|pwm|duty|"
-    r"throttle|esc|signal|demand|actions?|control|controller|drive|pump|valve|contraction|"
+    r"throttle|esc|signal|demand|actions?|control|controller|drive|pump|pumpe|valve|ventil|"
+    r"contraction|"
     r"consigne|voltage)(_|\d|$)"
     r"|^u\d*$|^((motor|actuator|servo)s?_)?(m|mot|motor|rotor|rpm|servo|rc|out)_?\d+$",
     re.I,

@@ -127,7 +127,8 @@ class RunReader:
         used = {name for table in self.tables.values() for name in table.used}
         taken = {name for run in out for name in (*run.command, *run.setup)}
         taken |= {channel.name for channel in self.study.channels}
-        placed, self.columns = choose_columns(out, used, taken)
+        units = {n: unit for t in self.tables.values() for n, unit in t.unit_cells.items()}
+        placed, self.columns = choose_columns(out, used, taken, units)
         return placed
 
     def _tell(self, error: Exception) -> None:

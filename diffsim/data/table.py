@@ -340,6 +340,20 @@ class Table:
             return {name: [str(cell).strip() for cell in a.tolist()] for name, a in arrays}
         return _all_cells_of(*self._form, [])[1]
 
+    @cached_property
+    def unit_cells(self) -> dict[str, str]:
+        """What stands below the name of each column, in the line right above the numbers."""
+        if self._arrays:
+            return {}
+        path, _, header_line, first_line, columns = self._form
+        if columns or not header_line or (first_line or 0) < header_line + 2:
+            return {}
+        with open_text(path) as file:
+            lines = [file.readline(MAX_LINE + 1) for _ in range((first_line or 0) - 1)]
+        mark = delimiter_of(lines[header_line - 1])
+        names, cells = (cells_of(line, mark) for line in (lines[header_line - 1], lines[-1]))
+        return dict(zip(names, cells, strict=False))
+
     def twin(self) -> Table:
         """The same table; what is asked of it does not count as used."""
         made = copy(self)

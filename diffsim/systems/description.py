@@ -20,7 +20,7 @@ from diffsim.causes.listing import list_causes
 from diffsim.causes.own import OwnRow, own_causes
 from diffsim.causes.plant import Plant
 from diffsim.causes.ports import SESSIONS
-from diffsim.causes.scales import SCALES
+from diffsim.causes.scales import HELD, SCALES
 from diffsim.core.check import as_spelled, did_you_mean
 from diffsim.core.checked import checked
 from diffsim.core.errors import Mistakes
@@ -347,7 +347,9 @@ class Description(Part):
         assert plant is not None
         model = self.model(used)
         sessions = {} if plant.sessions is None else {SESSIONS: list(plant.sessions.labels)}
-        model.frame = {SCALES: plant.scales.saved(), **sessions}
+        held = {name: between == "held" for name, between in plant.commands.items()}
+        kept = {HELD: held} if plant.is_in_time and held else {}
+        model.frame = {SCALES: plant.scales.saved(), **sessions, **kept}
         return DiagnosisSetup(
             model,
             chosen_effects(list_causes(plant), self.effects, used, plant),

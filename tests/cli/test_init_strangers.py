@@ -21,6 +21,19 @@ def uses(folder: Path) -> dict[str, str]:
     return {run.name: run.use for run in load_study(folder).runs if run.use != "fit"}
 
 
+def test_of_poses_in_no_order_no_marker_commands_another_one(tmp_path, capsys):
+    """Markers near the base move less, and so does their noise: they were commands."""
+    header = "Pose;Zug [N];M1 z [mm];M2 z [mm];M3 z [mm]"
+    for k, name in enumerate("abc"):
+        pull, at = np.random.default_rng(k).random(len(T)), np.arange(len(T)) + 1
+        moved = [far * pull + 0.1 * noisy(k + 7 * far) for far in (5, 40, 90)]
+        write(tmp_path / f"{name}.csv", header, [at, pull, *moved], ";")
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "clock: column Pose counts" in said
+    assert "what is left: Zug, M1_z, M2_z, M3_z" in said
+
+
 @pytest.mark.parametrize("word", ["test", "holdout", "validation"])
 def test_a_recording_that_is_called_so_is_kept_back(tmp_path, capsys, word):
     """It was fitted, and another one was kept back in its place."""

@@ -10,6 +10,7 @@ import yaml
 from diffsim.cli.diagnose_inputs import _study_hash
 from diffsim.data import load_study, save_study
 from diffsim.data.bank import generated_bank
+from diffsim.data.columns_beside import outputs_of
 from diffsim.data.study import Column
 from diffsim.diagnose.search.fit import cut
 from diffsim.systems.multicopter.cutting import evenly_sampled
@@ -186,3 +187,31 @@ def test_another_reading_is_another_study(load):
     first = _study_hash(load())
     assert first == _study_hash(load())
     assert first != _study_hash(load(lambda seed: {"temp [degC]": temperature(seed + 5)}))
+
+
+def test_the_row_of_units_below_the_names_is_read(load, tmp_path):
+    study = load(lambda seed: {"Speed": temperature(seed + 3)})
+    assert study.columns[-1] == Column("Speed", None, "Speed")
+    for name in "abc":
+        head, *rows = (tmp_path / f"{name}.csv").read_text().splitlines()
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, "[s],[mm],[N],,[km/h]", *rows]))
+    lay_out = {"header_line": 1, "first_line": 3}
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump({**STUDY, "table": lay_out}))
+    study = load_study(tmp_path)
+    assert study.columns[-1] == Column("Speed", "m/s", "Speed")
+    np.testing.assert_allclose(study.runs[0].columns["Speed"], temperature(3) / 3.6, rtol=1e-12)
+
+
+def test_an_input_that_channels_of_several_units_tell_is_no_output(load):
+    """A current tells the voltage, and the thrust beside it the speed of the water."""
+
+    def more(seed: int) -> dict[str, Any]:
+        volts, speed = np.random.default_rng(seed).random((2, COUNT))
+        return {"amps": volts, "push": volts - 0.3 * speed, "speed": speed, "copy": 1.0 - volts}
+
+    channels = [
+        {"name": name, "unit": unit, "sd": 0.1} for name, unit in (("amps", "A"), ("push", "N"))
+    ]
+    study = load(more, channels=channels)
+    assert {"speed", "copy"} <= {column.name for column in study.columns}
+    assert outputs_of(study) == {"copy"}

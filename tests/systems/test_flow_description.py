@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from diffsim.causes.scales import HELD
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.identify import fit
@@ -224,6 +225,35 @@ def test_the_joint_that_leaks_is_named():
     assert report.named == ("leak_at_b",)
     size = next(row for row in report.causes if row.name == "leak_at_b").size["size"]
     assert size.low < 1e-12 < size.high
+
+
+@pytest.mark.cpu(8)
+def test_an_elastic_supply_is_a_lag_of_many_samples_behind_a_held_pump():
+    """Of 24 samples: a rate limit, play and a gain that falls were named."""
+    rng, lasts, step = np.random.default_rng(3), 2.4, 0.1
+    usual = {"q1": ("m^3/s", "flow", 2e-12), "p": ("Pa", "pressure", 0.3)}
+    channels = tuple(Channel(name, *of) for name, of in usual.items())
+
+    def run(name, use="fit"):
+        pumped = np.repeat(rng.uniform(1e-9, 6e-9, 6), 20)
+        felt = [pumped[0]]
+        for flow in pumped[:-1]:
+            felt.append(flow + (felt[-1] - flow) * np.exp(-step / lasts))
+        seen = of_resistors(np.array(felt), 0.0)[:, [0, 3]]
+        seen = seen + [c.sd for c in channels] * rng.normal(size=seen.shape)
+        return Run(name, step * np.arange(len(pumped)), seen, {"pump": pumped}, name, use=use)
+
+    only = ["lag", "delay", "rate_limit", "backlash", "gain_slope"]
+    keys = {"samples": "time", "meters": [JOINTED["meters"][k] for k in (0, 3)]}
+    model = {**JOINTED, **keys, "effects": {"only": only}}
+    runs = (run("a"), run("b"), run("c", "test"))
+    s = Study("elastic", "flow_network", channels, runs, model=model)
+    setup = setup_of(s)
+    assert setup.model.frame[HELD] == {"pump": True}
+    report = diagnose(s, setup.model, setup.effects, seed=0, settings=setup.settings)
+    assert report.named == ("lag",)
+    size = next(row for row in report.causes if row.name == "lag").size["size"]
+    assert size.low < lasts < size.high < 1.05 * lasts
 
 
 def described(seed: int, cause: str | None = None) -> Study:

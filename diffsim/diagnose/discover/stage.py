@@ -366,7 +366,11 @@ def _fit_pairs(
     screen, pairs, count = screen.with_pairs(entries)
     least = best.nats + KEEP_NATS + _price(count)
     promised = max(f.candidate.nats for f in fitted) + KEEP_NATS
-    better = [c for c in pairs if c.nats > promised and c.gained > KEEP_NATS]
+    better: list[Candidate] = []
+    for c in (c for c in pairs if c.nats > promised and c.gained > KEEP_NATS):
+        # of variables that are lines of each other, such as a current and its torque, one is fitted
+        if not any(abs(c.nats - other.nats) < TWIN_NATS for other in better):
+            better.append(c)
     made = [_fit_law(screen, fit, c, port, standing, most_steps) for c in better[:NUM_PAIRS]]
     kept = [law for law in made if law is not None and law.nats > least]
     return screen, [replace(law, num_pairs=count) for law in kept]

@@ -23,6 +23,7 @@ from diffsim.identify.model import Parameter
 from diffsim.identify.ranges import Range
 
 WRONG_SHEET_SD = 10.0  # of a data sheet that is wrong, in its own standard deviations
+UNHELD = 1.0 - WRONG_SHEET_SD**-2  # share of its prior's precision that is taken from such a one
 
 
 def pull_limit(parameters: Sequence[Parameter]) -> float:
@@ -115,12 +116,14 @@ def base_rows(
 
 
 def misfit_unheld(fit: Fit) -> float:
-    """Misfit that a fit leaves, by slopes, if data sheets that it has left do not hold it."""
+    """Misfit that a fit leaves, by slopes, if data sheets that it has left hardly hold it."""
     left = _left_sheets(fit, pull_limit(fit.problem.model.base))
     if not left:
         return fit.chi2
     pulls, inner = fit.x[left], np.linalg.inv(fit.covariance[np.ix_(left, left)])
-    return fit.chi2 - float(pulls @ np.linalg.solve(inner - np.eye(len(left)), pulls))
+    # a record may not tell one of them where it has gone: without a sheet it would be anywhere
+    free = np.linalg.solve(inner - UNHELD * np.eye(len(left)), pulls)
+    return fit.chi2 - UNHELD**2 * float(pulls @ free)
 
 
 def _left_sheets(fit: Fit, limit: float) -> list[int]:
@@ -137,13 +140,10 @@ def _without_wrong(fit: Fit, limit: float) -> tuple[Array, Array]:
     covariance, left = fit.covariance, _left_sheets(fit, limit)
     if not left:
         return np.zeros(len(fit.x)), np.sqrt(np.diag(covariance))
-    share = (
-        1.0 - WRONG_SHEET_SD**-2
-    )  # of their priors' precision that is taken away: a change of low rank
     columns = covariance[:, left]
-    inner = np.eye(len(left)) / share - covariance[np.ix_(left, left)]
+    inner = np.eye(len(left)) / UNHELD - covariance[np.ix_(left, left)]  # a change of low rank
     free = covariance + columns @ np.linalg.solve(inner, columns.T)
-    return free[:, left] @ (share * fit.x[left]), np.sqrt(np.diag(free))
+    return free[:, left] @ (UNHELD * fit.x[left]), np.sqrt(np.diag(free))
 
 
 def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) -> BaseRow:

@@ -10,7 +10,8 @@ stand out of what they change, too.
 Data sheets have normal priors. Seven standard deviations cost 25 nats, with which any cause is
 credited that takes them up: of a tube with a narrow bore a leak behind it is named. So each set
 without one of its members is weighed once more with the prior of one pulled parameter ten times as
-wide, at the price of one more family.
+wide, at the price of one more family. Where several causes stand in for one tube together, none of
+them can be left out alone: the plain model is weighed so, too.
 """
 
 from __future__ import annotations
@@ -166,31 +167,47 @@ def without_wrong_data_sheets(decision: Decision, search: Search) -> Decision:
 
     Where the record holds more than the library does, nothing is changed: pulls of data sheets are
     part of what is left then. A single cause gives way to a data sheet that leads by 3 nats and
-    explains the records better: priors alone say which is likelier, not which it is.
+    explains the records better: priors alone say which is likelier, not which it is. Several causes
+    give way to a single data sheet that leads by as much and explains the records no worse.
 
     Args:
         search: Sets that were weighed; those without one member of the best are fitted.
     """
     if decision.verdict not in NAMES or decision.beside is not None or decision.unknown is not None:
         return decision
-    found = {i: sheet for i in decision.best if (sheet := _find_stand_in(search, decision.best, i))}
+    own = search.nats(Hypothesis(decision.best))
+    if len(decision.best) > 1 and (one := _one_for_all(search, decision.best)):
+        return _gives_way(decision, dict.fromkeys(decision.best, one), own)
+    stand_ins = {i: _find_stand_in(search, decision.best, frozenset({i})) for i in decision.best}
+    found = {i: sheet for i, sheet in stand_ins.items() if sheet}
     if not found:
         return decision
     forms = {**decision.forms, **{i: wrong_data_sheet(sheet.name) for i, sheet in found.items()}}
-    own = search.nats(Hypothesis(decision.best))
     instead = {
         decision.best - {i}: (wrong_data_sheet(sheet.name), own + sheet.nats)
         for i, sheet in found.items()
     }
-    fits_better = all(_fits_better(search, decision.best, sheet) for sheet in found.values())
+    fits_better = all(
+        _gains(search, decision.best, sheet) >= ALONE_NATS for sheet in found.values()
+    )
     leads = all(sheet.nats >= ALONE_NATS for sheet in found.values())
     if len(decision.best) == 1 and leads and fits_better:
-        at = {sheet.name: (sheet.x, sheet.sd) for sheet in found.values()}
-        alone = replace(decision, verdict="none", best=frozenset(), rivals=(), equal=())
-        return replace(alone, forms=forms, data_sheets=at, instead=instead)
+        return _gives_way(decision, found, own)
     rest = Hypothesis(decision.best - set(forms))
     rivals = (rest, *(h for h in decision.rivals if h != rest))
     return replace(decision, verdict="ambiguous", rivals=rivals, forms=forms, instead=instead)
+
+
+def _gives_way(decision: Decision, found: Mapping[int, _DataSheet], own: float) -> Decision:
+    """The decision for the plain model with the data sheet that explains what all members do."""
+    at = {sheet.name: (sheet.x, sheet.sd) for sheet in found.values()}
+    instead = {
+        frozenset[int](): (wrong_data_sheet(sheet.name), own + sheet.nats)
+        for sheet in found.values()
+    }
+    forms = {**decision.forms, **{i: wrong_data_sheet(sheet.name) for i, sheet in found.items()}}
+    alone = replace(decision, verdict="none", best=frozenset(), rivals=(), equal=())
+    return replace(alone, forms=forms, data_sheets=at, instead=instead)
 
 
 def wrong_data_sheet(name: str) -> str:
@@ -216,14 +233,24 @@ class _DataSheet:
     chi2: float
 
 
-def _fits_better(search: Search, best: frozenset[int], sheet: _DataSheet) -> bool:
-    """Whether a data sheet leaves less of the records than the cause in its place."""
-    return 0.5 * (search.posteriors[Hypothesis(best)].chi2 - sheet.chi2) >= ALONE_NATS
+def _gains(search: Search, best: frozenset[int], sheet: _DataSheet) -> float:
+    """By how much less a data sheet leaves of the records than the causes in its place [nats]."""
+    return 0.5 * (search.posteriors[Hypothesis(best)].chi2 - sheet.chi2)
 
 
-def _find_stand_in(search: Search, best: frozenset[int], i: int) -> _DataSheet | None:
-    """The data sheet that explains best what a member does, if it can stand in its place."""
-    rest = search.posteriors.get(Hypothesis(best - {i}))
+def _one_for_all(search: Search, best: frozenset[int]) -> _DataSheet | None:
+    """The data sheet that alone explains what all members do, if it leads and fits as well."""
+    sheet = _find_stand_in(search, best, best)
+    if sheet is None or sheet.nats < ALONE_NATS or _gains(search, best, sheet) < -ALONE_NATS:
+        return None
+    return sheet
+
+
+def _find_stand_in(
+    search: Search, best: frozenset[int], members: frozenset[int]
+) -> _DataSheet | None:
+    """The data sheet that explains best what members do, if it can stand in their place."""
+    rest = search.posteriors.get(Hypothesis(best - members))
     if rest is None or rest.fit is None:
         return None
     tried = list(_wrong_data_sheets(rest.fit, search.num_families))

@@ -17,10 +17,13 @@ from torch import Tensor
 
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.plant import IN_TIME, LATE_RECORD, Plant
-from diffsim.causes.scales import Scales
+from diffsim.causes.readings import usual_sample
+from diffsim.causes.scales import HELD, Scales
 from diffsim.causes.scene import Commands, Scene
+from diffsim.causes.signals import Between
 from diffsim.core.check import require_choice
 from diffsim.core.errors import ConvergenceError
+from diffsim.data.signal import looks_held
 from diffsim.data.study import Run, Study
 
 Samples = Literal["levels", "time"]
@@ -164,16 +167,19 @@ def plant_of(
         parts: Parts that are alike; those of a kind of which there are none are left out.
         facts: What else holds of the system.
     """
+    is_in_time = samples == "time"
+    sample_s = usual_sample(study.runs) if is_in_time else 0.0
     scales = Scales.of(study, {DEVICE: {} if narrowest is None else {"narrowest": narrowest}})
     several = bool(pumps and pressures)
     groups = [  # a pump's gain is a cause of its own
         CommandGroup(
             tuple(dict.fromkeys(names)),
             scales.of_commands(names),
-            between="straight" if samples == "time" else "held",
+            between=_between(study, names) if is_in_time else "held",
             is_one_sided=scales.is_one_sided(names),
             ending=ending if several else "",
             facts=known,
+            sample_s=sample_s,
         )
         for names, ending, known in (
             (pumps, "_of_pumps", ("gain_is_fitted",)),
@@ -181,7 +187,6 @@ def plant_of(
         )
         if names
     ]
-    is_in_time = samples == "time"
     few = not is_in_time and not asked
     return Plant(
         kind=kind,
@@ -199,7 +204,15 @@ def plant_of(
         },
         parts={of: names for of, names in parts.items() if names},
         magnitudes=scales.plain[DEVICE],
+        sample_s=sample_s,
     )
+
+
+def _between(study: Study, names: Sequence[str]) -> Between:
+    """What commands do between samples: as a saved model took it, else as it looks."""
+    kept = study.frame.get(HELD, {}).get(names[0])
+    is_held = looks_held(study.runs, names) if kept is None else kept
+    return "held" if is_held else "straight"
 
 
 def meter_gains(values: Mapping[str, Tensor], count: int) -> dict[str, Tensor]:

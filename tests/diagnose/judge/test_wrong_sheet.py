@@ -70,6 +70,23 @@ def test_what_a_cause_alone_explains_stays_its_name():
     assert (report.verdict, report.named, report.findings) == ("named", ("tug",), ())
 
 
+def test_two_causes_that_together_take_up_a_wrong_data_sheet_give_way_to_it():
+    """A tube with a narrow bore was a leak behind it, and a pump that delivers what is lost there.
+    Neither alone is the tube, so that no set without one of them had the evidence."""
+
+    def half(name, other):
+        def apply(scene, size, run):
+            own = linear.shapes("mass", run)[..., 0] + other * linear.shapes("aside", run)[..., 0]
+            return replace(scene, record=scene.record + own * size)
+
+        return replace(linear.line(name), apply=apply)
+
+    causes_of_both = (half("leak", 1.0), half("pump", -1.0))
+    report = diagnosed({}, causes_of_both, base=(14.0, 0.0))
+    assert (report.verdict, report.named, report.findings) == ("data_sheet", (), ("mass",))
+    assert {causes(report)[name].status for name in ("leak", "pump")} == {"refuted"}
+
+
 @pytest.mark.parametrize(("off", "typical"), [(9.0, 0.4), (30.0, 0.02)])
 def test_a_cause_that_fits_as_well_as_a_wrong_data_sheet_is_told_beside_it(off, typical):
     """However unusual its size: of two with one misfit, priors alone do not say which it is."""

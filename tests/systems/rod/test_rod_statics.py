@@ -279,6 +279,16 @@ def test_derivatives_of_an_equilibrium_are_those_of_differences():
     check_layer(layer, factors, ops=ops, fast_mode=True, atol=1e-8, rtol=1e-7)
 
 
+@pytest.mark.parametrize("bend", [3.5, 4.5, 6.0])  # of the tendon alone, from end to end [rad]
+def test_a_hanging_rod_that_is_lifted_until_it_turns_over_comes_to_rest(bend):
+    made = rod(24, force=3.0 * STIFFNESS, pull=bend * STIFFNESS / 0.008, density=8.4)
+    made.offset[..., 2] = 0.008  # the tendon runs above, and from no tension there is no way
+    made.offset[..., 1] = 0.0
+    u, end = solved(made)
+    assert float(made.survey(u[None, None]).residual.abs().max()) < 1e-9 * STIFFNESS
+    assert end[2] > -0.5
+
+
 def test_no_equilibrium_is_said():
     with pytest.raises(ConvergenceError, match="no equilibrium"):
         bent(rod(8, pull=float("nan")))
