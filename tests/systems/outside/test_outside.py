@@ -8,7 +8,7 @@ import pytest
 import torch
 from pydantic import TypeAdapter
 
-from diffsim.data.study import Channel, Run, Study
+from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.diagnose import diagnose
 from diffsim.identify import Parameter
 from diffsim.identify.problem import PredictionError
@@ -398,3 +398,11 @@ def test_held_commands_go_on_in_rows_that_are_lost():
     at = setup.model.at_prior()
     expected = setup.model.predict(whole, at)[kept].numpy()
     np.testing.assert_allclose(setup.model.predict(lost, at).numpy(), expected, atol=5e-4)
+
+
+def test_sizes_of_commands_are_said_in_their_unit():
+    """A play of 0.1 N m was "backlash 0.1"."""
+    study = scenes.recorded()
+    units = replace(study.commands[0], unit="N m") if study.commands else Command("moment_Nm", "N m")
+    setup = setup_of(replace(study, commands=(units,)))
+    assert effect_of(setup, "backlash").shown_unit == "N m"
