@@ -109,12 +109,9 @@ def decide(
     blind = [h for h in nats if h.unknown is not None]
     strongest = max(blind, key=lambda h: nats[h], default=None)
     lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
-    # where much is left, too: an unknown cause that tells more than one of the names does
-    is_led = chi2[best] > MUCH_LEFT**2 * num_free and (
-        (off or {}).get(best, 0.0) > FAR_OFF or lead > _weakest(named_only, best)
-    )
+    is_bent = chi2[best] > MUCH_LEFT**2 * num_free and (off or {}).get(best, 0.0) > FAR_OFF
     # significant beside the best set, and the set explains too little (or there is none)
-    if lead >= KEEP_NATS and (not best.effects or explained < EXPLAINED or is_led):
+    if lead >= KEEP_NATS and (not best.effects or explained < EXPLAINED or is_bent):
         return Decision("unknown", best.effects, (), strongest, explained)
     if not best.effects:
         return Decision("none", frozenset(), (), None, 0.0)
@@ -135,12 +132,6 @@ def decide(
     beside = (strongest, lead) if lead >= KEEP_NATS else (None, 0.0)
     as_well = tuple(h for h in rivals if h in equal)
     return Decision(verdict, best.effects, tuple(rivals), None, explained, *beside, equal=as_well)
-
-
-def _weakest(nats: Mapping[Hypothesis, float], best: Hypothesis) -> float:
-    """What the member of a set adds that adds least [nats]; infinite: no part of it was fitted."""
-    less = (replace(best, effects=best.effects - {i}) for i in best.effects)
-    return min((nats[best] - nats[h] for h in less if h in nats), default=float("inf"))
 
 
 def fits_as_well(
@@ -250,12 +241,9 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             search = refit(search, part)
         if fitted := [p for p in parts if p and p in search.fits]:
             search = fitted_to_end(search, fitted, decision.best)
-        again = decision_of(search, withdrawn)
-        if again.best != decision.best:
-            search = _ready_without(search, again.best)  # a part is enough, which nobody had fitted
+        if (better := decision_of(search, withdrawn).best) != decision.best:
+            search = _ready_without(search, better)  # a part is enough, which nobody had fitted
             continue
-        if again.verdict == "unknown" != asked.verdict:
-            continue  # beside its parts the set is no name
         best = search.fit_of(decision.best)
         now: dict[int, Gain] = {}
         for i in sorted(decision.best):

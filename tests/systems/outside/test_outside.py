@@ -403,6 +403,8 @@ def test_held_commands_go_on_in_rows_that_are_lost():
 def test_sizes_of_commands_are_said_in_their_unit():
     """A play of 0.1 N m was "backlash 0.1"."""
     study = scenes.recorded()
-    units = replace(study.commands[0], unit="N m") if study.commands else Command("moment_Nm", "N m")
+    units = (
+        replace(study.commands[0], unit="N m") if study.commands else Command("moment_Nm", "N m")
+    )
     setup = setup_of(replace(study, commands=(units,)))
     assert effect_of(setup, "backlash").shown_unit == "N m"
