@@ -2,7 +2,7 @@
 
 They are taken apart by a grammar of their own, and pint is asked for single names::
 
-    product  = power {[* / · per] power}             a blank multiplies
+    product  = power {[* / · . per] power}           a blank multiplies
     power    = (name | 1 | "(" product ")") [(^ | **) exponent]
     exponent = [+ -] one or two digits [.5], in brackets or not; superscript digits
 
@@ -31,12 +31,14 @@ LARGEST_POWER = 99
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
 _RAISED = re.compile("[⁺⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 _LETTER = "A-Za-z_%°µμΩΩÅ"
-_TOKEN = re.compile(rf"\s*(\*\*|[*/^()·⋅]|1(?![\w.])|[{_LETTER}][{_LETTER}0-9]*)\s*")
+_TOKEN = re.compile(rf"\s*(\*\*|[*/^()·⋅.]|1(?![\w.])|[{_LETTER}][{_LETTER}0-9]*)\s*")
 _EXPONENT = re.compile(r"\s*(\()?\s*([+-]?[0-9]{1,2}(?:\.5)?)(?![0-9.])\s*(?(1)\)|)\s*")
 _DIGIT_IS_POWER = re.compile(r"(m|mm|cm|km|s)([234])")  # "m/s2" and "mm3" are written, too
 _NEWTONS = re.compile(r"([kmuM]?N)(m|cm|mm)")  # "Nm" is written for N m
+_DOT = re.compile(r"(?<=\w)[.·⋅](?=[A-Za-z])")
 _SPELLED = {"°C": "degC", "°F": "degF", "°": "deg"}
-_DIVIDES, _TIMES = ("/", "per"), ("*", "·", "⋅")
+_DIVIDES, _TIMES = ("/", "per"), ("*", "·", "⋅", ".")  # "N.m" is written in France
+_ROTATIONS = re.compile(r"(tr|u|umdr)\s*/\s*min", re.I)  # tours, Umdrehungen
 _LONGEST = 2 * LONGEST  # letters of a number with its unit
 #: Coherent SI units by what pint makes of them; others are spelled out in base units.
 _COHERENT = {
@@ -51,13 +53,13 @@ _COHERENT = {
     "kilogram / second": "N s/m",
     "1 / second": "Hz",
 }
-#: Names of recordings and data sheets that pint lacks or takes for others, pct as 2e-16 kg; pulses
-#: and steps are counts
+#: Names of recordings and data sheets that pint lacks or takes for others, pct as 2e-16 kg, cts as
+#: carats, points of an encoder as a printer's; pulses and steps are counts
 _AS_LOGS_WRITE = (
     "px = [picture]",
     "@alias turn = rev = revs",
     "@alias revolutions_per_minute = RPM",
-    "@alias count = tick = ticks = LSB = pulse = pulses = step = steps",
+    "@alias count = tick = ticks = LSB = pulse = pulses = step = steps = cts = inc = points = pts",
     "@alias percent = pct",
     "dps = degree / second",
     "lpm = liter / minute = LPM",
@@ -88,6 +90,8 @@ def _parse_unit(unit: str) -> Any:
     text = unit.strip()
     if text == NO_UNIT:
         text = "1"
+    if _ROTATIONS.fullmatch(text):
+        text = "rpm"
     if text.lower() in ("slm", "slpm", "sccm"):  # pint makes watts of the first
         raise ValueError(
             f"unit {unit!r} is unknown: a standard flow is a mass flow; write it in kg/s, or as "
@@ -280,10 +284,16 @@ def to_si(unit: str) -> SI:
             "look at its powers"
         )
     if size == 1.0 and offset == 0.0:
-        return SI(unit.strip() or NO_UNIT, 1.0, 0.0)
+        return SI(_spaced(unit.strip()) or NO_UNIT, 1.0, 0.0)
     name = str(one.units)
     short = f"{one.units:~}".replace(" ** ", "^").replace(" * ", " ").replace(" / ", "/")
     return SI(_COHERENT.get(name, short), size, offset)
+
+
+def _spaced(unit: str) -> str:
+    """Nm and N.m as N m is written, so that all three are one unit."""
+    moment = _NEWTONS.fullmatch(unit)
+    return " ".join(moment.groups()) if moment else _DOT.sub(" ", unit)
 
 
 def in_si(

@@ -45,6 +45,7 @@ _NO_ORDER = (
     0.5  # of all scatter: rows next to each other differ by so much where they have no order
 )
 _ALIKE = 0.7  # correlation of a motion with what it follows
+_ORDERS = (2, 4, 6)  # of differences: noise is alike in all, a quick motion least in the last
 _MOST_SAMPLES = 4000  # of a run, that are compared
 _RARE = 3.0  # times the steps of the record: samples of a file of commands, held in between
 
@@ -343,16 +344,20 @@ def _range(values: Sequence[Array]) -> float:
 
 
 def _is_smooth(values: Sequence[Array]) -> bool:
-    """Whether what is left of a motion is rounding: fourth differences, of the last digit."""
+    """Whether what is left of a motion is rounding: differences, of the last digit."""
     size, level = _range(values), _level(values)
     step = step_of(np.concatenate(values)) or 0.0
     return level < max(_SMOOTH * size, _ROUNDED * step)
 
 
 def _level(values: Sequence[Array]) -> float:
-    """Noise as fourth differences have it: what is left of a sweep in frequency is rounding."""
-    fourth = np.concatenate([np.diff(v[np.isfinite(v)], n=4) for v in values])
-    return float(scatter(fourth, 4)) if len(fourth) else np.inf
+    """Noise as differences have it: what is left of a sweep in frequency is rounding."""
+    return min(_levels(values, order) for order in _ORDERS[1:])
+
+
+def _levels(values: Sequence[Array], order: int) -> float:
+    left = np.concatenate([np.diff(v[np.isfinite(v)], n=order) for v in values])
+    return float(scatter(left, order)) if len(left) else np.inf
 
 
 def _follower(
@@ -409,9 +414,9 @@ def _noise(values: Sequence[Array]) -> float | None:
     """Scatter from sample to sample, with two digits; at least that of rounding."""
     levels = []
     for v in values:
-        second = np.diff(v[np.isfinite(v)], n=2)  # a slow sensor leaves cells empty
-        if len(second) >= 8:
-            levels.append(float(scatter(second, 2)))
+        here = v[np.isfinite(v)]  # a slow sensor leaves cells empty
+        if len(here) >= 8 + _ORDERS[-1]:
+            levels.append(min(float(scatter(np.diff(here, n=k), k)) for k in _ORDERS))
     there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))
     step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
     level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from diffsim.core.arrays import Array, Mask
+from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.schema import problem_lines
 from diffsim.core.units import to_si
 from diffsim.data.codes import unwrapped
@@ -294,9 +294,19 @@ def without_gaps(run: Run) -> Run:
     if not len(steps):
         return run
     usual = float(np.median(steps))
-    lost = np.maximum(np.round(steps / usual).astype(np.int64) - 1, 0)
+    return with_rows_back(run, np.maximum(np.round(steps / usual).astype(np.int64) - 1, 0))
+
+
+def with_rows_back(run: Run, lost: IntArray) -> Run:
+    """A run with so many rows put back behind each row: commands on straight lines, nothing
+    measured.
+
+    Args:
+        lost: (num_samples - 1,).
+    """
     if not lost.any():
         return run
+    steps = np.diff(run.time_s)
     at = np.append(np.repeat(np.arange(len(steps)), lost + 1), len(steps))  # row before, or itself
     first = np.append(0, np.cumsum(lost + 1))
     place = np.arange(len(at)) - first[at]

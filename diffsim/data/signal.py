@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from diffsim.core.arrays import Array
+from diffsim.core.arrays import Array, IntArray
 from diffsim.data.study import Run
 
 
@@ -48,6 +48,10 @@ ON_STEP = 0.05  # of a step: how far off it a reading may lie
 ROUND = 1e-9  # of the range: readings that close are equal
 GAP = 1.5  # usual time steps: a longer one lacks a row
 COMMAND_JUMP = 3.0  # usual changes from row to row, beyond which a command jumped
+MOST_LOST = 2  # lost rows that a line bridges
+EVEN, OFF = 0.1, 0.45  # of a usual step, that a gap is off whole ones: usually, and at most
+LATE = 5.0  # sd of the stamps: no row comes later by chance
+AROUND = 5  # rows to either side of a gap
 
 
 def step_of(readings: Array) -> float | None:
@@ -133,3 +137,35 @@ def _changes(column: Array) -> tuple[int, int]:
     around = np.concatenate([[False], changed, [False]])
     alone = changed & ~around[:-2] & ~around[2:]
     return int(changed.sum()), int(alone.sum())
+
+
+def lost_rows(time_s: Array) -> IntArray:
+    """Rows that a recorder dropped behind each row, (T-1,): of one or two, where they fill the gap
+    in usual steps; 0 elsewhere. Of more nobody knows what a command did.
+
+    Args:
+        time_s: Stamps of the rows, increasing [s].
+    """
+    steps = np.diff(time_s)
+    if not len(steps):
+        return np.zeros(0, dtype=np.int64)
+    usual = float(np.median(steps))
+    rows = np.round(steps / usual)
+    # how stamps scatter tells a row that came late from one that was lost
+    off = max(EVEN * usual, min(LATE * float(scatter(steps - usual, 0)), OFF * usual))
+    is_lost = (steps > GAP * usual) & (rows <= MOST_LOST + 1)
+    return np.where(is_lost & (np.abs(steps - rows * usual) < off), rows - 1, 0).astype(np.int64)
+
+
+def swept_rows(time_s: Array, commands: Sequence[Array]) -> IntArray:
+    """Of ``lost_rows`` those over which all commands that moved went on as in the rows around."""
+    lost = lost_rows(time_s)
+    moves = np.zeros(len(lost), dtype=bool)
+    for k in np.flatnonzero(lost).tolist():
+        first = max(k - AROUND, 0)
+        near = [np.abs(np.diff(u[first : k + 2 + AROUND])) for u in commands]
+        moved = np.array([around[k - first] for around in near])
+        usual = np.array([np.median(np.delete(around, k - first)) for around in near])
+        most = COMMAND_JUMP * usual * (lost[k] + 1)
+        moves[k] = bool(moved.any() and (moved <= most).all())
+    return np.where(moves, lost, 0)

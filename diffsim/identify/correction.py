@@ -35,10 +35,30 @@ class Finer:
     Attributes:
         numerics: Settings, finer than the coarse ones in one respect.
         shift: What coarse simulations add to the base parameters for it, standardized, (num_base,).
+        before: Settings that are coarser than these; None: nothing is extrapolated.
+        beyond: How much farther records go than from ``before`` to these, as a share of that.
     """
 
     numerics: Numerics
     shift: Array
+    before: Numerics | None = None
+    beyond: float = 0.0
+
+    def predict(self, problem: Any, run: Run, point: Tensor) -> Tensor:
+        """Records of a run of a problem at a point, extrapolated, (num_samples, num_channels)."""
+        found: Tensor = replace(problem, numerics=self.numerics).predict(run, point)
+        if self.before is not None:
+            before = replace(problem, numerics=self.before).predict(run, point)
+            found = found + self.beyond * (found - before)
+        return found
+
+    def record(self, problem: Any, x: Array) -> Array:
+        """The same of all runs of a problem, (N,)."""
+        found: Array = replace(problem, numerics=self.numerics).record(x)
+        if self.before is not None:
+            before = replace(problem, numerics=self.before).record(x)
+            found = found + self.beyond * (found - before)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +98,7 @@ class Correction:
     @property
     def key(self) -> tuple[object, ...]:
         """What tells it from others of the same problem."""
-        return (self.x.tobytes(), *((f.numerics, f.shift.tobytes()) for f in self.finer))
+        return (self.x.tobytes(), *map(_key_of, self.finer))
 
     def of(self, run: Run) -> Tensor:
         """What is added to the coarse record of a run, (num_samples, num_channels); simulated when
@@ -108,9 +128,14 @@ class Correction:
         for one in self.finer:
             moved = point.clone()
             moved[: len(one.shift)] += torch.from_numpy(one.shift)
-            fine = replace(self.problem, numerics=one.numerics)
-            total = total + fine.predict(run, point) - self.problem.predict(run, moved)
+            fine = one.predict(self.problem, run, point)
+            total = total + fine - self.problem.predict(run, moved)
         return total
+
+
+def _key_of(one: Finer) -> tuple[object, ...]:
+    plain = (one.numerics, one.shift.tobytes())
+    return plain if one.before is None else (*plain, one.before, one.beyond)
 
 
 def _factors(numerics: Numerics | None) -> tuple[float, float, float]:

@@ -25,7 +25,13 @@ from diffsim.core.units import factor, in_si, in_unit, small_scale, to_si
         ("mbar", "Pa", 100.0),
         ("mN m", "N m", 1e-3),
         ("N m", "N m", 1.0),
-        ("Nm", "Nm", 1.0),  # coherent: as it was written
+        ("Nm", "N m", 1.0),
+        ("N.m", "N m", 1.0),
+        ("mN.m", "N m", 1e-3),
+        ("tr/min", "rad/s", 2.0 * math.pi / 60.0),
+        ("U/min", "rad/s", 2.0 * math.pi / 60.0),
+        ("points", "points", 1.0),  # of an encoder; pint: a length of 0.35 mm
+        ("cts", "cts", 1.0),  # pint: a carat
         ("m/s2", "m/s2", 1.0),
         ("mm/s^2", "m/s^2", 1e-3),
         ("ml/s", "m^3/s", 1e-6),

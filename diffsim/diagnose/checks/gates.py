@@ -181,6 +181,7 @@ COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget
 PLAIN = "plain_budget"
 CONTRADICTED = "contradicted"
 SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
+MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 MUCH_UNSEEN = 3.0  # noise sd, root mean square, that unseen runs show
 UNSIMULABLE = "laws_in_simulation"
 REPEATS, REPEATED = "repeats:", "swap"

@@ -22,7 +22,7 @@ import numpy as np
 from diffsim.causes.readings import usual_sample
 from diffsim.core.arrays import Array
 from diffsim.core.figures import figure, percent
-from diffsim.diagnose.checks.gates import MUCH_UNSEEN, GateResult, leaves_more
+from diffsim.diagnose.checks.gates import MUCH_LEFT, MUCH_UNSEEN, GateResult, leaves_more
 from diffsim.diagnose.checks.numerics import NUMERICS_GATES, could_be_misfit
 from diffsim.diagnose.judge.averaging import ModelAverage
 from diffsim.diagnose.judge.data_sheet import far_off
@@ -43,7 +43,6 @@ from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
 
-MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 UNDONE = 3.0  # times as far as all causes together, that one moves the record
 TIMING = "timing"  # family of what is late
 TIMED = 0.5  # of a sample: stamps need not tell when between two of them something was read or set

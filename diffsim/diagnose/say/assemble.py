@@ -17,6 +17,7 @@ from diffsim.core.errors import DiffsimError
 from diffsim.data.shown import resolution_words
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.checks.gates import (
+    MUCH_LEFT,
     MUCH_UNSEEN,
     REPEATED,
     GateResult,
@@ -33,7 +34,6 @@ from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
 from diffsim.diagnose.judge.preconditions import (
-    MUCH_LEFT,
     OTHERS_UNDO_IT,
     Grounds,
     doubts_of,

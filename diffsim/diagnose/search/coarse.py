@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +86,9 @@ def find_correction(
         dearest = max(dearest, FINEST_SHARE * settings.search.refit_steps)
     refined = [_refine_setting(fit, at, name, dearest, CHEAP * once) for name in REFINEMENTS]
     coarse = fit.problem.numerics or Numerics()
-    finer = tuple(Finer(r.numerics, r.shift) for r in refined if r.numerics != coarse)
+    finer = tuple(
+        Finer(r.numerics, r.shift, r.before, r.beyond) for r in refined if r.numerics != coarse
+    )
     total = np.sum([r.added for r in refined], axis=0)
     correction = Correction(fit.problem, at.x, finer)
     gates = tuple(_gate(r, coarse) for r in refined)
@@ -103,6 +106,9 @@ class _RefinedSetting:
         added: What is left of the change then, (N,) [unit of the channel].
         change: The last step's change of the record, as if records were linear, (N,).
         sizes: Of every step's change, as the numerics gate measures it.
+        before: Settings one step coarser, from which records are extrapolated; None: they are not.
+        beyond: How much farther they go, as a share of the last step's change.
+        unsure: By how much that may be off [noise and prior sd].
     """
 
     name: str
@@ -111,11 +117,15 @@ class _RefinedSetting:
     added: Array
     change: Array
     sizes: tuple[float, ...] = ()
+    before: Numerics | None = None
+    beyond: float = 0.0
+    unsure: float = 0.0
 
     @property
     def left(self) -> float:
-        """What one more refinement would change, extrapolated [noise and prior sd]."""
-        return _next(self.sizes) * self.sizes[-1]
+        """What one more refinement would change, extrapolated [noise and prior sd]; or how far
+        extrapolated records may be off."""
+        return _next(self.sizes) * self.sizes[-1] if self.before is None else self.unsure
 
 
 def _refine_setting(
@@ -132,6 +142,7 @@ def _refine_setting(
     by_base = at.slopes(range(problem.num_base))
     nothing = np.zeros_like(at.record)
     here = _RefinedSetting(name, coarse, np.zeros(problem.num_base), nothing, nothing)
+    records = [at.record]
     for _ in range(MAX_LEVELS):
         there = here.numerics.refined(REFINEMENTS[name])
         finer = replace(problem, numerics=there)
@@ -139,6 +150,7 @@ def _refine_setting(
         raw = numerics_gate(fit, {name: record - at.record})[0].value
         if not here.sizes and raw < NEGLIGIBLE:  # or the model has no such setting
             return replace(here, sizes=(raw,), change=record - at.record)
+        records.append(record)
         shift, added = _fit_shift(fit, record, here.shift)
         change = by_base @ (shift - here.shift) + added - here.added
         size = numerics_gate(fit, {name: change})[0].value
@@ -149,7 +161,37 @@ def _refine_setting(
         next_cost = replace(problem, numerics=there.refined(REFINEMENTS[name])).cost()
         if next_cost > (cheap if enough else dearest):
             break
-    return here
+    is_enough = here.left < NUMERICS_LAMBDA or len(records) < 3
+    return here if is_enough else _extrapolated(fit, here, records[-3:])
+
+
+def _extrapolated(fit: Fit, here: _RefinedSetting, records: Sequence[Array]) -> _RefinedSetting:
+    """A setting whose last two changes of the record are alike in all but size, such as the step of
+    an integrator of first order, followed to where its changes lead; else as it is.
+
+    Args:
+        records: Those of the last three settings, (N,) each.
+    """
+    problem = fit.problem
+    first, last = (problem.whiten_all(b - a) for a, b in pairwise(records))
+    ratio = float(np.clip(first @ last / (first @ first), SECOND_ORDER, SLOWEST))
+    beyond = ratio / (1.0 - ratio)
+    # what is not alike goes on alike at worst
+    off = beyond * ((records[2] - records[1]) - ratio * (records[1] - records[0]))
+    unsure = numerics_gate(fit, {here.name: off})[0].value
+    if unsure >= here.left:
+        return here
+    step = REFINEMENTS[here.name]
+    back = Numerics(1.0 / step.time_step, 1.0 / step.mesh, 1.0 / step.tolerance)
+    shift, added = _fit_shift(fit, records[2] + beyond * (records[2] - records[1]), here.shift)
+    return replace(
+        here,
+        shift=shift,
+        added=added,
+        before=here.numerics.refined(back),
+        beyond=beyond,
+        unsure=unsure,
+    )
 
 
 def _fit_shift(fit: Fit, record: Array, shift: Array) -> tuple[Array, Array]:
@@ -233,13 +275,13 @@ def renewed_at(fit: Fit, *, is_affordable: bool = False) -> tuple[Correction, fl
     coarse, none = replace(problem, correction=None), np.zeros(problem.num_base)
     here, finer, total = coarse.record(fit.x), [], np.zeros(0)
     for one in problem.correction.finer:
-        record = replace(coarse, numerics=one.numerics).record(fit.x)
+        record = one.record(coarse, fit.x)
         shift, added = none, record - here
         if numerics_gate(fit, {COARSE: added})[0].value >= NEGLIGIBLE:
             # slopes are those of where coarse simulations were, which may be far from no shift
             tried = [_fit_shift(fit, record, first) for first in (none, one.shift)]
             shift, added = min(tried, key=lambda t: float(np.linalg.norm(problem.whiten_all(t[1]))))
-        finer.append(Finer(one.numerics, shift))
+        finer.append(replace(one, shift=shift))
         total = total + added if total.size else added
     new = Correction(coarse, fit.x, tuple(finer)).known(problem.runs, total)
     moved = replace(problem, correction=new).record(fit.x) - problem.record(fit.x)

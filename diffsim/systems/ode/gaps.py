@@ -14,12 +14,9 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.signals import Grid
-from diffsim.data.signal import COMMAND_JUMP, GAP
+from diffsim.data.signal import COMMAND_JUMP, GAP, lost_rows
 from diffsim.data.study import Run
 from diffsim.identify.model import Parameter
-
-MOST_SWEPT = 2  # lost rows that a line bridges: of more nobody knows what it did
-EVEN = 0.1  # of a usual step, that a gap is off whole ones: a row that came late lost none
 
 
 @dataclass(frozen=True)
@@ -82,16 +79,15 @@ def find_gaps(run: Run, commands: Iterable[str]) -> tuple[Gap, ...]:
     usual = float(np.median(steps))
     changes = np.abs(np.diff(np.stack(columns), axis=1))
     jumps = np.any(changes > COMMAND_JUMP * np.median(changes, axis=1, keepdims=True), axis=0)
-    rows = np.round(steps / usual)
-    is_lost = (rows <= MOST_SWEPT + 1) & (np.abs(steps - rows * usual) < EVEN * usual)
-    is_swept = is_lost & np.any(changes > 0.0, axis=0)
+    lost = lost_rows(run.time_s)
+    is_swept = (lost > 0) & np.any(changes > 0.0, axis=0)
     found = np.flatnonzero((jumps | is_swept) & (steps > GAP * usual))
     return tuple(
         Gap(
             f"change_in_gap_at_{1e3 * run.time_s[k]:.6g}_ms@{run.name}",
             float(run.time_s[k]),
             float(run.time_s[k + 1]),
-            0 if jumps[k] else int(rows[k]) - 1,
+            0 if jumps[k] else int(lost[k]),
         )
         for k in found
     )

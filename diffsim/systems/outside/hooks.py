@@ -69,6 +69,13 @@ def command_groups(
     given = {"": known} if by_name is None else by_name
     for name, columns in given.items():
         _require_all(f"hooks.command.{name}", columns, known)
+    units = {c.name: (c.unit, c.shown_unit) for c in study.commands}
+
+    def unit_of(columns: Sequence[str]) -> tuple[str | None, str | None]:
+        """Unit of commands and the one that is shown, where they share them."""
+        own = {units.get(name, (None, None)) for name in columns}
+        return own.pop() if len(own) == 1 else (None, None)
+
     return tuple(
         CommandGroup(
             tuple(columns),
@@ -76,6 +83,7 @@ def command_groups(
             between,
             scales.is_one_sided(columns),
             f"_of_{spell_plainly(name)}" if name else "",
+            *unit_of(columns),
             sample_s=usual_sample(study.runs),
         )
         for name, columns in given.items()

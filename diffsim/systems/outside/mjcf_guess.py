@@ -404,9 +404,10 @@ def _first_rate(courses: Sequence[Array], clocks: Sequence[Array], noise: float)
         powers = np.vander(time, 3, increasing=True)  # it may speed up from rest
         is_told = len(time) == BEGIN and np.isfinite(powers).all() and np.isfinite(seen).all()
         if is_told and np.linalg.matrix_rank(powers) == powers.shape[1]:
-            inverse = np.linalg.pinv(powers)[1]
+            inverse, least = np.linalg.pinv(powers)[1], SURE_SD * max(noise, SMALLEST_SD)
             rate, sd = abs(float(inverse @ seen)), float(np.linalg.norm(inverse))
-            if rate > SURE_SD * sd * max(noise, SMALLEST_SD):
+            rests = np.ptp(seen[: BEGIN // 2]) <= least  # it may set off a little later
+            if rate > sd * least and not rests:
                 fastest = max(fastest, rate)
     return fastest
 

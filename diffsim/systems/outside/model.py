@@ -17,10 +17,13 @@ from torch import Tensor
 from diffsim.causes.ports import SignalChange
 from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import DELAYS, Grid, SignalMap
-from diffsim.core.arrays import Array
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.checked import checked
+from diffsim.core.memo import Memo
 from diffsim.core.runs import run_each
 from diffsim.core.workers import Processes
+from diffsim.data.run_samples import with_rows_back
+from diffsim.data.signal import swept_rows
 from diffsim.data.study import Command, Run
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import Numerics
@@ -50,6 +53,7 @@ class Job:
         channels: Names of the channels.
         delays: Time by which the simulator hears a command late, by name [s].
         before: Values of such commands before the run; without a word their first ones.
+        rows: Those of the run's rows that were recorded; None: all were.
     """
 
     run: Run
@@ -59,6 +63,7 @@ class Job:
     channels: tuple[str, ...]
     delays: Mapping[str, float] = field(default_factory=dict)
     before: Mapping[str, float] = field(default_factory=dict)
+    rows: IntArray | None = None
 
 
 def call(predict: Predict, label: str, job: Job) -> Array:
@@ -132,7 +137,7 @@ def _shape_channels(given: Any, label: str, job: Job) -> Array:
             f"({count}, {len(names)}): a row for each of the run's time_s, a column for each of "
             f"{', '.join(names)}"
         )
-    return out
+    return out if job.rows is None else out[job.rows]
 
 
 class Records:
@@ -223,7 +228,12 @@ class OutsideScene(Scene):
         if delays:
             before = _before_delays(acting, names, self.grid)
         run = replace(self.run, command=dict(zip(names, heard, strict=True)))
-        return Job(run, values, forces, self.numerics, model.channels, delays, before)
+        lost = model.lost(self.run, lambda: _swept_rows(self.run))
+        rows = np.arange(len(run.time_s)) + np.append(0, np.cumsum(lost)) if lost.any() else None
+        run = with_rows_back(
+            run, lost
+        )  # behind causes: a held command went on in rows that are lost
+        return Job(run, values, forces, self.numerics, model.channels, delays, before, rows)
 
     def read(self, predicted: Array) -> Tensor:
         """Channels as the sensors show them.
@@ -234,6 +244,10 @@ class OutsideScene(Scene):
         clocks = tuple((idx, self.numbers[name]) for name, idx in self.model.clocks.items())
         shown = Instruments((*clocks, *_list_acting(self.instruments.acts)))
         return shown.read_in_order(torch.from_numpy(predicted), self.grid).detach().contiguous()
+
+
+def _swept_rows(run: Run) -> IntArray:
+    return swept_rows(run.time_s, [np.asarray(u, dtype=np.float64) for u in run.command.values()])
 
 
 def _list_acting(acts: Sequence[tuple[Any, Any]]) -> tuple[tuple[Any, Any], ...]:
@@ -345,6 +359,8 @@ class OutsideModel(SimModel):
         #: What was commanded before the runs, where the study may be asked
         self.before_runs: BeforeRuns | None = None
         self._pool: Processes | None = None
+        #: Rows that were lost behind each row of a run while commands were swept
+        self.lost: Memo[IntArray] = Memo()
 
     @checked(kinds_only=True)
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:

@@ -68,6 +68,16 @@ def test_unknown_wins_only_where_names_explain_too_little():
     assert verdict(nats, chi2_a=1030.0).verdict == "named"  # 85 %
 
 
+def test_where_much_is_left_unknown_wins_beside_a_bent_sheet():
+    """A tank's "command offset" left 34 noise sd, with its outlet 13 sd off the data sheet."""
+    nats = {NULL: 0.0, A: 1000.0, H(A.effects, 0): 1090.0}
+    chi2 = {NULL: 9e4, A: 5e3}
+    assert decide(nats, chi2, N).verdict == "named"
+    assert decide(nats, chi2, N, off={A: 5.1}).verdict == "unknown"
+    assert decide(nats, chi2, N, off={A: 4.9}).verdict == "named"
+    assert decide(nats, {**chi2, A: 3e3}, N, off={A: 5.1}).verdict == "named"  # 1.7 noise sd
+
+
 def test_unknown_as_good_as_the_name_is_a_rival():
     found = verdict({NULL: 0.0, A: 10.0, U: 9.0})
     assert (found.verdict, found.rivals) == ("ambiguous", (U,))

@@ -29,9 +29,9 @@ STEP = 0.01  # implicit Euler of 10 ms: far too coarse for the toy
 DEAR = DiagnosisSettings(search=SearchSettings(max_effects=2, num_refits=2), dear_steps=0.0)
 
 
-def noisy(hidden=None):
-    study = toy.generate(12, hidden, noise=10.0)
-    return replace(study, channels=tuple(replace(c, sd=10.0 * c.sd) for c in study.channels))
+def noisy(hidden=None, times=10.0):
+    study = toy.generate(12, hidden, noise=times)
+    return replace(study, channels=tuple(replace(c, sd=times * c.sd) for c in study.channels))
 
 
 def counted(model):
@@ -104,6 +104,26 @@ def test_where_no_end_is_in_sight_the_whole_change_counts(monkeypatch):
     (once,) = numerics_gate(given.fit, {"time_step": change})
     assert gate.value > 1.5 * once.value  # refits and one more refinement: nearly twice as much
     assert could_be_misfit(null.fit, found.gates)
+
+
+def test_steps_of_first_order_are_followed_to_where_they_lead():
+    """MuJoCo's are: a sound leg was "numerical", a fine step of its own being out of reach."""
+    study = noisy(times=2.0)
+    null = null_fit(Case(study, toy.model(study.runs, STEP), (toy.DELAY, toy.BIAS), (), DEAR))
+    after, found = corrected(null, null.fit.problem.cost())
+    (finer,) = found.correction.finer
+    assert finer.before == Numerics(time_step=2.0 * finer.numerics.time_step)
+    assert finer.beyond == pytest.approx(1.0, rel=0.4)  # 10 ms are far from the limit
+    assert all(gate.passed for gate in found.gates)
+    problem, x = null.fit.problem, null.at.x
+
+    def off(record):
+        return np.linalg.norm(problem.whiten_all(record - limit))
+
+    limit = replace(problem, numerics=Numerics(time_step=1.0 / 64.0)).record(x)
+    finest = replace(problem, numerics=finer.numerics).record(x)
+    assert off(after.fit.problem.record(x)) < 0.4 * off(finest)
+    assert renewed_at(after.fit)[0].finer[0].beyond == finer.beyond
 
 
 def test_slopes_and_many_points_of_a_corrected_problem_agree_with_its_records():
