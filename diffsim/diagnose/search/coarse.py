@@ -162,10 +162,10 @@ def _refine_setting(
         if next_cost > (cheap if enough else dearest):
             break
     is_enough = here.left < NUMERICS_LAMBDA or len(records) < 3
-    return here if is_enough else _extrapolated(fit, here, records[-3:])
+    return here if is_enough else _to_limit(fit, here, records[-3:])
 
 
-def _extrapolated(fit: Fit, here: _RefinedSetting, records: Sequence[Array]) -> _RefinedSetting:
+def _to_limit(fit: Fit, here: _RefinedSetting, records: Sequence[Array]) -> _RefinedSetting:
     """A setting whose last two changes of the record are alike in all but size, such as the step of
     an integrator of first order, followed to where its changes lead; else as it is.
 
