@@ -284,16 +284,13 @@ def to_si(unit: str) -> SI:
             "look at its powers"
         )
     if size == 1.0 and offset == 0.0:
-        return SI(_with_spaces(unit.strip()) or NO_UNIT, 1.0, 0.0)
+        short = unit.strip()  # Nm and N.m as N m is written, so that all three are one unit
+        moment = _NEWTONS.fullmatch(short)
+        short = " ".join(moment.groups()) if moment else _DOT.sub(" ", short)
+        return SI(short or NO_UNIT, 1.0, 0.0)
     name = str(one.units)
     short = f"{one.units:~}".replace(" ** ", "^").replace(" * ", " ").replace(" / ", "/")
     return SI(_COHERENT.get(name, short), size, offset)
-
-
-def _with_spaces(unit: str) -> str:
-    """Nm and N.m as N m is written, so that all three are one unit."""
-    moment = _NEWTONS.fullmatch(unit)
-    return " ".join(moment.groups()) if moment else _DOT.sub(" ", unit)
 
 
 def in_si(

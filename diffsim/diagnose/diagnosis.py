@@ -35,12 +35,12 @@ from diffsim.diagnose.checks.gradients import GRADIENT_SHARE, gradient_gate
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.checks.numerics import (
     NUMERICS_LAMBDA,
+    OF_NAMES,
     SetNumerics,
     check_numerics_of_set,
     could_be_misfit,
     numerical_effects,
     refine_within,
-    with_names,
 )
 from diffsim.diagnose.discover.answer import in_words, with_laws_said
 from diffsim.diagnose.discover.stage import Begin, FoundLaws, at_data_sheet, find_laws
@@ -591,7 +591,8 @@ def _search_fine_enough(
         found = find_correction(fit, replace(at, x=fit.x), null.case.settings, once)
     except DiffsimError:  # finer simulations fail there: the settings stay as they are
         return search
-    beyond = SetNumerics(found.changes, with_names(found.gates))
+    gates = tuple(replace(g, note=g.note + OF_NAMES) for g in found.gates)
+    beyond = SetNumerics(found.changes, gates)
     case = replace(null.case, correction=found.correction, beyond=beyond)
     null, simulations = _under(case, search, "corrected")
     return _search_from(null, simulations, again=_best_sets(search))

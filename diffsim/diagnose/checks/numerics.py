@@ -32,6 +32,7 @@ NUMERICS_LAMBDA = 2.0
 # refinements of a first-order method change as much again, and near kinks none are in proportion.
 NUMERICS_SHARE = 0.25
 NUMERICS_GATES = ("time_step", "mesh", "tolerance")
+OF_NAMES = "; with the named causes"  # where a gate was asked
 
 
 def numerics_changes(
@@ -194,12 +195,8 @@ def check_numerics_of_set(fit: Fit, record: Array, settings: DiagnosisSettings) 
     budget, is_asked = settings.refine_budget, not settings.accept_numerics
     may_refine = is_asked and budget > 1.0 and min(costs, default=math.inf) <= budget * once
     noted = note_numerics(gates, problem.numerics, problem.cost() / once, budget, not may_refine)
-    return SetNumerics(changes, with_names(noted), may_refine)
-
-
-def with_names(gates: Sequence[GateResult]) -> tuple[GateResult, ...]:
-    """Gates with a note that they were asked at the named causes."""
-    return tuple(replace(g, note=f"{g.note}; with the named causes") for g in gates)
+    noted = tuple(replace(g, note=g.note + OF_NAMES) for g in noted)
+    return SetNumerics(changes, noted, may_refine)
 
 
 def refine_within(
