@@ -415,8 +415,9 @@ def _noise(values: Sequence[Array]) -> float | None:
     levels = []
     for v in values:
         here = v[np.isfinite(v)]  # a slow sensor leaves cells empty
-        if len(here) >= 8 + _ORDERS[-1]:
-            levels.append(min(float(scatter(np.diff(here, n=k), k)) for k in _ORDERS))
+        orders = [k for k in _ORDERS if len(here) >= 8 + k]
+        if orders:
+            levels.append(min(float(scatter(np.diff(here, n=k), k)) for k in orders))
     there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))
     step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
     level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))

@@ -297,12 +297,13 @@ def without_gaps(run: Run) -> Run:
     return with_rows_back(run, np.maximum(np.round(steps / usual).astype(np.int64) - 1, 0))
 
 
-def with_rows_back(run: Run, lost: IntArray) -> Run:
+def with_rows_back(run: Run, lost: IntArray, *, is_measured: bool = False) -> Run:
     """A run with so many rows put back behind each row: commands on straight lines, nothing
     measured.
 
     Args:
         lost: (num_samples - 1,).
+        is_measured: Readings are on straight lines, too, for a simulator that plays them.
     """
     if not lost.any():
         return run
@@ -318,6 +319,9 @@ def with_rows_back(run: Run, lost: IntArray) -> Run:
     def on_line(values: Array) -> Array:
         return np.where(is_new, np.interp(time_s, run.time_s, values), values[at])
 
+    def on_lines(values: Array) -> Array:
+        return np.stack([on_line(column) for column in values.T], axis=1)
+
     def without(values: Array) -> Array:
         out = values[at].copy()
         out[is_new] = np.nan
@@ -326,7 +330,7 @@ def with_rows_back(run: Run, lost: IntArray) -> Run:
     return replace(
         run,
         time_s=time_s,
-        measured=without(run.measured),
+        measured=on_lines(run.measured) if is_measured else without(run.measured),
         command={name: on_line(values) for name, values in run.command.items()},
         columns={name: on_line(values) for name, values in run.columns.items()},
         raw={name: (header, without(values)) for name, (header, values) in run.raw.items()},

@@ -151,15 +151,16 @@ def lost_rows(time_s: Array) -> IntArray:
         return np.zeros(0, dtype=np.int64)
     usual = float(np.median(steps))
     rows = np.round(steps / usual)
-    # how stamps scatter tells a row that came late from one that was lost
-    off = max(EVEN * usual, min(LATE * float(scatter(steps - usual, 0)), OFF * usual))
-    is_lost = (steps > GAP * usual) & (rows <= MOST_LOST + 1)
+    # how stamps scatter tells a row that came late from one that was lost, or that nothing does
+    late = LATE * float(scatter(steps - usual, 0))
+    off = max(EVEN * usual, min(late, OFF * usual))
+    is_lost = (steps > max(GAP * usual, usual + late)) & (rows <= MOST_LOST + 1)
     return np.where(is_lost & (np.abs(steps - rows * usual) < off), rows - 1, 0).astype(np.int64)
 
 
 def swept_rows(time_s: Array, commands: Sequence[Array]) -> IntArray:
     """Of ``lost_rows`` those over which all commands that moved went on as in the rows around."""
-    lost = lost_rows(time_s)
+    lost = lost_rows(time_s) if commands else np.zeros(max(len(time_s) - 1, 0), dtype=np.int64)
     moves = np.zeros(len(lost), dtype=bool)
     for k in np.flatnonzero(lost).tolist():
         first = max(k - AROUND, 0)

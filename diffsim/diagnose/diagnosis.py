@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
+from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +57,7 @@ from diffsim.diagnose.search.coarse import (
     carried,
     coarse_gate,
     corrected,
-    find_correction,
+    corrected_at,
     renewed_at,
 )
 from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, screen
@@ -99,6 +99,7 @@ FIRST_SHARE = 0.4  # of the gradient checks' work, where simulations are expensi
 ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws are short of it
 ROOM_RECORDS = 960.0  # simulations that what is kept for laws must allow: a beam's took 170 CPU s
 LEAST_ROOM = 0.2  # of it, without which laws are not looked for
+MAX_AT_SETS = 6  # corrections at sets: each leaves at most 0.7 of the one before, mostly a third
 BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
 Begins = Sequence[Begin]
@@ -518,35 +519,63 @@ def search_rounds(
 
 def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
     """The search under a correction that holds at its answer, where coarse simulations have one;
-    with finer settings from there, where they are affordable and none does.
+    with finer settings from there, where it was made at a set and none holds.
 
     Returns:
         The search, and what coarse simulations have wrong at the answer.
     """
-    size = math.inf
-    for round_ in count():
-        null, fit, before = search.null, search.fit_of(decision_of(search).best), size
+    if search.null.case.beyond is not None:
+        return _renew_at_sets(search)
+    size = 0.0
+    for round_ in range(MAX_RENEWALS):
+        null, fit = search.null, search.fit_of(decision_of(search).best)
         if fit.problem.correction is None:
             return search, ()
-        is_affordable = null.case.beyond is not None
         null.case.progress("search", 0.84, "finer simulations of the answer")
         try:
-            new, size = renewed_at(fit, is_affordable=is_affordable)
+            new, size = renewed_at(fit)
         except DiffsimError:  # finer simulations fail at the answer, which stays as it is
             size = math.inf
             break
-        is_last = size > SLOWEST * before if is_affordable else round_ == MAX_RENEWALS - 1
-        if size < NUMERICS_LAMBDA or is_last:
+        if size < NUMERICS_LAMBDA or round_ == MAX_RENEWALS - 1:
             break
-        case, again = replace(null.case, correction=new), _best_sets(search)
-        null, made = _under(case, search, f"renewed{round_}")
+        again = _best_sets(search)
+        null, made = _under(replace(null.case, correction=new), search, "renewed")
         search = search_rounds(null, made, again=again)
-    if (
-        is_affordable and NUMERICS_LAMBDA <= size < math.inf
-    ):  # friction that sticks by coarse steps alone
-        return _search_finely(search), ()
     search = weigh_unknowns_beside(search, decision_of(search).best)
     return search, (coarse_gate(size, search.null.fit.problem),)
+
+
+def _renew_at_sets(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
+    """The same where a correction was made at a set, until one holds at the best one."""
+    size = math.inf
+    for round_ in range(MAX_AT_SETS):
+        null, best, before = search.null, decision_of(search).best, size
+        null.case.progress("search", 0.84, "finer simulations of the answer")
+        fit, at = search.fit_of(best), search.simulations.fitted[best]
+        try:
+            found, size = corrected_at(fit, at, null.case.settings)
+        except DiffsimError:
+            size = math.inf
+            break
+        case = _with_correction(null.case, found)
+        if size < NUMERICS_LAMBDA:  # of what is left to refine there the gates tell
+            case = replace(null.case, beyond=case.beyond)
+            search = replace(search, null=replace(null, case=case))
+            break
+        if size > SLOWEST * before or round_ == MAX_AT_SETS - 1:
+            return _search_finely(search), ()  # friction may stick by coarse steps alone
+        again = _best_sets(search)
+        search = search_rounds(*_under(case, search, "renewed"), again=again)
+    search = weigh_unknowns_beside(search, decision_of(search).best)
+    return search, (coarse_gate(size, search.null.fit.problem, "an earlier set"),)
+
+
+def _with_correction(case: Case, found: CorrectionAt) -> Case:
+    """A case with the correction that was found at a set."""
+    gates = tuple(replace(g, note=g.note + OF_NAMES) for g in found.gates)
+    beyond = SetNumerics(found.changes, gates)
+    return replace(case, correction=found.correction, beyond=beyond)
 
 
 def _search_finely(search: Search) -> Search:
@@ -586,15 +615,11 @@ def _search_fine_enough(
         return search
     null.case.progress("search", 0.3, "finer simulations of the best set")
     fit, at = search.fit_of(best), search.simulations.fitted[best]
-    once = replace(fit.problem, numerics=None).cost()
     try:
-        found = find_correction(fit, replace(at, x=fit.x), null.case.settings, once)
+        found, _ = corrected_at(fit, at, null.case.settings)
     except DiffsimError:  # finer simulations fail there: the settings stay as they are
         return search
-    gates = tuple(replace(g, note=g.note + OF_NAMES) for g in found.gates)
-    beyond = SetNumerics(found.changes, gates)
-    case = replace(null.case, correction=found.correction, beyond=beyond)
-    null, simulations = _under(case, search, "corrected")
+    null, simulations = _under(_with_correction(null.case, found), search, "corrected")
     return _search_from(null, simulations, again=_best_sets(search))
 
 
@@ -622,7 +647,8 @@ def _under(case: Case, search: Search, label: str) -> tuple[Null, Simulations]:
     null, new = search.null, case.correction
     assert new is not None
     if case.store is not None:
-        case = replace(case, store=case.store.sibling(label))
+        told = blake2b(repr(new.key).encode(), digest_size=6).hexdigest()
+        case = replace(case, store=case.store.sibling(f"{label}_{told}"))
     problem = case.problem(null.noise.whitener)
     carry = partial(carried, old=null.case.correction, new=new, runs=problem.runs)
     ended = gauss_newton(problem, carry(null.at), best_cost=search.best_cost())

@@ -37,12 +37,14 @@ class Finer:
         shift: What coarse simulations add to the base parameters for it, standardized, (num_base,).
         before: Settings that are coarser than these; None: nothing is extrapolated.
         beyond: How much farther records go than from ``before`` to these, as a share of that.
+        like: Settings whose own records are like those; None: ``numerics``.
     """
 
     numerics: Numerics
     shift: Array
     before: Numerics | None = None
     beyond: float = 0.0
+    like: Numerics | None = None
 
     def predict(self, problem: Any, run: Run, point: Tensor) -> Tensor:
         """Records of a run of a problem at a point, extrapolated, (num_samples, num_channels)."""
@@ -91,14 +93,17 @@ class Correction:
         """The settings that the corrected records stand for."""
         made: Numerics = self.problem.numerics or Numerics()
         for one in self.finer:
-            steps = zip(_factors(one.numerics), _factors(self.problem.numerics), strict=True)
+            steps = zip(
+                _factors(one.like or one.numerics), _factors(self.problem.numerics), strict=True
+            )
             made = made.refined(Numerics(*(fine / coarse for fine, coarse in steps)))
         return made
 
     @property
     def key(self) -> tuple[object, ...]:
         """What tells it from others of the same problem."""
-        return (self.x.tobytes(), *map(_key_of, self.finer))
+        told = ((f.numerics, f.shift.tobytes(), f.before, f.beyond) for f in self.finer)
+        return (self.x.tobytes(), *told)
 
     def of(self, run: Run) -> Tensor:
         """What is added to the coarse record of a run, (num_samples, num_channels); simulated when
@@ -131,11 +136,6 @@ class Correction:
             fine = one.predict(self.problem, run, point)
             total = total + fine - self.problem.predict(run, moved)
         return total
-
-
-def _key_of(one: Finer) -> tuple[object, ...]:
-    plain = (one.numerics, one.shift.tobytes())
-    return plain if one.before is None else (*plain, one.before, one.beyond)
 
 
 def _factors(numerics: Numerics | None) -> tuple[float, float, float]:

@@ -7,6 +7,7 @@ any machine, under any load.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, field
 
 from diffsim.core.checked import checked
@@ -63,13 +64,15 @@ class DiagnosisSettings:
         workers: Number of threads over runs.
         accept_numerics: Whether to go on although the numerics gate fails.
         refine_budget: Cost of a simulation, over that with the model's own settings, up to which
-            time step, mesh and tolerance are refined where the numerics gate fails; 1: never.
+            time step, mesh and tolerance are refined where the numerics gate fails; 1: never. The
+            finest of a correction may cost a share of the search.
         first_mesh: Factor on the size of the model's own cells to begin with, where that pays.
         dear_steps: Weighted steps of a simulation of all fitted runs from which an answer begins
             with ``first_mesh``, and is told once what finer settings change (``Correction``)
             instead of simulating everything with them; infinite: never, but at the best set.
         plain_steps: Weighted steps after which a single fit ends where it is; infinite:
             at its end.
+        again_steps: Deprecated since 1.1, without effect: no search is repeated up to a count.
         windows: Shares of each run that the plain model is fitted to first, ascending, where a fit
             to whole runs fails or ends far above what short ones leave; (): never.
         noise_rounds: Largest number of searches; the noise floor is estimated again after each.
@@ -83,5 +86,11 @@ class DiagnosisSettings:
     first_mesh: float = 1.0
     dear_steps: float = math.inf
     plain_steps: float = math.inf
+    again_steps: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
     noise_rounds: int = 3
+
+    def __post_init__(self) -> None:
+        if math.isfinite(self.again_steps):
+            message = "again_steps has no effect and will go; leave it out"
+            warnings.warn(message, DeprecationWarning, stacklevel=3)

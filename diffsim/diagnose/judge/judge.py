@@ -29,7 +29,7 @@ from diffsim.identify.effect import is_of_run
 EXPLAINED = 0.8  # share of the misfit that a named set explains
 # sd off its data sheet that a number is where the fit leaves much: a tank with a float valve kept
 # "command offset", 82 % of the misfit, with an outlet 13 sd too wide and 34 noise sd left
-FAR_OFF = 5.0
+BENT_SD = 5.0
 NAMES = ("named", "ambiguous")
 MOST_TRIED = 6  # sets whose gain is asked beside an unknown cause, or in the place of members
 
@@ -109,7 +109,7 @@ def decide(
     blind = [h for h in nats if h.unknown is not None]
     strongest = max(blind, key=lambda h: nats[h], default=None)
     lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
-    is_bent = chi2[best] > MUCH_LEFT**2 * num_free and (off or {}).get(best, 0.0) > FAR_OFF
+    is_bent = chi2[best] > MUCH_LEFT**2 * num_free and (off or {}).get(best, 0.0) > BENT_SD
     # significant beside the best set, and the set explains too little (or there is none)
     if lead >= KEEP_NATS and (not best.effects or explained < EXPLAINED or is_bent):
         return Decision("unknown", best.effects, (), strongest, explained)

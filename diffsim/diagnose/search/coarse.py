@@ -82,17 +82,21 @@ def find_correction(
         once: Weighted steps of a simulation of all runs with the cells that were given.
     """
     dearest = settings.refine_budget * once
-    if math.isfinite(settings.search.refit_steps):
+    if settings.refine_budget > 1.0 and math.isfinite(settings.search.refit_steps):
         dearest = max(dearest, FINEST_SHARE * settings.search.refit_steps)
     refined = [_refine_setting(fit, at, name, dearest, CHEAP * once) for name in REFINEMENTS]
     coarse = fit.problem.numerics or Numerics()
     finer = tuple(
-        Finer(r.numerics, r.shift, r.before, r.beyond) for r in refined if r.numerics != coarse
+        Finer(r.numerics, r.shift, r.before, r.beyond, r.like)
+        for r in refined
+        if r.numerics != coarse
     )
     total = np.sum([r.added for r in refined], axis=0)
     correction = Correction(fit.problem, at.x, finer)
     gates = tuple(_gate(r, coarse) for r in refined)
-    changes = {r.name: _next(r.sizes) * r.change for r in refined}
+    changes = {
+        r.name: r.change if r.before is not None else _next(r.sizes) * r.change for r in refined
+    }
     return CorrectionAt(correction.known(fit.problem.runs, total), changes, gates)
 
 
@@ -108,7 +112,8 @@ class _RefinedSetting:
         sizes: Of every step's change, as the numerics gate measures it.
         before: Settings one step coarser, from which records are extrapolated; None: they are not.
         beyond: How much farther they go, as a share of the last step's change.
-        unsure: By how much that may be off [noise and prior sd].
+        like: Settings that alone leave as little as extrapolated records may be off.
+        unsure: By how much these may be off [noise and prior sd].
     """
 
     name: str
@@ -119,6 +124,7 @@ class _RefinedSetting:
     sizes: tuple[float, ...] = ()
     before: Numerics | None = None
     beyond: float = 0.0
+    like: Numerics | None = None
     unsure: float = 0.0
 
     @property
@@ -179,17 +185,21 @@ def _to_limit(fit: Fit, here: _RefinedSetting, records: Sequence[Array]) -> _Ref
     # what is not alike goes on alike at worst
     off = beyond * ((records[2] - records[1]) - ratio * (records[1] - records[0]))
     unsure = numerics_gate(fit, {here.name: off})[0].value
-    if unsure >= here.left:
+    if not unsure < here.left:
         return here
-    step = REFINEMENTS[here.name]
+    step, like, left = REFINEMENTS[here.name], here.numerics, here.left
+    while left >= NUMERICS_LAMBDA:
+        like, left = like.refined(step), ratio * left
     back = Numerics(1.0 / step.time_step, 1.0 / step.mesh, 1.0 / step.tolerance)
     shift, added = _fit_shift(fit, records[2] + beyond * (records[2] - records[1]), here.shift)
     return replace(
         here,
         shift=shift,
         added=added,
+        change=off,
         before=here.numerics.refined(back),
         beyond=beyond,
+        like=like,
         unsure=unsure,
     )
 
@@ -255,7 +265,7 @@ def _shift(fit: Fit, change: Array) -> Array:
     return np.asarray(moved[: fit.problem.num_base])
 
 
-def renewed_at(fit: Fit, *, is_affordable: bool = False) -> tuple[Correction, float]:
+def renewed_at(fit: Fit) -> tuple[Correction, float]:
     """The correction made at a fit, its shifts too, and how much it differs there.
 
     A plain model that lacks a large cause may end where finer steps ask for another damping; at
@@ -263,12 +273,10 @@ def renewed_at(fit: Fit, *, is_affordable: bool = False) -> tuple[Correction, fl
 
     Args:
         fit: Fit of a corrected problem.
-        is_affordable: Whether another round costs little: what fitted numbers could take up of a
-            change counts, too, as it moves them.
 
     Returns:
         The new correction; and the length of what it changes of the record there, as the numerics
-        gate measures it [noise and prior sd], or all of it.
+        gate measures it [noise and prior sd].
     """
     problem = fit.problem
     assert problem.correction is not None
@@ -285,8 +293,30 @@ def renewed_at(fit: Fit, *, is_affordable: bool = False) -> tuple[Correction, fl
         total = total + added if total.size else added
     new = Correction(coarse, fit.x, tuple(finer)).known(problem.runs, total)
     moved = replace(problem, correction=new).record(fit.x) - problem.record(fit.x)
-    whole = length(problem.whiten_all(moved))
-    return new, whole if is_affordable else numerics_gate(fit, {COARSE: moved})[0].value
+    return new, numerics_gate(fit, {COARSE: moved})[0].value
+
+
+def corrected_at(
+    fit: Fit, at: Linearization, settings: DiagnosisSettings
+) -> tuple[CorrectionAt, float]:
+    """The correction that the fit of a set asks for, and how much it differs from the one in use.
+
+    Args:
+        fit: Fit of a set.
+        at: Linearization at its end, base parameters first.
+        settings: Budgets of refinement and of the search.
+
+    Returns:
+        The correction, and the length of what it changes of the record there [noise sd]: what
+        fitted numbers could take up of it counts, too, as it moves them.
+    """
+    plain = replace(fit, problem=replace(fit.problem, correction=None))
+    here = replace(at, x=fit.x, record=plain.problem.record(fit.x))
+    once = replace(plain.problem, numerics=None).cost()
+    found = find_correction(plain, here, settings, once)
+    new = replace(fit.problem, correction=found.correction)
+    moved = new.record(fit.x) - fit.problem.record(fit.x)
+    return found, length(fit.problem.whiten_all(moved))
 
 
 def carried(
@@ -308,8 +338,12 @@ def carried(
     return replace(at, x=x, record=at.record + added)
 
 
-def coarse_gate(size: float, problem: Problem) -> GateResult:
-    """What coarse simulations still have wrong at the answer."""
+def coarse_gate(size: float, problem: Problem, before: str = "the plain fit") -> GateResult:
+    """What coarse simulations still have wrong at the answer.
+
+    Args:
+        before: Where else finer ones were made.
+    """
     assert problem.correction is not None
     coarse, finest = problem.numerics or Numerics(), problem.correction.finest
     words = [
@@ -317,9 +351,9 @@ def coarse_gate(size: float, problem: Problem) -> GateResult:
         for name, what in (("time_step", "time steps"), ("mesh", "cells"))
         if getattr(coarse, name) != getattr(finest, name)
     ]
-    at = f"the plain fit and at the answer, where {figure(size, 2)} noise sd were left"
+    at = f"{before} and at the answer, where {figure(size, 2)} noise sd were left"
     if math.isinf(size):
-        at = "the plain fit; at the answer they failed"
+        at = f"{before}; at the answer they failed"
     note = (
         f"simulated with {' and '.join(words) or 'a looser tolerance'} and corrected by finer "
         f"simulations at {at}"

@@ -233,7 +233,6 @@ class OutsideDescription(Description):
             clocks=self.clocks,
             workers=self.workers,
         )
-        made.model.frame = {**made.model.frame, HELD: held}
         return replace(
             made,
             effects=chosen_effects(made.effects, self.effects, study, self.plant(study)),

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.ports import SignalChange
+from diffsim.causes.scales import HELD
 from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import DELAYS, Grid, SignalMap
 from diffsim.core.arrays import Array, IntArray
@@ -228,11 +229,10 @@ class OutsideScene(Scene):
         if delays:
             before = _before_delays(acting, names, self.grid)
         run = replace(self.run, command=dict(zip(names, heard, strict=True)))
-        lost = model.lost(self.run, lambda: _swept_rows(self.run))
+        lost = model.lost(self.run, lambda: _swept_rows(self.run, bool(model.frame.get(HELD))))
         rows = np.arange(len(run.time_s)) + np.append(0, np.cumsum(lost)) if lost.any() else None
-        run = with_rows_back(
-            run, lost
-        )  # behind causes: a held command went on in rows that are lost
+        # behind causes: a held command went on in rows that are lost
+        run = with_rows_back(run, lost, is_measured=True)
         return Job(run, values, forces, self.numerics, model.channels, delays, before, rows)
 
     def read(self, predicted: Array) -> Tensor:
@@ -246,8 +246,10 @@ class OutsideScene(Scene):
         return shown.read_in_order(torch.from_numpy(predicted), self.grid).detach().contiguous()
 
 
-def _swept_rows(run: Run) -> IntArray:
-    return swept_rows(run.time_s, [np.asarray(u, dtype=np.float64) for u in run.command.values()])
+def _swept_rows(run: Run, is_held: bool) -> IntArray:
+    """Lost rows of a run over which held commands went on; straight lines do so by themselves."""
+    columns = [np.asarray(u, dtype=np.float64) for u in run.command.values()]
+    return swept_rows(run.time_s, columns if is_held else [])
 
 
 def _list_acting(acts: Sequence[tuple[Any, Any]]) -> tuple[tuple[Any, Any], ...]:

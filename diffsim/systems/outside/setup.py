@@ -14,7 +14,7 @@ from diffsim.causes.listing import list_causes, numbers_added
 from diffsim.causes.plant import IN_TIME, Plant
 from diffsim.causes.readings import usual_sample, with_play_start
 from diffsim.causes.row import spell_plainly
-from diffsim.causes.scales import SCALES, Scales
+from diffsim.causes.scales import HELD, SCALES, Scales
 from diffsim.causes.scene import PLAY_START
 from diffsim.causes.signals import Between
 from diffsim.core.checked import checked
@@ -98,7 +98,7 @@ def outside_setup(
         clocks={key: tuple(names.index(c) for c in own) for key, own in late.items()},
         workers=workers,
     )
-    model.frame = {SCALES: plant.scales.saved()}
+    model.frame = {SCALES: plant.scales.saved(), HELD: held}
     plant, limits = _with_parts(plant, model)
     # a simulator that takes delays alone has them behind the first values
     if model.takes_before or not model.takes_delays:

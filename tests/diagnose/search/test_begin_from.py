@@ -1,4 +1,4 @@
-"""A search that is made again with finer settings, where the budget does not last for all of it."""
+"""A search whose best set needs finer settings: corrected there, or made again from there."""
 
 import math
 from dataclasses import replace
@@ -9,8 +9,15 @@ from diffsim.diagnose import diagnosis
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, length
 from diffsim.diagnose.judge.judge import decision_of
 from diffsim.diagnose.search.fit import Case, null_fit, refit_under
-from diffsim.diagnose.search.search import begin, begin_from, refit, search_sets
+from diffsim.diagnose.search.search import (
+    begin,
+    begin_from,
+    refit,
+    search_sets,
+    with_numerics,
+)
 from diffsim.diagnose.search.simulations import Simulations
+from diffsim.diagnose.search.store import Store
 from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings
 from tests.diagnose import toy
 
@@ -73,12 +80,14 @@ def rounds(monkeypatch, step, holds):
         return begin_from(search, members, x)
 
     monkeypatch.setattr(diagnosis, "begin_from", watched)
-    if not holds:  # as of friction that sticks by long steps alone: worse from one to the next
-        sizes = iter((3.0, 4.0))
-        told = diagnosis.renewed_at
-        monkeypatch.setattr(
-            diagnosis, "renewed_at", lambda fit, is_affordable: (told(fit)[0], next(sizes))
-        )
+    told = diagnosis.corrected_at
+    sizes = None if holds else iter((9.0, 3.0, 4.0))  # as of friction that sticks by long steps
+
+    def told_worse(*given):
+        found, size = told(*given)
+        return found, size if sizes is None else next(sizes)
+
+    monkeypatch.setattr(diagnosis, "corrected_at", told_worse)
     null = plain()
     null = replace(null, case=replace(null.case, model=toy.model(null.case.study.runs, step)))
     made = diagnosis.search_rounds(null, Simulations(null.wide).under(null))
@@ -104,3 +113,23 @@ def test_where_corrections_do_not_hold_short_steps_are_taken_from_what_was_found
     assert begun[0] == BOTH  # then without each of its causes: long steps may have put one behind
     assert len(begun) > 1 and not any(less >= BOTH for less in begun[1:])
     assert search.null.case.correction is None and search.wide.numerics.time_step < 1.0
+
+
+def test_gates_of_a_correction_are_those_of_the_answer(monkeypatch):
+    _, search, gates = rounds(monkeypatch, 0.01, holds=True)
+    best = decision_of(search).best
+    found = with_numerics(search, best).numerics[best]
+    assert all(gate.passed and "named causes" in gate.note for gate in found.gates)
+    assert "an earlier set" in gates[0].note
+
+
+def test_what_is_kept_of_one_correction_is_not_read_by_another(coarse, tmp_path):
+    """Slopes under one that a larger budget had made were taken from the folder."""
+    folders, case = [], coarse.null.case
+    store = Store(tmp_path, diagnosis._key(case), case.model.simulations)
+    for members in [members for members in coarse.fits if members][:2]:
+        fit, at = coarse.fit_of(members), coarse.simulations.fitted[members]
+        found, _ = diagnosis.corrected_at(fit, at, case.settings)
+        kept = diagnosis._with_correction(replace(case, store=store), found)
+        folders.append(diagnosis._under(kept, coarse, "corrected")[0].case.store.folder)
+    assert folders[0] != folders[1]

@@ -159,7 +159,7 @@ def test_a_dear_first_answer_simulates_finely_only_to_be_corrected():
 def test_an_answer_that_finer_simulations_cannot_follow_stays_and_says_so(monkeypatch):
     """A clamp that gave took all stiffness beside it: explain ended in an error."""
 
-    def fail(fit, is_affordable):
+    def fail(fit):
         raise DiffsimError("no stiffness")
 
     monkeypatch.setattr(diagnosis, "renewed_at", fail)
@@ -191,9 +191,7 @@ def test_a_renewed_search_begins_at_what_was_found(monkeypatch):
     sizes = iter([2.0 * NUMERICS_LAMBDA, 0.0])  # once another correction, then the same
     told = diagnosis.renewed_at
     monkeypatch.setattr(diagnosis, "search_sets", watched)
-    monkeypatch.setattr(
-        diagnosis, "renewed_at", lambda fit, is_affordable: (told(fit)[0], next(sizes))
-    )
+    monkeypatch.setattr(diagnosis, "renewed_at", lambda fit: (told(fit)[0], next(sizes)))
     monkeypatch.setattr(searching, "_fit_from_prior", lambda search: pytest.fail("sought anew"))
     monkeypatch.setattr(searching, "has_left_prior", lambda fit: True)
     again, _ = diagnosis._renew_correction(found)
