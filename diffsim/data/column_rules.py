@@ -415,9 +415,12 @@ def _noise(values: Sequence[Array]) -> float | None:
     levels = []
     for v in values:
         here = v[np.isfinite(v)]  # a slow sensor leaves cells empty
-        orders = [k for k in _ORDERS if len(here) >= 8 + k]
-        if orders:
-            levels.append(min(float(scatter(np.diff(here, n=k), k)) for k in orders))
+        told = [float(scatter(np.diff(here, n=k), k)) for k in _ORDERS if len(here) >= 8 + k]
+        # a higher one where it is lower by more than chance: motion is in the lower ones
+        less = 1.0 - 2.0 / np.sqrt(max(len(here), 4))
+        for level in told[1:]:
+            told[0] = level if level < less * told[0] else told[0]
+        levels += told[:1]
     there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))
     step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
     level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))

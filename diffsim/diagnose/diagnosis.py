@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
@@ -690,6 +691,9 @@ def _make_case(
         raise ValueError(f"effects share names: {repeated}; a report could not distinguish them")
     unmet = {e.name: why for e in effects if (why := e.needs(study)) is not None}
     settings = settings or DiagnosisSettings()
+    if math.isfinite(settings.again_steps):
+        message = "again_steps has no effect and will go; leave it out"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
     return Case(
         study=study,
         model=model,

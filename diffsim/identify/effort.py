@@ -7,7 +7,6 @@ any machine, under any load.
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, field
 
 from diffsim.core.checked import checked
@@ -89,8 +88,3 @@ class DiagnosisSettings:
     again_steps: float = math.inf
     windows: tuple[float, ...] = (0.25, 0.5)
     noise_rounds: int = 3
-
-    def __post_init__(self) -> None:
-        if math.isfinite(self.again_steps):
-            message = "again_steps has no effect and will go; leave it out"
-            warnings.warn(message, DeprecationWarning, stacklevel=3)

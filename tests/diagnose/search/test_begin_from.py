@@ -133,3 +133,10 @@ def test_what_is_kept_of_one_correction_is_not_read_by_another(coarse, tmp_path)
         kept = diagnosis._with_correction(replace(case, store=store), found)
         folders.append(diagnosis._under(kept, coarse, "corrected")[0].case.store.folder)
     assert folders[0] != folders[1]
+
+
+def test_a_setting_without_effect_says_so():
+    study = toy.generate(12)
+    settings = DiagnosisSettings(again_steps=1.0)
+    with pytest.warns(DeprecationWarning, match="again_steps"):
+        diagnosis._make_case(study, toy.model(study.runs), (), (), settings, None)
