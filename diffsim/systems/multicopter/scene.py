@@ -71,8 +71,8 @@ class CopterScene(RecordedScene):
             length, 3) [N]; iterated likewise.
         world_force: (points, num_samples or 1, 3), held over each step, beside the number [N].
         point: Point of the parameters, by which its initial states are known again; None: unknown.
-        note: Told of every flight that a search for initial states takes, with the number of starts
-            that fly side by side; None: nobody counts.
+        note: Told of every flight, also of each pass over forces that depend on the motion, with
+            the number of starts that fly side by side; None: nobody counts.
     """
 
     zeros: Collection[str] = ZEROS
@@ -185,8 +185,6 @@ class CopterScene(RecordedScene):
         def predict(starts: Tensor) -> Tensor:
             # one for each number of starts: its last forces are the first guess of the next flight
             points = len(starts)
-            if self.note is not None:
-                self.note(points)
             if points not in flyers:
                 flyers[points] = Flyer(self, points, is_one=True)
             return flyers[points](starts)
@@ -330,6 +328,8 @@ class Flyer:
     def _fly(self, start: FlightState, thrusts: Tensor, air: Tensor | None) -> SensedRecord:
         """Flights under thrusts, and forces ``air`` in the world, (points, ..., 3) [N]."""
         scene, points = self.scene, self.points
+        if scene.note is not None:
+            scene.note(points)
         _, windows, length, rotors = thrusts.shape
         force = self._sum_world_forces(windows, length)
         force = force if air is None else force + air
