@@ -556,8 +556,9 @@ def _renew_at_sets(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
         fit, at = search.fit_of(best), search.simulations.fitted[best]
         try:
             found, size = corrected_at(fit, at, null.case.settings)
-        except DiffsimError:
+        except DiffsimError:  # what is found by coarse simulations is likely at most
             size = math.inf
+            search = replace(search, null=replace(null, case=replace(null.case, beyond=None)))
             break
         case = _with_correction(null.case, found)
         if size < NUMERICS_LAMBDA:  # of what is left to refine there the gates tell
@@ -569,7 +570,7 @@ def _renew_at_sets(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
         again = _best_sets(search)
         search = search_rounds(*_under(case, search, "renewed"), again=again)
     search = weigh_unknowns_beside(search, decision_of(search).best)
-    return search, (coarse_gate(size, search.null.fit.problem, "an earlier set"),)
+    return search, (coarse_gate(size, search.null.fit.problem, is_at_set=True),)
 
 
 def _with_correction(case: Case, found: CorrectionAt) -> Case:

@@ -178,6 +178,7 @@ def _goes_on(first: Run, second: Run) -> bool:
 
 CUTS, WINDOWS = "start_states", "windows"
 COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget"
+CORRECTED = "corrected"  # coarse steps, by finer ones at the answer itself, where that holds
 PLAIN = "plain_budget"
 CONTRADICTED = "contradicted"
 SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise

@@ -440,8 +440,7 @@ def _missing(
     how = {row.name: PERHAPS if is_open else _sure(row, answer.named) for row in named}
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = _by_share([row for row in named if row.origin == EFFECT], laws)
-    open_sheets = [row for row in sheet if any(map(MAY_BE_ANOTHER.match, row.doubts))]
-    is_surer = sheet and not open_sheets
+    is_surer = sheet and all({*row.doubts} <= {FIRST_ANSWER} for row in sheet)
     if not effects or (is_surer and all(how[row.name] == PERHAPS for row in effects)):
         return _off_sheet(sheet, answer.drives)
     every = [*effects, *(r for r in effects_of(answer) if r.helps and r not in effects)]

@@ -14,6 +14,7 @@ from diffsim.core.units import after_number
 from diffsim.diagnose.checks.gates import (
     COARSE,
     CONTRADICTED,
+    CORRECTED,
     CUTS,
     LATE,
     LAWS,
@@ -267,7 +268,8 @@ def sentences(
         and g.name != CONTRADICTED
         and not g.name.startswith(REPEATS)
     ]
-    out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name in (CUTS, WINDOWS)]
+    told = (CUTS, WINDOWS, CORRECTED)
+    out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name in told]
     first = (COARSE, PLAIN, SCANS, LATE, LAWS)
     out += [f"A first answer: {g.note}." for g in answer.gates if g.name in first]
     return tuple(out)

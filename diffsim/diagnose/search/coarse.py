@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from diffsim.core.figures import figure
 from diffsim.data.study import Run
-from diffsim.diagnose.checks.gates import COARSE, GateResult
+from diffsim.diagnose.checks.gates import COARSE, CORRECTED, GateResult
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, length, numerics_gate
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -338,11 +338,11 @@ def carried(
     return replace(at, x=x, record=at.record + added)
 
 
-def coarse_gate(size: float, problem: Problem, before: str = "the plain fit") -> GateResult:
+def coarse_gate(size: float, problem: Problem, *, is_at_set: bool = False) -> GateResult:
     """What coarse simulations still have wrong at the answer.
 
     Args:
-        before: Where else finer ones were made.
+        is_at_set: The correction was made at a set, else at the plain fit.
     """
     assert problem.correction is not None
     coarse, finest = problem.numerics or Numerics(), problem.correction.finest
@@ -351,6 +351,7 @@ def coarse_gate(size: float, problem: Problem, before: str = "the plain fit") ->
         for name, what in (("time_step", "time steps"), ("mesh", "cells"))
         if getattr(coarse, name) != getattr(finest, name)
     ]
+    before = "an earlier set" if is_at_set else "the plain fit"
     at = f"{before} and at the answer, where {figure(size, 2)} noise sd were left"
     if math.isinf(size):
         at = f"{before}; at the answer they failed"
@@ -358,4 +359,5 @@ def coarse_gate(size: float, problem: Problem, before: str = "the plain fit") ->
         f"simulated with {' and '.join(words) or 'a looser tolerance'} and corrected by finer "
         f"simulations at {at}"
     )
-    return GateResult(COARSE, size < NUMERICS_LAMBDA, size, NUMERICS_LAMBDA, note)
+    name = CORRECTED if is_at_set and size < NUMERICS_LAMBDA else COARSE
+    return GateResult(name, size < NUMERICS_LAMBDA, size, NUMERICS_LAMBDA, note)

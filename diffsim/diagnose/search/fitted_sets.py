@@ -65,8 +65,8 @@ class Search:
     @property
     def is_cut_short(self) -> bool:
         """Whether a budget ended it or the plain model's fit, or coarse simulations stand for finer
-        ones: what it names is likely at most."""
-        is_coarse = self.null.case.correction is not None
+        ones but at the answer: what it names is likely at most."""
+        is_coarse = self.null.case.correction is not None and self.null.case.beyond is None
         is_late = self.num_late > 0 or self.null.fit.ended == "budget"
         return is_late or bool(self.simulations.scans_late) or is_coarse
 

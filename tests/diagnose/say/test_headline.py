@@ -351,6 +351,28 @@ def test_a_likely_data_sheet_is_probably_off():
     assert said("data_sheet", [row, row]).startswith("Two data sheets are probably off, such as")
 
 
+def test_a_surer_data_sheet_goes_before_a_cause_that_may_be_zero():
+    """Drives 2.89 times as strong stood behind a sensor's delay of -0.56 to 0.14 ms."""
+    zero = cause("delay", removes=1.0, status="likely", doubts=("its size may be zero",))
+    first = "this is a first answer"
+    strong = cause("kp", unit="N m", status="likely", doubts=(first,))
+    strong = replace(strong, origin="data sheet", note="data sheet: 12")
+    text = said("named", [zero, strong])
+    assert text.startswith("Only a data sheet is off: kp") and text.endswith(f": {first}.")
+    doubted = replace(strong, doubts=("an unknown force explains more than it does", first))
+    assert said("named", [zero, doubted]).startswith("Delay may be missing")
+
+
+def test_the_reason_is_a_doubt_of_what_is_named():
+    """Friction was in doubt as the spring beside it may have been another form of friction."""
+    friction = cause("friction", removes=0.9, status="likely", doubts=("this is a first answer",))
+    why = "it may be another form of friction"
+    spring = cause("spring", removes=1e-4, status="likely", doubts=(why,))
+    text = said("named", [friction, spring])
+    assert "spring" not in first_of(text).lower()
+    assert text.endswith("Not certain: this is a first answer.")
+
+
 def test_a_doubt_of_several_causes_is_one_on_them():
     rows = [cause("lag", removes=0.6)]
     for why, plural in (

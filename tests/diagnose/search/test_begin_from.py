@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from diffsim.diagnose import diagnosis
+from diffsim.diagnose.checks.gates import CORRECTED
 from diffsim.diagnose.checks.numerics import NUMERICS_LAMBDA, length
 from diffsim.diagnose.judge.judge import decision_of
 from diffsim.diagnose.search.fit import Case, null_fit, refit_under
@@ -121,6 +122,7 @@ def test_gates_of_a_correction_are_those_of_the_answer(monkeypatch):
     found = with_numerics(search, best).numerics[best]
     assert all(gate.passed and "named causes" in gate.note for gate in found.gates)
     assert "an earlier set" in gates[0].note
+    assert gates[0].name == CORRECTED and not search.is_cut_short  # it may be certain
 
 
 def test_what_is_kept_of_one_correction_is_not_read_by_another(coarse, tmp_path):
