@@ -23,7 +23,6 @@ from diffsim.identify.model import Parameter
 from diffsim.identify.ranges import Range
 
 WRONG_SHEET_SD = 10.0  # of a data sheet that is wrong, in its own standard deviations
-UNHELD = 1.0 - WRONG_SHEET_SD**-2  # share of its prior's precision that is taken from such a one
 
 
 def pull_limit(parameters: Sequence[Parameter]) -> float:
@@ -121,9 +120,10 @@ def misfit_unheld(fit: Fit) -> float:
     if not left:
         return fit.chi2
     pulls, inner = fit.x[left], np.linalg.inv(fit.covariance[np.ix_(left, left)])
+    taken = 1.0 - WRONG_SHEET_SD**-2  # of the precision of their priors
     # a record may not tell one of them where it has gone: without a sheet it would be anywhere
-    free = np.linalg.solve(inner - UNHELD * np.eye(len(left)), pulls)
-    return fit.chi2 - UNHELD**2 * float(pulls @ free)
+    free = np.linalg.solve(inner - taken * np.eye(len(left)), pulls)
+    return fit.chi2 - taken**2 * float(pulls @ free)
 
 
 def _left_sheets(fit: Fit, limit: float) -> list[int]:
@@ -141,9 +141,10 @@ def _without_wrong(fit: Fit, limit: float) -> tuple[Array, Array]:
     if not left:
         return np.zeros(len(fit.x)), np.sqrt(np.diag(covariance))
     columns = covariance[:, left]
-    inner = np.eye(len(left)) / UNHELD - covariance[np.ix_(left, left)]  # a change of low rank
+    taken = 1.0 - WRONG_SHEET_SD**-2  # of the precision of their priors
+    inner = np.eye(len(left)) / taken - covariance[np.ix_(left, left)]  # a change of low rank
     free = covariance + columns @ np.linalg.solve(inner, columns.T)
-    return free[:, left] @ (UNHELD * fit.x[left]), np.sqrt(np.diag(free))
+    return free[:, left] @ (taken * fit.x[left]), np.sqrt(np.diag(free))
 
 
 def _base_row(p: Parameter, x: float, sd: float, run: str | None, limit: float) -> BaseRow:
