@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from types import CodeType, FunctionType
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import torch
 from torch import Tensor
@@ -224,7 +224,13 @@ _BETWEEN: dict[str, type[ast.operator]] = {
     "pow": ast.Pow,
 }
 _COMPARING: dict[str, type[ast.cmpop]] = {"less": ast.Lt, "less_equal": ast.LtE}
-_RAISES = (ValueError, OverflowError, ZeroDivisionError)
+_CALLED: dict[str, Any] = {
+    **{f"safe_{name}": function for name, function in _ON_FLOATS.items()},
+    **{name: getattr(math, name, function) for name, function in _ON_FLOATS.items()},
+    "raised": (ValueError, OverflowError, ZeroDivisionError),
+    "__builtins__": {},
+}
+"""All that a compiled formula can name beside its arguments."""
 
 
 @lru_cache(maxsize=256)  # a law is asked anew for each size of it
@@ -245,10 +251,7 @@ def _compile_floats(node: Node, names: tuple[str, ...]) -> Callable[..., float]:
     function = ast.FunctionDef("formula", arguments, body, [])
     code = compile(ast.fix_missing_locations(ast.Module([function], [])), "<formula>", "exec")
     (inner,) = (part for part in code.co_consts if isinstance(part, CodeType))
-    functions = {f"safe_{name}": function for name, function in _ON_FLOATS.items()}
-    functions |= {name: getattr(math, name, function) for name, function in _ON_FLOATS.items()}
-    namespace = {**functions, "raised": _RAISES, "__builtins__": {}}
-    return cast("Callable[..., float]", FunctionType(inner, namespace))
+    return cast("Callable[..., float]", FunctionType(inner, _CALLED))
 
 
 def _python_of(node: Node, places: Mapping[str, str], is_safe: bool) -> ast.expr:

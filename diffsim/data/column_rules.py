@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
 from itertools import combinations
 
 import numpy as np
@@ -41,9 +42,8 @@ _IS_HELD = "held for many samples"
 MIN_EQUAL = 10  # samples: fewer may be equal by chance
 _LARGE = 0.05  # of the range: changes of what is held and looks commanded
 _CLEANER = 0.2  # of the noise of what follows it
-_NO_ORDER = (
-    0.5  # of all scatter: rows next to each other differ by so much where they have no order
-)
+# of all scatter: rows next to each other differ by so much where they have no order
+_NO_ORDER = 0.5
 _ALIKE = 0.7  # correlation of a motion with what it follows
 _ORDERS = (2, 4, 6)  # of differences: noise is alike in all, a quick motion least in the last
 _MOST_SAMPLES = 4000  # of a run, that are compared
@@ -416,11 +416,10 @@ def _noise(values: Sequence[Array]) -> float | None:
     for v in values:
         here = v[np.isfinite(v)]  # a slow sensor leaves cells empty
         told = [float(scatter(np.diff(here, n=k), k)) for k in _ORDERS if len(here) >= 8 + k]
-        # a higher one where it is lower by more than chance: motion is in the lower ones
-        less = 1.0 - 2.0 / np.sqrt(max(len(here), 4))
-        for level in told[1:]:
-            told[0] = level if level < less * told[0] else told[0]
-        levels += told[:1]
+        if told:
+            # a higher one where it is lower by more than chance: motion is in the lower ones
+            less = 1.0 - 2.0 / np.sqrt(len(here))
+            levels.append(reduce(lambda low, high: high if high < less * low else low, told))
     there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))
     step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
     level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))

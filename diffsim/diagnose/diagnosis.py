@@ -562,8 +562,8 @@ def _renew_at_sets(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
             break
         case = _with_correction(null.case, found)
         if size < NUMERICS_LAMBDA:  # of what is left to refine there the gates tell
-            case = replace(null.case, beyond=case.beyond)
-            search = replace(search, null=replace(null, case=case))
+            kept = replace(null.case, beyond=case.beyond)
+            search = replace(search, null=replace(null, case=kept))
             break
         if size > SLOWEST * before or round_ == MAX_AT_SETS - 1:
             return _search_finely(search), ()  # friction may stick by coarse steps alone
@@ -610,10 +610,12 @@ def _search_fine_enough(
     """Search; where numerical settings are too coarse for the best set, finer simulations at its
     fit correct all others, and the search goes on."""
     search = _search_from(null, simulations, first, again)
+    if null.case.correction is not None:
+        return search  # that is renewed at the answer, and checks the settings there
     best = decision_of(search).best
     search = with_numerics(search, best)
     checked = search.numerics.get(best)
-    if null.case.correction is not None or checked is None or not checked.may_refine:
+    if checked is None or not checked.may_refine:
         return search
     null.case.progress("search", 0.3, "finer simulations of the best set")
     fit, at = search.fit_of(best), search.simulations.fitted[best]

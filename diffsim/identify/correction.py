@@ -14,7 +14,7 @@ Microwave Theory Tech. 52, 2004). Shifts add up where records do not: a phase th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -48,19 +48,20 @@ class Finer:
 
     def predict(self, problem: Any, run: Run, point: Tensor) -> Tensor:
         """Records of a run of a problem at a point, extrapolated, (num_samples, num_channels)."""
-        found: Tensor = replace(problem, numerics=self.numerics).predict(run, point)
-        if self.before is not None:
-            before = replace(problem, numerics=self.before).predict(run, point)
-            found = found + self.beyond * (found - before)
-        return found
+        return self._follow(
+            lambda numerics: replace(problem, numerics=numerics).predict(run, point)
+        )
 
     def record(self, problem: Any, x: Array) -> Array:
         """The same of all runs of a problem, (N,)."""
-        found: Array = replace(problem, numerics=self.numerics).record(x)
-        if self.before is not None:
-            before = replace(problem, numerics=self.before).record(x)
-            found = found + self.beyond * (found - before)
-        return found
+        return self._follow(lambda numerics: replace(problem, numerics=numerics).record(x))
+
+    def _follow(self, simulate: Callable[[Numerics], Any]) -> Any:
+        """What is simulated, to the limit of its last change."""
+        found = simulate(self.numerics)
+        if self.before is None:
+            return found
+        return found + self.beyond * (found - simulate(self.before))
 
 
 @dataclass(frozen=True, eq=False)

@@ -192,8 +192,8 @@ def check_numerics_of_set(fit: Fit, record: Array, settings: DiagnosisSettings) 
         replace(problem, numerics=used.refined(REFINEMENTS[name])).cost()
         for name in names_of_failed(gates)
     ]
-    budget, is_asked = settings.refine_budget, not settings.accept_numerics
-    may_refine = is_asked and budget > 1.0 and min(costs, default=math.inf) <= budget * once
+    budget = settings.refine_budget
+    may_refine = budget > 1.0 and min(costs, default=math.inf) <= budget * once
     noted = note_numerics(gates, problem.numerics, problem.cost() / once, budget, not may_refine)
     noted = tuple(replace(g, note=g.note + OF_NAMES) for g in noted)
     return SetNumerics(changes, noted, may_refine)

@@ -5,6 +5,8 @@ with larger cells and longer steps. At the plain fit settings are refined, one a
 is left to refine is below the limit of the numerics gate. What they change becomes a ``Correction``
 of the coarse records; nothing else is simulated so finely. At the answer the same is simulated
 again: where the correction would be another one there, the search goes on from there.
+
+Of any answer, settings that suit the plain model but not the best set are corrected there so.
 """
 
 from __future__ import annotations
@@ -86,52 +88,41 @@ def find_correction(
         dearest = max(dearest, FINEST_SHARE * settings.search.refit_steps)
     refined = [_refine_setting(fit, at, name, dearest, CHEAP * once) for name in REFINEMENTS]
     coarse = fit.problem.numerics or Numerics()
-    finer = tuple(
-        Finer(r.numerics, r.shift, r.before, r.beyond, r.like)
-        for r in refined
-        if r.numerics != coarse
-    )
+    finer = tuple(r.finer for r in refined if r.finer.numerics != coarse)
     total = np.sum([r.added for r in refined], axis=0)
     correction = Correction(fit.problem, at.x, finer)
     gates = tuple(_gate(r, coarse) for r in refined)
     changes = {
-        r.name: r.change if r.before is not None else _next(r.sizes) * r.change for r in refined
+        r.name: r.change if r.unsure is not None else _next(r.sizes) * r.change for r in refined
     }
     return CorrectionAt(correction.known(fit.problem.runs, total), changes, gates)
 
 
 @dataclass(frozen=True, eq=False)
 class _RefinedSetting:
-    """One setting, refined step by step at the plain fit.
+    """One setting, refined step by step at a fit.
 
     Attributes:
-        numerics: The finest that was simulated.
-        shift: Base parameters that make coarse records most like those, standardized.
+        finer: The finest that was simulated, and the shift that makes coarse records most like it.
         added: What is left of the change then, (N,) [unit of the channel].
-        change: The last step's change of the record, as if records were linear, (N,).
+        change: The last step's change of the record, as if records were linear, (N,); of
+            extrapolated records what may be off.
         sizes: Of every step's change, as the numerics gate measures it.
-        before: Settings one step coarser, from which records are extrapolated; None: they are not.
-        beyond: How much farther they go, as a share of the last step's change.
-        like: Settings that alone leave as little as extrapolated records may be off.
-        unsure: By how much these may be off [noise and prior sd].
+        unsure: By how much extrapolated records may be off [noise and prior sd]; None: none are.
     """
 
     name: str
-    numerics: Numerics
-    shift: Array
+    finer: Finer
     added: Array
     change: Array
     sizes: tuple[float, ...] = ()
-    before: Numerics | None = None
-    beyond: float = 0.0
-    like: Numerics | None = None
-    unsure: float = 0.0
+    unsure: float | None = None
 
     @property
     def left(self) -> float:
         """What one more refinement would change, extrapolated [noise and prior sd]; or how far
         extrapolated records may be off."""
-        return _next(self.sizes) * self.sizes[-1] if self.before is None else self.unsure
+        return _next(self.sizes) * self.sizes[-1] if self.unsure is None else self.unsure
 
 
 def _refine_setting(
@@ -147,20 +138,20 @@ def _refine_setting(
     problem, coarse = fit.problem, fit.problem.numerics or Numerics()
     by_base = at.slopes(range(problem.num_base))
     nothing = np.zeros_like(at.record)
-    here = _RefinedSetting(name, coarse, np.zeros(problem.num_base), nothing, nothing)
-    records = [at.record]
+    here = _RefinedSetting(name, Finer(coarse, np.zeros(problem.num_base)), nothing, nothing)
+    records, before = [at.record], coarse
     for _ in range(MAX_LEVELS):
-        there = here.numerics.refined(REFINEMENTS[name])
-        finer = replace(problem, numerics=there)
-        record = finer.record(at.x)
+        there = here.finer.numerics.refined(REFINEMENTS[name])
+        record = replace(problem, numerics=there).record(at.x)
         raw = numerics_gate(fit, {name: record - at.record})[0].value
         if not here.sizes and raw < NEGLIGIBLE:  # or the model has no such setting
             return replace(here, sizes=(raw,), change=record - at.record)
         records.append(record)
-        shift, added = _fit_shift(fit, record, here.shift)
-        change = by_base @ (shift - here.shift) + added - here.added
+        shift, added = _fit_shift(fit, record, here.finer.shift)
+        change = by_base @ (shift - here.finer.shift) + added - here.added
         size = numerics_gate(fit, {name: change})[0].value
-        here = _RefinedSetting(name, there, shift, added, change, (*here.sizes, size))
+        before, sizes = here.finer.numerics, (*here.sizes, size)
+        here = _RefinedSetting(name, Finer(there, shift), added, change, sizes)
         enough = here.left < NUMERICS_LAMBDA
         if min(size, here.left) < 0.5 * NUMERICS_LAMBDA:
             break
@@ -168,18 +159,20 @@ def _refine_setting(
         if next_cost > (cheap if enough else dearest):
             break
     is_enough = here.left < NUMERICS_LAMBDA or len(records) < 3
-    return here if is_enough else _to_limit(fit, here, records[-3:])
+    return here if is_enough else _to_limit(fit, here, before, records[-3:])
 
 
-def _to_limit(fit: Fit, here: _RefinedSetting, records: Sequence[Array]) -> _RefinedSetting:
+def _to_limit(
+    fit: Fit, here: _RefinedSetting, before: Numerics, records: Sequence[Array]
+) -> _RefinedSetting:
     """A setting whose last two changes of the record are alike in all but size, such as the step of
     an integrator of first order, followed to where its changes lead; else as it is.
 
     Args:
+        before: Settings before the last ones.
         records: Those of the last three settings, (N,) each.
     """
-    problem = fit.problem
-    first, last = (problem.whiten_all(b - a) for a, b in pairwise(records))
+    first, last = (fit.problem.whiten_all(b - a) for a, b in pairwise(records))
     ratio = float(np.clip(first @ last / (first @ first), SECOND_ORDER, SLOWEST))
     beyond = ratio / (1.0 - ratio)
     # what is not alike goes on alike at worst
@@ -187,21 +180,13 @@ def _to_limit(fit: Fit, here: _RefinedSetting, records: Sequence[Array]) -> _Ref
     unsure = numerics_gate(fit, {here.name: off})[0].value
     if not unsure < here.left:
         return here
-    step, like, left = REFINEMENTS[here.name], here.numerics, here.left
-    while left >= NUMERICS_LAMBDA:
-        like, left = like.refined(step), ratio * left
-    back = Numerics(1.0 / step.time_step, 1.0 / step.mesh, 1.0 / step.tolerance)
-    shift, added = _fit_shift(fit, records[2] + beyond * (records[2] - records[1]), here.shift)
-    return replace(
-        here,
-        shift=shift,
-        added=added,
-        change=off,
-        before=here.numerics.refined(back),
-        beyond=beyond,
-        like=like,
-        unsure=unsure,
-    )
+    like, left = here.finer.numerics, here.left
+    while left >= NUMERICS_LAMBDA:  # settings that alone leave as little
+        like, left = like.refined(REFINEMENTS[here.name]), ratio * left
+    limit = records[2] + beyond * (records[2] - records[1])
+    shift, added = _fit_shift(fit, limit, here.finer.shift)
+    finer = Finer(here.finer.numerics, shift, before, beyond, like)
+    return replace(here, finer=finer, added=added, change=off, unsure=unsure)
 
 
 def _fit_shift(fit: Fit, record: Array, shift: Array) -> tuple[Array, Array]:
@@ -240,7 +225,7 @@ def _gate(refined: _RefinedSetting, coarse: Numerics) -> GateResult:
     """What a setting still moves; where that is too much, all of what it moves: a correction whose
     end is not in sight holds nowhere else."""
     name, left = refined.name, refined.left
-    begun, ended = getattr(coarse, name), getattr(refined.numerics, name)
+    begun, ended = getattr(coarse, name), getattr(refined.finer.numerics, name)
     if begun == ended:
         note = "noise and prior sd that refining would move, extrapolated"
         return GateResult(name, left < NUMERICS_LAMBDA, left, NUMERICS_LAMBDA, note)

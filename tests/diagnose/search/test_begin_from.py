@@ -117,10 +117,18 @@ def test_where_corrections_do_not_hold_short_steps_are_taken_from_what_was_found
 
 
 def test_gates_of_a_correction_are_those_of_the_answer(monkeypatch):
+    told, keep = [], diagnosis._with_correction
+
+    def watched(case, found):
+        told.append(found)
+        return keep(case, found)
+
+    monkeypatch.setattr(diagnosis, "_with_correction", watched)
     _, search, gates = rounds(monkeypatch, 0.01, holds=True)
     best = decision_of(search).best
     found = with_numerics(search, best).numerics[best]
     assert all(gate.passed and "named causes" in gate.note for gate in found.gates)
+    assert len(told) > 2 and found.changes is told[-1].changes
     assert "an earlier set" in gates[0].note
     assert gates[0].name == CORRECTED and not search.is_cut_short  # it may be certain
 

@@ -124,6 +124,11 @@ def test_steps_of_first_order_are_followed_to_where_they_lead():
     finest = replace(problem, numerics=finer.numerics).record(x)
     assert off(after.fit.problem.record(x)) < 0.4 * off(finest)
     assert renewed_at(after.fit)[0].finer[0].beyond == finer.beyond
+    # of a run that was not told before; and what is saved are settings that follow as far
+    untold = replace(found.correction, told=())
+    np.testing.assert_allclose(untold.over(problem.runs), found.correction.over(problem.runs))
+    saved = replace(problem, numerics=untold.finest).record(x)
+    assert untold.finest.time_step < finer.numerics.time_step and off(saved) < 0.6 * off(finest)
 
 
 def test_slopes_and_many_points_of_a_corrected_problem_agree_with_its_records():
