@@ -60,8 +60,8 @@ bool is_beyond_guess(ContactProblem& p, const Vector& end) {
   return !(p.objective.value_gradient(end, unused) <= p.objective.value_gradient(guess, unused));
 }
 
-/// Newton's direction from the start of a step. Where it would crush the body, the contacts take the
-/// statuses that the linearized problem gives them: most of all it lets many go.
+/// Newton's direction from the start of a step. Where it would crush the body, the contacts take
+/// the statuses that the linearized problem gives them: most of all it lets many go.
 ContactDirection first_direction(ContactProblem& p, const ContactIterate& at,
                                  const DirectionAccuracy& accuracy, bool is_clamped) {
   ContactDirection d = contact_direction(p, at, accuracy, is_clamped);
