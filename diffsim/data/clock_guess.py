@@ -206,7 +206,7 @@ def _split_at(
     for column in columns:
         if not column.name or column is clock:
             continue
-        cells = np.array(table.texts(column.name))
+        cells = table.values(column.name)
         changes = np.flatnonzero(cells[1:] != cells[:-1])
         if set(back) <= set(changes) and len(changes) <= 2 * len(back) + 2 < len(cells):
             said.append(f"runs: the clock starts again where {column.name} changes: one run each")

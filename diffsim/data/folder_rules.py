@@ -345,7 +345,10 @@ def _wraps(guess: Guess) -> tuple[int, list[str]] | None:
 def lists_of_runs(guess: Guess) -> Iterable[str]:
     """Tables that have a row for each run, such as labels: what they know of it may be facts."""
     names = {run.name for run in guess.runs}
+    recorded = {table.path for run in guess.runs for table in run.tables}
     for path in sorted(guess.folder.glob("*.csv")) if len(names) > 1 else ():
+        if path in recorded:
+            continue
         try:
             table = Table(path, "table")
         except ValueError:

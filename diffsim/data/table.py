@@ -55,6 +55,15 @@ def cells_of(line: str, mark: str) -> list[str]:
 
 
 _LIST_MARKS = re.compile(r"[\[\](),;]")
+#: Empty cells, and those that say so, between delimiters or at an end of a line
+_MISSING_CELL = {
+    mark: re.compile(
+        rf"(?:^|(?<={mark})) *(?:{'|'.join(map(re.escape, MISSING))})? *(?={mark}|\r?$)",
+        re.IGNORECASE | re.MULTILINE,
+    )
+    for mark in (",", ";", "\t")
+}
+_LONE_COMMA = re.compile(r",(?!\d)")  # no decimal comma: what it is, is told cell by cell
 _DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
 
 
@@ -210,7 +219,7 @@ def _number_rows(
                 f"with #{last}"
             )
         if comma_is_point:
-            row = [_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row]
+            row = [_DECIMAL_COMMA.sub(r"\1.\2", c) if "," in c else c for c in row]
         if is_remark and are_numbers is None:
             held.append((line, row))
             continue
@@ -505,7 +514,7 @@ _IN_MEMORY: WeakValueDictionary[tuple[object, ...], _Numbers] = WeakValueDiction
 def _all_numbers_of(
     path: Path, what: str, header_line: int, first_line: int | None, columns: Sequence[str]
 ) -> _Numbers | None:
-    """A file of finite numbers; None: it has other cells.
+    """A file of finite numbers and empty cells; None: it has other cells.
 
     Reads eight times as fast as cell by cell, and holds little more than the numbers: they are put
     into place block by block.
@@ -517,11 +526,10 @@ def _all_numbers_of(
             return _IN_MEMORY.get(key)
         waiting, num_rows, places = iter(lines), 0, list[Sequence[int]]()
         found = np.empty((len(header), 0))
-        by = None if mark == " " else mark
         for block in iter(lambda: list(islice(waiting, ROWS_SHOWN)), []):
-            filled = [line for line in block if line.strip()]
+            filled = [line for line in block if line.strip(f"{mark} \r\n")]
             try:
-                now = np.loadtxt(filled, delimiter=by, comments=None, ndmin=2) if filled else None
+                now = _numbers_of_lines(filled, mark) if filled else None
             except ValueError:  # cell by cell it is told which
                 return None
             own: Sequence[int] = range(before + 1, before + 1 + len(block))
@@ -539,7 +547,7 @@ def _all_numbers_of(
             found[:, num_rows : num_rows + len(now)] = now.T
             num_rows += len(now)
             if len(filled) < len(block):
-                own = [n for n, line in zip(own, block, strict=True) if line.strip()]
+                own = [n for n, line in zip(own, block, strict=True) if line.strip(f"{mark} \r\n")]
             places.append(own)
             if len(block) == ROWS_SHOWN:
                 say_stage(f"reading {path.name}, row {num_rows}")
@@ -549,6 +557,23 @@ def _all_numbers_of(
     rows = range(places[0][0], places[0][0] + num_rows) if is_plain else list(chain(*places))
     _IN_MEMORY[key] = read = _Numbers(dict(zip(header, found[:, :num_rows], strict=True)), rows)
     return read
+
+
+def _numbers_of_lines(lines: list[str], mark: str) -> Array:
+    """Numbers of lines, (num_lines, num_cells); NaN where a cell is empty.
+
+    Raises:
+        ValueError: a cell is no number, or lines differ in length.
+    """
+    by = None if mark == " " else mark
+    try:
+        return np.loadtxt(lines, delimiter=by, comments=None, ndmin=2)
+    except ValueError:
+        text = "".join(lines)
+        if mark == " " or (mark != "," and _LONE_COMMA.search(text)):
+            raise
+    full = _MISSING_CELL[mark].sub("nan", text if mark == "," else text.replace(",", "."))
+    return np.loadtxt(full.splitlines(), delimiter=by, comments=None, ndmin=2)
 
 
 def _all_cells_of(
