@@ -19,9 +19,8 @@ from __future__ import annotations
 import copy
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,59 +28,24 @@ from typing import Any
 import numpy as np
 
 from diffsim.copter.exchange.mjcf_text import whole_scene
-from diffsim.core.arrays import Array, Mask
+from diffsim.core.arrays import Array
 from diffsim.data.study import Run
 from diffsim.systems.outside.forces import PlaceForces
 from diffsim.systems.outside.mjcf_laws import hold_of, path_of_law, take_own
-from diffsim.systems.outside.mjcf_numbers import Numbers, several_axes
+from diffsim.systems.outside.mjcf_numbers import Numbers
 from diffsim.systems.outside.mjcf_payloads import carriers_of
+from diffsim.systems.outside.mjcf_pushes import Pushes
+from diffsim.systems.outside.mjcf_runs import Job, Stepper
 from diffsim.systems.outside.mjcf_steps import Steps
+from diffsim.systems.outside.mjcf_wiring import Wiring, joints_without_sensor, with_sensors
 from diffsim.systems.outside.source import Call
 
-_ENTRY = re.compile(r"(.+)\[(\d+)\]")
-#: What a channel may show of a joint without a sensor, by the MJCF's own kind of sensor
-JOINT_SENSORS = {"position": "jointpos", "velocity": "jointvel"}
-#: The same of a joint that moves freely, by its entries: x, y, z and w, x, y, z of its body
-FREE_SENSORS = {"position": "framepos", "orientation": "framequat"}
-JOINT = re.compile(r"joint\.(.+)\.(position|velocity|orientation)(?:\[(\d)\])?")
 MAX_BYTES = 100_000_000  # of the states, and of the models, that are simulated side by side
 MAX_MODELS = 64
 # of a servo's gain times its largest goal, that it pushes with: the goal is not what is left to it;
 # of three drawn servos whose limit was missing the share was 1/30 to 1/80
 OF_GOAL = 0.1
 OF_CALL, OF_FORCE = 1.0, 1.5  # weighted steps of calling Python at a stage, and of each force there
-
-
-@dataclass(frozen=True, eq=False)
-class _Job:
-    """A call of the simulator, ready to be stepped.
-
-    Attributes:
-        model: Model with the numbers of the call.
-        steps: Steps over the run.
-        start: State at the first sample.
-        controls: Commands over the steps, (num_steps, num_controls).
-        at_samples: Commands at the samples, where sensors depend on them; None: they do not.
-        readers: Entry of ``sensordata`` for each channel.
-        force: Forces that Python adds; None: none.
-        pushes: The same over the steps, of each degree of freedom, (num_steps, nv), where they are
-            known before; None: they are not.
-        can_roll: Whether MuJoCo's own loop does it.
-    """
-
-    model: Any
-    steps: Steps
-    start: Array
-    controls: Array
-    at_samples: Array | None
-    readers: Sequence[int]
-    force: PlaceForces | None
-    pushes: Array | None
-    can_roll: bool
-
-
-class DivergedError(ArithmeticError):
-    """A simulation left all bounds; the message has the joint, the time and the value."""
 
 
 class Mjcf:
@@ -114,8 +78,8 @@ class Mjcf:
         text, files = whole_scene(model, None if folder is None else Path(folder))
         with self._without_log():
             self.plain: Any = mujoco.MjModel.from_xml_string(text, files)
-            if joints := _joints_without_sensor(mujoco, self.plain, (channels or {}).values()):
-                text = _with_sensors(text, joints)
+            if joints := joints_without_sensor(mujoco, self.plain, (channels or {}).values()):
+                text = with_sensors(text, joints)
                 self.plain = mujoco.MjModel.from_xml_string(text, files)
         self._text, self._files = text, files
         self.plain.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -123,7 +87,8 @@ class Mjcf:
             self.plain.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         ratios = _list_ratios(mujoco, text, files) if "dampratio" in text else ()
         self.numbers = Numbers(mujoco, self.plain, ratios)
-        self.channels, self.commands, self.held = channels, commands, held
+        self.held = held
+        self.wiring = Wiring(mujoco, self.plain, self.numbers, channels, commands)
         self.carriers = carriers_of(mujoco, self.plain)
         #: What may set the strength of each actuator
         self.drives = [
@@ -131,10 +96,9 @@ class Mjcf:
             for i in range(self.plain.nu)
         ]
         is_rk4 = int(self.plain.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_RK4)
-        self._stages = 4 if is_rk4 else 1  # of a step
+        self._pushes = Pushes(self.plain, self.numbers, stages=4 if is_rk4 else 1)
+        self._stepper = Stepper(mujoco, self.plain, self.numbers, self._pushes)
         self._models: list[Any] = []
-        self._rollouts: dict[int, tuple[Any, list[Any]]] = {}  # with a state for each thread
-        self._make_rollout = _find_rollout()
 
     def predict(
         self,
@@ -186,9 +150,9 @@ class Mjcf:
             force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
         _, asked = self._take_own({}, force)
-        num_forces = 0 if asked is None or self._is_known(asked) else len(asked.acting)
+        num_forces = 0 if asked is None or self._pushes.is_known(asked) else len(asked.acting)
         of_forces = OF_CALL + OF_FORCE * num_forces if num_forces else 0.0
-        of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._stages
+        of_step = (1.0 + 0.7 * self.plain.nv + of_forces) * self._pushes.stages
         return Steps.count(run.time_s, float(self.plain.opt.timestep)) * of_step
 
     def fits_hold(self, place: str, parameters: Collection[str]) -> bool:
@@ -212,7 +176,7 @@ class Mjcf:
         out, plain = dict[str, tuple[float, str]](), self.plain
         hinge = int(self.mujoco.mjtJoint.mjJNT_HINGE)
         for command, reach in reaches.items():
-            i = 0 if self._is_single(len(reaches)) else self._find_actuator(command)
+            i = 0 if self.wiring.is_single(len(reaches)) else self.wiring.find_actuator(command)
             if i is None or not plain.actuator(i).name:
                 continue
             most = float(np.abs(plain.actuator_gainprm[i, 0])) * reach
@@ -220,7 +184,7 @@ class Mjcf:
             if plain.actuator_forcelimited[i]:
                 most = min(most, float(np.abs(plain.actuator_forcerange[i]).max()))
             if most > 0.0:
-                joint = int(plain.actuator_trnid[i, 0]) if self._is_at_joint(i) else -1
+                joint = int(plain.actuator_trnid[i, 0]) if self.wiring.is_at_joint(i) else -1
                 is_turn = joint >= 0 and int(plain.jnt_type[joint]) == hinge
                 out[plain.actuator(i).name] = most, "N m" if is_turn else "N"
         return out
@@ -290,40 +254,42 @@ class Mjcf:
     ) -> list[Array | Exception]:
         """Sensors of each call; what can be left to MuJoCo's own loop is."""
         out: list[Array | Exception | None] = [None] * len(group)
-        ready: list[tuple[int, _Job]] = []
+        ready: list[tuple[int, Job]] = []
         for k, (call, steps) in enumerate(group):
             try:
                 job = self._prepare(call, steps, len(ready))
                 if job.can_roll:
                     ready.append((k, job))
                 else:
-                    out[k] = self._step_through(job)
+                    out[k] = self._stepper.step_through(job)
             except (ValueError, ArithmeticError, self.mujoco.FatalError) as error:
                 out[k] = error
-        rolled = self._roll([job for _, job in ready], threads) if ready else []
+        rolled = self._stepper.roll([job for _, job in ready], threads) if ready else []
         for (k, _), found in zip(ready, rolled, strict=True):
             out[k] = found
         return [found for found in out if found is not None]
 
-    def _prepare(self, call: Call, steps: Steps, place: int) -> _Job:
+    def _prepare(self, call: Call, steps: Steps, place: int) -> Job:
         """A call with a model of its own, its start and its commands."""
         while len(self._models) <= place:
             self._models.append(copy.copy(self.plain))
         model, run = self._models[place], call.run
         parameters, force = self._take_own(call.parameters, call.force)
         setting = self.numbers.put(model, parameters)
-        values = self._list_controls(run)
-        readers = self._find_readers(run)
-        delays = {int(self._ctrl_of(i)): late for i, late in setting.delays.items()}
+        values = self.wiring.list_controls(run)
+        readers = self.wiring.find_readers(run)
+        delays = {self.wiring.control_of_actuator(i): late for i, late in setting.delays.items()}
         for command, late in call.delays.items():
-            if (control := self._control_of(command, run)) is not None:
+            if (control := self.wiring.control_of(command, run)) is not None:
                 delays[control] = delays.get(control, 0.0) + late
-        known = ((self._control_of(command, run), value) for command, value in call.before.items())
+        known = (
+            (self.wiring.control_of(command, run), value) for command, value in call.before.items()
+        )
         before = {control: value for control, value in known if control is not None}
-        is_exact = not self.held and self._reads_forces(readers)
+        is_exact = not self.held and self.wiring.reads_forces(readers)
         acting = force if force is not None and force.acts else None
-        pushes = None if acting is None else self._pushes(acting, steps.starts)
-        return _Job(
+        pushes = None if acting is None else self._pushes.over(acting, steps.starts)
+        return Job(
             model=model,
             steps=steps,
             start=self.numbers.start_state(model, setting, float(steps.starts[0])),
@@ -335,277 +301,8 @@ class Mjcf:
             can_roll=steps.is_even
             and not is_exact
             and (pushes is not None or acting is None)
-            and self._make_rollout is not None,
+            and self._stepper.has_loop,
         )
-
-    def _roll(self, jobs: Sequence[_Job], threads: int) -> list[Array | Exception]:
-        """MuJoCo's own loop over the steps, on its own threads."""
-        count = threads if threads > 1 and len(jobs) > 1 else 0
-        if count not in self._rollouts:
-            states = [self.mujoco.MjData(self.plain) for _ in range(max(count, 1))]
-            self._rollouts[count] = self._make_rollout(nthread=count), states
-        rollout, at_threads = self._rollouts[count]
-        for data in at_threads:  # nothing of the last calls, such as a warning, is kept
-            self.mujoco.mj_resetData(self.plain, data)
-        for job in jobs:
-            job.model.opt.timestep = job.steps.lengths[0]
-        of_state = self.mujoco.mjtState
-        given, spec = np.stack([job.controls for job in jobs]), int(of_state.mjSTATE_CTRL)
-        if any(job.pushes is not None for job in jobs):
-            spec += of_state.mjSTATE_QFRC_APPLIED
-            none = np.zeros((given.shape[1], self.plain.nv))
-            pushes = [none if job.pushes is None else job.pushes for job in jobs]
-            given = np.concatenate([given, np.stack(pushes)], axis=2)
-        states, sensors = rollout.rollout(
-            [job.model for job in jobs],
-            at_threads,
-            np.stack([job.start for job in jobs]),
-            given,
-            control_spec=spec,
-        )
-        out: list[Array | Exception] = []
-        for job, state, sensor in zip(jobs, states, sensors, strict=True):
-            if state[-1, 0] < job.steps.starts[-1] - 0.5 * job.steps.lengths[-1]:  # it stopped
-                out.append(self._explain_divergence(job))
-            else:
-                out.append(np.array(sensor[job.steps.samples][:, job.readers]))
-        return out
-
-    def _step_through(self, job: _Job, watch: bool = False) -> Array:
-        """One step after the other, for what MuJoCo's own loop does not do."""
-        force = job.force
-        if force is None or not force.acts:
-            return self._loop(job, watch)
-        # called at every stage of an integrator, so that forces are as exact as the step
-        before = self.mujoco.get_mjcb_passive()
-        self.mujoco.set_mjcb_passive(self._push_joints(force))
-        try:
-            return self._loop(job, watch)
-        finally:
-            self.mujoco.set_mjcb_passive(before)
-
-    def _loop(self, job: _Job, watch: bool = False) -> Array:
-        model, mj_step = job.model, self.mujoco.mj_step
-        data = self.numbers.begin(model, job.start)
-        rows, following = [], 0
-        is_read = np.zeros(len(job.controls), dtype=bool)
-        is_read[job.steps.samples] = True
-        for first, end in _alike(job, is_read, alone=watch):
-            model.opt.timestep = job.steps.lengths[first]
-            if is_read[first] and job.at_samples is not None:
-                data.ctrl[:] = job.at_samples[following]
-                self.mujoco.mj_forward(model, data)
-                rows.append(np.array(data.sensordata[job.readers]))
-            data.ctrl[:] = job.controls[first]
-            mj_step(model, data, nstep=end - first)
-            if is_read[end - 1]:
-                following += 1
-                if job.at_samples is None:  # sensors of the state that the step began with
-                    rows.append(np.array(data.sensordata[job.readers]))
-            if (watch or is_read[end - 1]) and (said := self._say_divergence(model, data)):
-                if not watch:
-                    self._loop(job, watch=True)  # raises at the step itself
-                raise DivergedError(said)
-        return np.array(rows)
-
-    def _explain_divergence(self, job: _Job) -> DivergedError:
-        try:
-            self._step_through(job, watch=True)
-        except DivergedError as error:
-            return error
-        return DivergedError("the simulation stopped before the end of the run")
-
-    def _say_divergence(self, model: Any, data: Any) -> str | None:
-        """Joint, time and value of what is beyond all bounds; None: nothing is."""
-        kinds = self.mujoco.mjtWarning
-        for kind, what, per in (
-            (kinds.mjWARN_BADQACC, "acceleration", "/s^2"),
-            (kinds.mjWARN_BADQVEL, "speed", "/s"),
-            (kinds.mjWARN_BADQPOS, "position", ""),
-        ):
-            found = data.warning[int(kind)]
-            if not found.number:
-                continue
-            i = int(found.lastinfo)
-            of_position = kind == kinds.mjWARN_BADQPOS
-            if of_position:
-                joint = int(np.searchsorted(model.jnt_qposadr, i, side="right")) - 1
-            else:
-                joint = int(model.dof_jntid[i])
-            values = {"acceleration": data.qacc, "speed": data.qvel, "position": data.qpos}[what]
-            first = (model.jnt_qposadr if of_position else model.jnt_dofadr)[joint]
-            type_of = int(model.jnt_type[joint])
-            unit = "m" if type_of == 2 or (type_of == 0 and i - first < 3) else "rad"
-            name = model.joint(joint).name or f"number {joint}"
-            return (
-                f"joint {name!r} diverged at {data.time:.4g} s: its {what} is {values[i]:.3g} "
-                f"{unit}{per}; give the MJCF a shorter timestep, or bound the parameters"
-            )
-        return None
-
-    def _reads_forces(self, readers: Sequence[int]) -> bool:
-        """Whether a channel shows accelerations or forces, which depend on the command itself."""
-        if not hasattr(self.plain, "sensor_needstage"):
-            return True
-        last = int(self.mujoco.mjtStage.mjSTAGE_ACC)
-        first, width = self.plain.sensor_adr, self.plain.sensor_dim
-        late = [
-            range(int(first[i]), int(first[i]) + int(width[i]))
-            for i in range(self.plain.nsensor)
-            if int(self.plain.sensor_needstage[i]) == last
-        ]
-        return any(entry in own for entry in readers for own in late)
-
-    def _ctrl_of(self, actuator: int) -> int:
-        """Index of the command of an actuator, of the first where it has several."""
-        firsts = getattr(self.plain, "actuator_ctrladr", None)
-        return actuator if firsts is None else int(firsts[actuator])
-
-    def _find_readers(self, run: Run) -> list[int]:
-        """Entry of ``sensordata`` for each channel."""
-        width = run.measured.shape[1]
-        if self.channels is None:
-            if self.plain.nsensordata != width:
-                raise ValueError(
-                    f"the MJCF has {self.plain.nsensordata} sensor values for {width} channels; "
-                    "state options.channels: {CHANNEL: SENSOR}, of a joint without a sensor "
-                    "{CHANNEL: joint.NAME.position}"
-                )
-            return list(range(width))
-        out = []
-        for name in self.channels.values():
-            entry = _ENTRY.fullmatch(name)
-            sensor = self.numbers.find("sensor", entry[1] if entry else name, "options.channels")
-            if entry and int(entry[2]) >= int(self.plain.sensor_dim[sensor]):
-                raise ValueError(f"options.channels: {name!r}: {entry[1]} has no such entry")
-            out.append(int(self.plain.sensor_adr[sensor]) + (int(entry[2]) if entry else 0))
-        return out
-
-    def _list_controls(self, run: Run) -> Array:
-        """(num_samples, num_controls) in the order of MuJoCo's controls."""
-        out = np.zeros((len(run.time_s), self.plain.nu))
-        for command, values in run.command.items():
-            if (control := self._control_of(command, run)) is not None:
-                out[:, control] = values
-        return out
-
-    def _control_of(self, command: str, run: Run) -> int | None:
-        """Index of the control that a command of a run drives; None: it drives none."""
-        if self._is_single(len(run.command)):
-            return 0
-        actuator = self._find_actuator(command)
-        return None if actuator is None else int(self._ctrl_of(actuator))
-
-    def _is_at_joint(self, actuator: int) -> bool:
-        return int(self.plain.actuator_trntype[actuator]) == int(self.mujoco.mjtTrn.mjTRN_JOINT)
-
-    def _is_single(self, num_commands: int) -> bool:
-        """Whether the one command drives the one actuator, whatever their names."""
-        return bool(self.commands is None and num_commands == 1 and self.plain.nu == 1)
-
-    def _find_actuator(self, command: str) -> int | None:
-        """Index of the actuator that a command drives; None: it drives none."""
-        name = command if self.commands is None else self.commands.get(command)
-        return None if name is None else self.numbers.find("actuator", name, "options.commands")
-
-    def _is_known(self, force: PlaceForces) -> bool:
-        """Whether forces over time alone are all there is, and an integrator that asks for them
-        once a step: MuJoCo's own loop then holds them."""
-        return force.is_over_time and self._stages == 1
-
-    def _axis_of(self, place: str) -> tuple[int, int]:
-        """Index of the position and of the velocity of a joint that turns or slides about one axis.
-
-        Raises:
-            ValueError: there is no such joint, or it has several axes.
-        """
-        joint = self.numbers.find("joint", place, "hooks.force")
-        if (count := self.numbers.num_axes(joint)) > 1:
-            raise ValueError(several_axes(place, count))
-        return int(self.plain.jnt_qposadr[joint]), int(self.plain.jnt_dofadr[joint])
-
-    def _pushes(self, force: PlaceForces, times: Array) -> Array | None:
-        """Forces of each degree of freedom over steps, (num_steps, nv); None: not known before."""
-        if not self._is_known(force):
-            return None
-        out = np.zeros((len(times), self.plain.nv))
-        for place, values in force.over(times).items():
-            out[:, self._axis_of(force.places[place])[1]] += values
-        return out
-
-    def _push_joints(self, force: PlaceForces) -> Callable[[Any, Any], None]:
-        """What MuJoCo calls for passive forces: the forces at the joints that are the places."""
-        acting = [(*self._axis_of(force.places[i]), at) for i, at in force.acting]
-
-        def push(model: Any, data: Any) -> None:  # thousands of times a run: plain numbers alone
-            time, positions, rates, passive = data.time, data.qpos, data.qvel, data.qfrc_passive
-            for place, rate, at in acting:
-                passive[rate] += at(time, positions.item(place), rates.item(rate))
-
-        return push
-
-
-def _alike(job: _Job, is_read: Mask, *, alone: bool) -> Iterator[tuple[int, int]]:
-    """First and end of steps of one length under one command, after which a sample may be read.
-
-    Args:
-        job: What is stepped.
-        is_read: Whether sensors are read at each step, (num_steps,).
-        alone: Each step by itself.
-    """
-    ends = np.full(len(is_read), alone)
-    ends |= is_read
-    ends[:-1] |= is_read[1:]
-    ends[:-1] |= (job.controls[1:] != job.controls[:-1]).any(axis=1)
-    ends[:-1] |= np.diff(job.steps.lengths) != 0.0
-    ends[-1:] = True
-    first = 0
-    for end in (np.flatnonzero(ends) + 1).tolist():
-        yield first, end
-        first = end
-
-
-def _joints_without_sensor(
-    mujoco: Any, model: Any, channels: Iterable[str]
-) -> list[tuple[str, dict[str, str]]]:
-    """Sensors that channels name by a joint, and the file lacks: their kind and attributes.
-
-    Raises:
-        ValueError: there is no such joint, or nothing of it is so called.
-    """
-    numbers, out = Numbers(mujoco, model, ()), dict[str, tuple[str, dict[str, str]]]()
-    for channel in dict.fromkeys(channels):
-        found = JOINT.fullmatch(channel)
-        is_sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, channel) >= 0
-        if found is None or is_sensor:
-            continue
-        name, what, entry = found.groups()
-        joint = numbers.find("joint", name, "options.channels")
-        kind = (JOINT_SENSORS if numbers.num_axes(joint) == 1 else {}).get(what)
-        of = {"joint": name}
-        if int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE):
-            kind = FREE_SENSORS.get(what)
-            of = {"objtype": "xbody", "objname": model.body(int(model.jnt_bodyid[joint])).name}
-        if kind is None or (entry is None) != ("joint" in of) or not all(of.values()):
-            raise ValueError(
-                f"options.channels: {channel!r} of a joint with "
-                f"{numbers.num_axes(joint)} axes is no reading; of one axis .position and "
-                ".velocity are, of a free joint whose body has a name .position[0] to [2] and "
-                ".orientation[0] to [3]; for others add a sensor of what was measured to the "
-                "MJCF, and name it"
-            )
-        label = channel.partition("[")[0] if entry else channel
-        out[label] = kind, {"name": label, **of}
-    return list(out.values())
-
-
-def _with_sensors(text: str, sensors: Iterable[tuple[str, dict[str, str]]]) -> str:
-    """The text of a model with more sensors, by their kinds and attributes."""
-    root = ElementTree.fromstring(text)
-    section = ElementTree.SubElement(root, "sensor")
-    for kind, attributes in sensors:
-        ElementTree.SubElement(section, kind, attributes)
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _can_touch(model: Any) -> bool:
@@ -617,15 +314,6 @@ def _can_touch(model: Any) -> bool:
 
 def _ignore(_: str) -> None:
     """What MuJoCo warns of is looked at after each run."""
-
-
-def _find_rollout() -> Any:
-    """MuJoCo's own loop over many simulations; None: the version has none yet."""
-    try:
-        from mujoco import rollout
-    except ImportError:
-        return None
-    return getattr(rollout, "Rollout", None)
 
 
 def _list_ratios(mujoco: Any, text: str, files: Mapping[str, bytes]) -> tuple[int, ...]:

@@ -17,7 +17,8 @@ from diffsim.core.units import GRAVITY, to_si
 from diffsim.data.folder_tables import files_below
 from diffsim.data.guess import Guess, GuessedColumn
 from diffsim.data.names import spelled
-from diffsim.systems.outside.mjcf import JOINT, JOINT_SENSORS, Mjcf
+from diffsim.systems.outside.mjcf import Mjcf
+from diffsim.systems.outside.mjcf_wiring import JOINT, JOINT_SENSORS
 
 MAX_FILES = 50  # of the folders beside recordings, that are looked into
 MAX_XML_BYTES = 5_000_000  # of a file that is looked into

@@ -153,8 +153,10 @@ def test_forces_over_time_are_left_to_mujoco_and_are_the_same(monkeypatch):
         Call({}, run, PlaceForces(["hinge"], terms, own))
         for terms, own in (([push], []), ([], [knots]), ([push], [knots]), ([], []))
     ]
-    by_step = [sim._step_through(sim._prepare(c, Steps.of(run.time_s, 0.005), 0)) for c in calls]
-    monkeypatch.setattr(sim, "_step_through", None)  # nothing is left for Python
+    by_step = [
+        sim._stepper.step_through(sim._prepare(c, Steps.of(run.time_s, 0.005), 0)) for c in calls
+    ]
+    monkeypatch.setattr(sim._stepper, "step_through", None)  # nothing is left for Python
     found = sim.predict_many(calls)
     for ours, theirs in zip(found, by_step, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-9)

@@ -9,7 +9,8 @@ import torch
 
 from diffsim.data.study import Command
 from diffsim.systems.outside.hooks import Place
-from diffsim.systems.outside.mjcf import DivergedError, Mjcf
+from diffsim.systems.outside.mjcf import Mjcf
+from diffsim.systems.outside.mjcf_runs import DivergedError
 from diffsim.systems.outside.mjcf_steps import Steps
 from diffsim.systems.outside.model import SimulatorError
 from diffsim.systems.outside.setup import outside_setup
