@@ -165,18 +165,20 @@ def after(u: Tensor, grid: Grid, change: SignalMap, before: Tensor) -> Tensor:
     return change(longer, grid.begun_earlier)[..., 1:]
 
 
-def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+def delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -> Tensor:
     """u(t - delay) of straight lines between times, so that a step comes as late as it should.
 
     Args:
         u: Signal, (..., num_times); held beyond the ends.
         delay: () or (K,) [s].
+        signed: Whether it may be early: then slopes at whole steps are central.
     """
     if _is_alone(grid):
         return _alone(u, delay)
     t = grid.times
     ends = u[..., :1], u[..., -1:]
-    return _read_at(torch.cat([ends[0], u, ends[1]], -1), t, t - delay[..., None])
+    padded = torch.cat([ends[0], u, ends[1]], -1)
+    return _read_at(padded, t, t - delay[..., None], both_sides=signed)
 
 
 def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
@@ -463,14 +465,15 @@ def _monotone_slopes(u: Tensor, times: Tensor) -> Tensor:
     return torch.cat([flat, inner, flat], -1)
 
 
-def late_by(delay: Tensor, *, held: bool) -> SignalMap:
+def late_by(delay: Tensor, *, held: bool, signed: bool = True) -> SignalMap:
     """A delay of commands that are held, or straight, between times.
 
     Args:
         delay: () or (K,) [s].
         held: Whether they are held.
+        signed: Whether they may be early: then slopes at whole steps are central.
     """
-    return partial(held_delayed if held else delayed, delay=delay)
+    return partial(held_delayed if held else delayed, delay=delay, signed=signed)
 
 
 #: What a command does between samples: it is held, goes straight, or is known at samples alone.

@@ -1,5 +1,7 @@
 """What several members have alike: ties, exchanges, a bus; rows of drives against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -145,3 +147,21 @@ def test_sizes_that_are_simulated_together_are_those_of_one_by_one():
         points[:, problem.columns_of(effect)] = np.array([[0.5], [0.2], [0.9]])
         together, alone = problem.records(points), [problem.record(x) for x in points]
         np.testing.assert_allclose(together, alone, rtol=0, atol=1e-10, err_msg=effect.name)
+
+
+def test_slopes_of_a_late_controller_are_those_of_a_delay_that_begins():
+    """A controller is never early: where goals jump, its slope is that of the side it may go to."""
+    made = DRIVES["late_torque"].record(0, False)
+    jumps = 0.3 * np.sign(np.sin(7.0 * made.runs[0].time_s))
+    run = replace(made.runs[0], command={"goal": jumps})
+    setup = setup_of(made)
+    effect = next(e for e in setup.effects if e.name == "delay_inside_motor")
+    problem = Problem(setup.model, (run,), WhiteNoise(made.channels), (effect,))
+    x, (place,) = np.zeros(len(problem.names)), problem.columns_of(effect)
+    weights = np.random.default_rng(0).normal(size=len(problem.residual(x)))
+    steps = 1e-3 * np.arange(4.0)
+    f0, f1, f2, f3 = (
+        weights @ problem.residual(np.where(np.arange(len(x)) == place, step, x)) for step in steps
+    )
+    slope = (-11.0 * f0 + 18.0 * f1 - 9.0 * f2 + 2.0 * f3) / (6.0 * steps[1])
+    np.testing.assert_allclose(-problem.pullback(x, weights)[place], slope, rtol=1e-4)

@@ -196,7 +196,8 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
         known = {"u": named(state), "a": named(a), "b": named(b), "size": size, "tau": tau}
         for letter, text in (("r", "size/tau"), ("c", "6*(u - a) - 4*b")):
             known[letter] = filled(parse_expression(text), known)
-        late[state] = filled(parse_expression("a + (2/3 - r)*b + (1/6 - r*2/3 + r**2/2)*c"), known)
+        # without a delay this is u to the last digit
+        late[state] = filled(parse_expression("u - r*(b + 2/3*c) + r**2/2*c"), known)
         states |= {
             a: filled(parse_expression("b/tau"), known),
             b: filled(parse_expression("c/tau"), known),
@@ -207,10 +208,9 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
         "now": named(definition),
         "plain": plain,
         "late": filled(plain, late | {n: named(f"{n} for {name}") for n in inputs}),
-        "size": size,
     }
     change = Change(
-        names={definition: filled(parse_expression("now + where(size, late - plain, 0)"), known)},
+        names={definition: filled(parse_expression("now + (late - plain)"), known)},
         states=states,
         starts=starts,
         inputs={f"{n} for {name}": network.inputs[n] for n in inputs},
@@ -238,7 +238,7 @@ def _come_late(
     names: Mapping[str, str], held: Mapping[str, bool], scene: OdeScene, size: Tensor
 ) -> dict[str, Tensor]:
     return {
-        late: _come_late_by(scene, n, late_by(size[..., :1], held=held[n]))
+        late: _come_late_by(scene, n, late_by(size[..., :1], held=held[n], signed=False))
         for n, late in names.items()
     }
 

@@ -100,7 +100,10 @@ class Place(Part):
     """Where a force, or whatever changes a velocity, may act."""
 
     name: str = Field("axis", description="Name, shown where there are several")
-    position: str = Field(description="State that is the position")
+    position: str = Field(
+        description="State that is the position; of a shaft whose speed alone is recorded, one "
+        "more state, with the speed as its rate"
+    )
     velocity: str = Field(description="State that is the velocity; forces change its rate")
     inertia: Formula = Field(
         "1", description="What a force is divided by to give the velocity's rate: a mass, say"
