@@ -34,10 +34,25 @@ _LETTER = "A-Za-z_%°µμΩΩÅ"
 _TOKEN = re.compile(rf"\s*(\*\*|[*/^()·⋅.]|1(?![\w.])|[{_LETTER}][{_LETTER}0-9]*)\s*")
 _EXPONENT = re.compile(r"\s*(\()?\s*([+-]?[0-9]{1,2}(?:\.5)?)(?![0-9.])\s*(?(1)\)|)\s*")
 _DIGIT_IS_POWER = re.compile(r"(m|mm|cm|km|s)([234])")  # "m/s2" and "mm3" are written, too
-_NEWTONS = re.compile(r"([kmuM]?N)(m|cm|mm)")  # "Nm" is written for N m
-_DOT = re.compile(r"(?<=\w)[.·⋅](?=[A-Za-z])")
+#: Products without a blank: Nm, Nms, Vs, kgm^2; pint has textile numbers, Nm, and milliseconds
+_GLUED = re.compile(
+    r"(?<![A-Za-z])(?:(kg|[kmucM]?N)(m|cm|mm)(s?)|(g)(cm|mm)()|([kmu]?[NVA])(s)())"
+    r"(\d|\^-?\d+)?(?![A-Za-z0-9])"
+)
+#: Products with a dash, as makers of motors write torques: N-m, kg-cm, oz-in
+_DASHED = re.compile(rf"[{_LETTER}]+(?:-[{_LETTER}]+)+(?![\^0-9-])")
+_WEIGHTS = {"g": "gf", "kg": "kgf", "oz": "ozf", "lb": "lbf"}  # of such a product, a torque
+#: Powers without a mark, as in "m s-1" and "kg m-3"; alone, "A-1" is a label
+_SIGNED = re.compile(r"(?<=[A-Za-z])-(?=\d(?!\d))")
+_SIGNED_ALONE = ("s-1", "min-1", "h-1")
 _SPELLED = {"°C": "degC", "°F": "degF", "°": "deg"}
 _DIVIDES, _TIMES = ("/", "per"), ("*", "·", "⋅", ".")  # "N.m" is written in France
+#: Symbols of names that are spelled out, or abbreviated otherwise
+_SYMBOLS = {
+    "meter": "m", "second": "s", "kilogram": "kg", "ampere": "A", "kelvin": "K", "radian": "rad",
+    "newton": "N", "pascal": "Pa", "joule": "J", "watt": "W", "volt": "V", "ohm": "ohm",
+    "hertz": "Hz", "tesla": "T", "coulomb": "C", "henry": "H", "farad": "F", "lux": "lx",
+}  # fmt: skip
 _ROTATIONS = re.compile(r"(tr|u|umdr)\s*/\s*min", re.I)  # tours, Umdrehungen
 _LONGEST = 2 * LONGEST  # letters of a number with its unit
 #: Coherent SI units by what pint makes of them; others are spelled out in base units.
@@ -61,6 +76,7 @@ _AS_LOGS_WRITE = (
     "@alias revolutions_per_minute = RPM",
     "@alias count = tick = ticks = LSB = pulse = pulses = step = steps = cts = inc = points = pts",
     "@alias percent = pct",
+    "@alias ampere = amps",
     "dps = degree / second",
     "lpm = liter / minute = LPM",
 )
@@ -150,14 +166,22 @@ def powers_of(text: str) -> Mapping[str, float]:
     """
     if len(text) > LONGEST:
         raise ValueError(f"a unit has at most {LONGEST} letters, got {len(text)}")
-    raised = _RAISED.sub(lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text)
-    reader = _Reader(raised)
+    reader = _Reader(_with_marks(text))
     powers = reader.product()
-    if reader.at < len(raised):
+    if reader.at < len(reader.text):
         raise reader.error()
     if beyond := [p for p in powers.values() if abs(p) > LARGEST_POWER]:
         raise ValueError(f"powers go up to {LARGEST_POWER}, got {beyond[0]:g}")
     return powers
+
+
+def _with_marks(text: str) -> str:
+    """The text with a mark for each power, and with a blank and brackets for each product."""
+    text = _RAISED.sub(lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text)
+    if " " in text.strip() or text.strip() in _SIGNED_ALONE:
+        text = _SIGNED.sub("^-", text)
+    text = _DASHED.sub(lambda m: f"({' '.join(_WEIGHTS.get(n, n) for n in m[0].split('-'))})", text)
+    return _GLUED.sub(lambda m: f"({' '.join(filter(None, m.groups()[:-1]))}{m[10] or ''})", text)
 
 
 class _Reader:
@@ -221,9 +245,16 @@ def _powers_of_name(name: str) -> Counter[str]:
     name = _SPELLED.get(name, name)
     if raised := _DIGIT_IS_POWER.fullmatch(name):
         return Counter({raised[1]: int(raised[2])})
-    if newtons := _NEWTONS.fullmatch(name):
-        return Counter({newtons[1]: 1, newtons[2]: 1})
+    if name[:1].isupper() and name.lower() in _spelled_out():  # Meters, Newton, DEG
+        name = name.lower()
     return Counter([name])
+
+
+@lru_cache(maxsize=1)
+def _spelled_out() -> frozenset[str]:
+    """Words that are units, with their plurals; no symbol is one, whose case has a meaning."""
+    words = {*_SYMBOLS, "gram", "degree", "minute", "hour", "liter", "bar", "amp", "celsius"}
+    return frozenset({*words, *(f"{w}s" for w in words), "deg", "rad", "sec", "min", "rpm", "mph"})
 
 
 def factor(unit: str, into: str) -> float:
@@ -262,7 +293,7 @@ class SI(NamedTuple):
 
 @lru_cache(maxsize=512)
 def to_si(unit: str) -> SI:
-    """SI unit of the quantity that a unit measures; a coherent one is kept as it is written.
+    """SI unit of the quantity that a unit measures; a coherent one is kept, in SI's own symbols.
 
     Args:
         unit: Unit as people write it, such as "mm", "rpm", "mbar", "N m".
@@ -284,13 +315,24 @@ def to_si(unit: str) -> SI:
             "look at its powers"
         )
     if size == 1.0 and offset == 0.0:
-        short = unit.strip()  # Nm and N.m as N m is written, so that all three are one unit
-        moment = _NEWTONS.fullmatch(short)
-        short = " ".join(moment.groups()) if moment else _DOT.sub(" ", short)
-        return SI(short or NO_UNIT, 1.0, 0.0)
+        return SI(_in_symbols(unit.strip()) or NO_UNIT, 1.0, 0.0)
     name = str(one.units)
     short = f"{one.units:~}".replace(" ** ", "^").replace(" * ", " ").replace(" / ", "/")
     return SI(_COHERENT.get(name, short), size, offset)
+
+
+def _in_symbols(unit: str) -> str:
+    """A unit as SI writes it, so that "meters/sec", "m s-1" and "m/s" are one; with brackets it is
+    kept as it is."""
+    if unit in ("", NO_UNIT) or "(" in unit:
+        return unit
+    over, under = list[str](), list[str]()
+    for name, power in powers_of(unit).items():
+        symbol = _SYMBOLS.get(_registry().get_name(name), name)
+        raised = symbol if abs(power) == 1 else f"{symbol}^{abs(power):g}"
+        if power:
+            (over if power > 0 else under).append(raised)
+    return "/".join([" ".join(over) or "1", *under]) if over or under else unit
 
 
 def in_si(

@@ -55,6 +55,12 @@ _ENDINGS_AFTER = {
     "K": ("K", r"temp"),
     "g": ("g", r"mass|load|weight"),
 }
+#: What turns: its 1/min counts turns, as data sheets of German motors have it
+_TURNS = re.compile(
+    r"drehzahl|speed|rotat|spindle|shaft|omega|velocit|vitesse|regime|velocidad|(^|_)(n|rpm)(_|\d|$)",
+    re.IGNORECASE,
+)
+_PER_MINUTE = to_si("1/min")
 
 
 @dataclass(frozen=True)
@@ -224,13 +230,13 @@ def column_of(name: str, unit_cell: str = "") -> Column:
         return Column(name, f"{whole.base}_{places}", whole.unit, whole.is_said)
     in_cell = _bare_unit(unit_cell)
     if in_cell and _is_unit(in_cell):
-        return Column(name, _word(name), in_cell, True)
+        return Column(name, _word(name), _of_turns(name, in_cell), True)
     for pattern in (_BRACKETS, _AFTER, _SLASH, _LAST):
         if not (match := pattern.match(name)):
             continue
         for unit in (match.group(2) or "-", match.group(2).lower()):  # Time (Seconds), too
             if _is_unit(unit):
-                return Column(name, _word(match.group(1)), unit, True)
+                return Column(name, _word(match.group(1)), _of_turns(match.group(1), unit), True)
     for ending in _LISTED:
         if name.endswith(f"_{ending}"):
             base = name[: -len(ending) - 1]
@@ -244,6 +250,11 @@ def column_of(name: str, unit_cell: str = "") -> Column:
             return Column(name, _word(base), unit, False)
     is_speed = re.fullmatch(r"rpm_?\d*", name, re.IGNORECASE)  # of the first motor: rpm1
     return Column(name, _word(name), "rpm" if is_speed else None, False)
+
+
+def _of_turns(name: str, unit: str) -> str:
+    """The unit of a column; of turns in a minute where it is the speed of what turns."""
+    return "rpm" if _TURNS.search(name) and to_si(unit) == _PER_MINUTE else unit
 
 
 def _is_ending(word: str) -> bool:

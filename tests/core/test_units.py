@@ -32,7 +32,26 @@ from diffsim.core.units import factor, in_si, in_unit, small_scale, to_si
         ("U/min", "rad/s", 2.0 * math.pi / 60.0),
         ("points", "points", 1.0),  # of an encoder; pint: a length of 0.35 mm
         ("cts", "cts", 1.0),  # pint: a carat
-        ("m/s2", "m/s2", 1.0),
+        ("m/s2", "m/s^2", 1.0),
+        ("m/sec/sec", "m/s^2", 1.0),
+        ("m*s**-2", "m/s^2", 1.0),
+        ("m s⁻²", "m/s^2", 1.0),
+        ("W m-2 K-1", "W/m^2/K", 1.0),  # of climate models
+        ("min-1", "Hz", 1.0 / 60.0),
+        ("Meters", "m", 1.0),
+        ("radians", "rad", 1.0),
+        ("Newtons/Volt", "N/V", 1.0),
+        ("amps", "A", 1.0),  # pint: atto of meters per second
+        ("Degrees/sec", "rad/s", math.pi / 180.0),
+        ("Nms/rad", "N m s/rad", 1.0),  # pint: a textile number
+        ("cNm", "N m", 0.01),
+        ("Vs/rad", "V s/rad", 1.0),
+        ("kgm^2", "kg m^2", 1.0),
+        ("gcm2", "kg m^2", 1e-7),
+        ("rad/Nm", "rad/N/m", 1.0),
+        ("N-m", "N m", 1.0),
+        ("kg-cm", "N m", 0.0980665),  # a torque, not a mass times a length
+        ("oz-in", "N m", 0.00706155181422604),
         ("mm/s^2", "m/s^2", 1e-3),
         ("ml/s", "m^3/s", 1e-6),
         ("mV", "V", 1e-3),
@@ -59,12 +78,14 @@ def test_degrees_celsius_have_an_offset():
 
 def test_a_coherent_unit_means_the_same_in_any_spelling():
     assert factor("m/s2", "m/s^2") == 1.0
+    assert {to_si(u).unit for u in ("rad/s", "rad s^-1", "radians/second", "rad·s⁻¹")} == {"rad/s"}
     assert in_unit("30 mm3", "m^3") == pytest.approx(3e-8, rel=1e-14)
 
 
-def test_an_unknown_unit_is_told():
-    with pytest.raises(ValueError, match="unit 'furlongs/fn' is unknown"):
-        to_si("furlongs/fn")
+@pytest.mark.parametrize("unit", ["furlongs/fn", "A-1", "left-arm", "N-1", "Mps"])
+def test_an_unknown_unit_is_told(unit):
+    with pytest.raises(ValueError, match=f"unit {unit!r} is unknown"):
+        to_si(unit)
 
 
 @pytest.mark.parametrize("unit", ["slm", "SLPM", "sccm"])

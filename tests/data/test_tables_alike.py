@@ -6,7 +6,7 @@ import pytest
 from diffsim.cli import main
 from diffsim.data import table as table_module
 from diffsim.data.table import MISSING, Table, read_numbers
-from diffsim.data.table_guess import layout_of
+from diffsim.data.table_guess import column_of, layout_of
 
 T = 0.01 * np.arange(60)
 COLUMNS = {
@@ -165,3 +165,16 @@ def test_recordings_are_not_asked_for_names_of_runs(tmp_path, monkeypatch):
         (tmp_path / f"{name}.csv").write_text("\n".join(LINES), "utf-8")
     monkeypatch.setattr(table_module, "_all_cells_of", lambda *_: pytest.fail("cell by cell"))
     assert main(["diagnose", "init", str(tmp_path), "--system", "ode"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("Drehzahl [1/min]", "rpm"),
+        ("n_1 [min-1]", "rpm"),
+        ("breaths [1/min]", "1/min"),
+        ("speed (m/sec)", "m/sec"),
+    ],
+)
+def test_a_speed_in_one_a_minute_counts_turns(header, unit):
+    assert column_of(header).unit == unit

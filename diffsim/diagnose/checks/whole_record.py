@@ -26,7 +26,7 @@ from diffsim.identify.setup import DiagnosisSetup
 RULE = "columns"
 FAR_SHARE = 0.5  # of the squares of a channel, that the model leaves where it is far off
 NEAR_SHARE = 0.02  # of them, that it leaves with the right unit: a gain of that size is rare
-NEAR_EXCHANGED = 0.15  # likewise with the right columns: two channels come near at once
+NEAR_HINTED = 0.15  # likewise where two channels come near at once, or a unit counts no turns
 RUNS, ROWS = 2, 600  # that are simulated, of the beginning
 FAR_SDS = 3.0  # of numbers: how far they may move
 FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
@@ -34,13 +34,18 @@ FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
 
 @dataclass(frozen=True)
 class _Way:
-    """A record with some columns changed: scaled, or one in place of the other."""
+    """A record with some columns changed: scaled, or one in place of the other.
+
+    Attributes:
+        near: Share of the squares of a channel that it leaves where it is the fault.
+    """
 
     where: str
     says: str
     remedy: str
     scale: float
     names: tuple[str, ...]
+    near: float = NEAR_SHARE
 
     def of(self, run: Run, channels: Sequence[str]) -> Run:
         """The run with its columns as they should be."""
@@ -80,7 +85,7 @@ def column_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
     found = []
     for way in islice(_ways(study, runs), 300):
         left = plain.left(q, [way.of(run, names) for run in runs]).max()
-        if left <= (NEAR_SHARE if len(way.names) == 1 else NEAR_EXCHANGED):
+        if left <= way.near:
             found.append((float(left), way))
     if not found or plain.numbers_explain(q):
         return
@@ -165,6 +170,18 @@ def _ways(study: Study, runs: Sequence[Run]) -> Iterator[_Way]:
                 f"`column:` of {role} {a} names the column of {b}, and the other way round",
                 1.0,
                 (a, b),
+                NEAR_HINTED,
+            )
+    for channel in study.channels:
+        if channel.unit in ("Hz", "1/s"):
+            yield _Way(
+                f"channel {channel.name}",
+                f"its unit counts no turns: channel {channel.name} times 2 pi is what the model "
+                "expects",
+                f"`unit: rpm`, or `rev/s`, in channel {channel.name}",
+                2.0 * np.pi,
+                (channel.name,),
+                NEAR_HINTED,
             )
     for slip, (role, names) in product(UNIT_SLIPS, (("command", commands), ("channel", channels))):
         for name, scale in product(names, (1.0 / slip.ratio, slip.ratio)):
