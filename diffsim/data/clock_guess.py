@@ -50,6 +50,8 @@ def guess_clock(
             return _numeric_time(column, tables, said)
     for column in columns:
         is_number = tables[0].is_number[column.name] and not COUNTER.match(column.base)
+        if column.unit is None and is_number and _numbers_rows(column, tables):
+            continue  # whole steps of one count frames: no unit follows from these
         if is_number and may_be_time(column):  # a speed that a bench sweeps only grows, too
             step = np.diff(tables[0].numbers(column.name))
             if len(step) and (step > 0.0).all() and np.ptp(step) < 0.5 * np.median(step):

@@ -19,11 +19,16 @@ _BARE = re.compile(
     r"((?:[.,]\d+)?\s*(?:Z|[+-]\d\d.*)?)",
     re.IGNORECASE,
 )
+#: What MATLAB writes of a timetable whose times are durations
+_DURATION = re.compile(r"([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?) (sec|min|hr|days?)", re.IGNORECASE)
+_SECONDS = {"sec": 1.0, "min": 60.0, "hr": 3600.0, "day": 86400.0, "days": 86400.0}
 _EXPECTED = "expected 12:30:05.25, 2024-05-01 12:30:05.25 or 01.05.2024 12:30:05.25"
 
 
 def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
-    """Seconds since midnight, or since 1970 where a date is written [s].
+    """Seconds since midnight, or since 1970 where a date is written, or of durations [s].
+
+    Durations are written 0.02 sec.
 
     Dates are written 2024-05-01, 20240501T123005, 01.05.2024 or, with the month first where a day
     of any cell says so, 5/13/2024 and 5-13-2024. A clock without a zone is taken as UTC, so that
@@ -36,6 +41,9 @@ def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
         ValueError: a cell is no time, or nothing says whether the day or the month stands first;
             the exception's second argument is the index of the cell.
     """
+    durations = [one for cell in cells if (one := _DURATION.fullmatch(cell)) is not None]
+    if durations and len(durations) == len(cells):
+        return [float(one[1]) * _SECONDS[one[2].lower()] for one in durations]
     found = [_STAMP.fullmatch(_with_colons(cell)) for cell in cells]
     for k, (one, cell) in enumerate(zip(found, cells, strict=True)):
         if one is None or not cell or (one["h"] is None and one["a"] is None):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 from diffsim.data.formats import SUFFIXES, json_records, lerobot, parts_of
 from diffsim.data.names import TIME, may_be_time
 from diffsim.data.run_plan import split_numbers
+from diffsim.data.side_by_side import runs_beside
 from diffsim.data.table import Table
 from diffsim.data.table_guess import TABLES, TableLayout, column_of, layout_of
 
@@ -98,7 +99,8 @@ class FoundTable:
             return Table(self.folder / self.reference, "run")
         head, first = self.layout.header_line, self.layout.first_line
         names = () if head else tuple(c.name for c in self.layout.columns)
-        return Table(self.path, "run", header_line=head, first_line=first, columns=names)
+        path = self.folder / self.reference
+        return Table(path, "run", header_line=head, first_line=first, columns=names)
 
     @cached_property
     def error(self) -> ValueError | None:
@@ -125,12 +127,22 @@ def find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
         if not _is_text(path):
             said.append(f"not read: {path.name!a}: no name of UTF-8 text; rename it")
         elif suffix in TABLES and (layout := layout_of(path)):
-            yield FoundTable(folder, path, "", layout)
+            yield from _runs_of(folder, path, layout)
         elif suffix in SUFFIXES:
             try:
                 yield from _parts(folder, path)
             except (ImportError, ValueError) as error:
                 said.append(f"not read: {error}")
+
+
+def _runs_of(folder: Path, path: Path, layout: TableLayout) -> Iterator[FoundTable]:
+    """The table of a file, or each of the runs that stand side by side in it."""
+    runs = runs_beside([c.name for c in layout.columns]) if layout.header_line else {}
+    for label, names in runs.items():
+        own = replace(layout, columns=tuple(map(column_of, names)))
+        yield FoundTable(folder, path, label, own, len(runs))
+    if not runs:
+        yield FoundTable(folder, path, "", layout)
 
 
 def _is_text(path: Path) -> bool:

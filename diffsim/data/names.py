@@ -37,7 +37,8 @@ _UNITS = {
 }
 CLOCK = re.compile(r"time$", re.I)  # a clock if it only grows, as systime; settling_time does not
 COUNTER = re.compile(
-    r"^((frame|sample|index|idx|row|count|counter|seq|pose|image|bild|zeile|schritt|messpunkt)"
+    r"^((\w+_header_)?(frame|sample|index|idx|row|count|counter|seq|pose|image|bild|zeile|schritt|messpunkt"
+    r"|loop_?iteration|iteration)"
     r"(_?(id|nr|no|num|number|index|count))?|i|n|nr|no)$",
     re.I,
 )

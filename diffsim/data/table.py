@@ -25,8 +25,9 @@ from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import did_you_mean
 from diffsim.core.progress import say_stage
 from diffsim.data.dates import seconds_of_stamps
-from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
+from diffsim.data.formats import Columns, is_container, left_out_of, read_columns, split_part
 from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES, text_of
+from diffsim.data.side_by_side import runs_beside
 
 Rows = IntArray
 MAKER = "make_csv.py"  # beside recordings that may not be copied: it makes them from the original
@@ -259,6 +260,8 @@ def parse_number(
         value = float("" if "_" in text else text)  # Python alone takes 1_000
     except ValueError:
         comma = "; use a decimal point" if re.fullmatch(r"-?\d+,\d+", text) else ""
+        if re.fullmatch(r"[-+]?\d{1,3}([.,' ]\d{3})+([.,]\d+)?", text):
+            comma = "; leave marks of thousands out"
         raise ValueError(
             f"{path}, row {line}, column {column}: {text!r} is not a number{comma}; "
             f"leave the cell empty where {missing}"
@@ -296,7 +299,8 @@ class Table:
     """A recorded file in memory; numbers are read when a column is asked for.
 
     Args:
-        path: CSV file, or ``FILE#PART`` of a format of ``diffsim.data.formats``.
+        path: CSV file, or ``FILE#PART`` of a format of ``diffsim.data.formats``, or of a CSV file
+            with runs side by side: their label.
         what: What it should be, for messages, such as "run".
         header_line: Line with the names of the columns, from 1; 0: there is none.
         first_line: Line of the first sample; by default the one after the header.
@@ -330,6 +334,15 @@ class Table:
             self.lines = range(1, 1 + len(self._arrays[self.header[0]]))
             return
         self._form = (path, what, header_line, first_line, columns)
+        file, part = split_part(path)
+        if part and file.is_file() and not path.is_file():
+            whole = Table(
+                file, what, header_line=header_line, first_line=first_line, columns=columns
+            )
+            self._arrays, self.left_out = _run_beside(whole, part), whole.left_out
+            self.header = list(self._arrays)
+            self.lines = whole.lines[: len(self._arrays[self.header[0]])]
+            return
         if read := _all_numbers_of(*self._form):
             self._read, self._numbers, self.lines = read, dict(read.columns), read.lines
             self.header = list(self._numbers)
@@ -488,6 +501,23 @@ class Table:
             why, k = error.args
             where = f"{self.path}, row {self.lines[k]}, column {column}"
             raise ValueError(f"{where}: {why}") from None
+
+
+def _run_beside(whole: Table, label: str) -> Columns:
+    """Columns of one of the runs that stand side by side, to the last row that it has.
+
+    Raises:
+        ValueError: the table has no such run.
+    """
+    runs = runs_beside(whole.header)
+    if label not in runs:
+        there = f"it holds {', '.join(runs)}" if runs else "it holds no runs side by side"
+        raise ValueError(f"{whole.path}: no run {label!r}; {there}")
+    found = {name: whole.values(own) for name, own in runs[label].items()}
+    has_cells = [a == a if a.dtype.kind == "f" else a != "" for a in found.values()]
+    filled = np.flatnonzero(np.any(has_cells, axis=0))
+    end = int(filled[-1]) + 1 if len(filled) else 0
+    return {name: a[:end] for name, a in found.items()}
 
 
 def as_label(cell: str) -> float | int | str:

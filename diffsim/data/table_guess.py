@@ -22,7 +22,7 @@ from diffsim.data.table import (
 
 FIRST_LINES = 60  # in which the header must be
 FEWEST_ROWS = 5  # of numbers, that a file without a header must have
-TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".asc")
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".asc", ".lvm")
 _PLACE = "column_{}"  # name of a column without any
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
 _DATE = re.compile(r"\s*\d{4}-?\d\d-?\d\d[T_ ]\d\d.*")  # a clock, as numbers are
@@ -113,11 +113,22 @@ def layout_of(path: Path) -> TableLayout | None:
         marks = [" "] * len(lines)
     rows = [cells_of(line, mark) for line, mark in zip(lines, marks, strict=True)]
     last = next((row for row in reversed(rows) if _is_numeric(row)), [])
-    first = next((i for i, row in enumerate(rows) if len(row) > 1 and _is_like(row, last)), None)
+    # LabVIEW names a column of comments, and writes no cell where there is none
+    bare = [
+        i for i, row in enumerate(rows) if row[-1:] == ["Comment"] and len(row) == 1 + len(last)
+    ]
+    rows = [row[:-1] if i in bare else row for i, row in enumerate(rows)]
     are_remarks = [line.lstrip()[:1] in NO_ROW for line in lines]
+    are_like = [len(row) > 1 and _is_like(row, last) for row in rows]
+    told = [i for i in range(len(rows)) if not are_remarks[i]]
+    # numbers of bodies stand above their axes, and no sample follows them
+    pairs = ((i, are_like[j]) for i, j in zip(told, [*told[1:], told[-1]], strict=True))
+    first = next((i for i, is_followed in pairs if are_like[i] and is_followed), None)
     above = [] if first is None else _lines_above(rows, first, are_remarks)
     if first is None or not above:
         return _without_header(rows)
+    if len(above) == 1 and _are_channels_of(rows, above[0]):  # oscilloscopes number their channels
+        above = [above[0] - 1, *above]
     names = _drop_empty_end(rows[above[0]])
     is_pair = len(above) == 2 and _are_units(rows[above[1]])
     is_part = bool(_names_twice(names)) or ("" in names and not is_pair)
@@ -130,7 +141,7 @@ def layout_of(path: Path) -> TableLayout | None:
         for header, unit, cell in zip(names, units, cells, strict=False)
         for name in names_of(header, cell)
     )
-    return TableLayout(above[0] + 1, first + 1, tuple(columns))
+    return TableLayout(0 if above[0] in bare else above[0] + 1, first + 1, tuple(columns))
 
 
 def last_line(path: Path) -> str:
@@ -152,6 +163,7 @@ def _lines_above(rows: list[list[str]], first: int, are_remarks: list[bool]) -> 
         head = _drop_empty_end(rows[i])
         is_other = not num_cells & {len(head), len(rows[i])}
         is_other |= any(_NUMBER.fullmatch(cell) for cell in head)
+        is_other |= len(head) > 1 and bool(head[0]) and not any(head[1:])  # a title, no names
         if is_other and not above and are_remarks[i]:
             continue
         if is_other:
@@ -193,6 +205,12 @@ def _lines_as_names(above: list[list[str]], last: int, first: int) -> TableLayou
     named = (name or _PLACE.format(k) for k, name in enumerate(names, 1))
     columns = (column_of(name, unit) for name, unit in zip(named, units, strict=True))
     return TableLayout(0, first, tuple(columns))
+
+
+def _are_channels_of(rows: list[list[str]], units: int) -> bool:
+    """Whether a line of units stands below one of names, of which some are numbers."""
+    names = rows[units - 1] if units else []
+    return _are_units(rows[units]) and len(names) == len(rows[units]) and all(names)
 
 
 def _are_units(row: list[str]) -> bool:
