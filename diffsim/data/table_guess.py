@@ -119,11 +119,11 @@ def layout_of(path: Path) -> TableLayout | None:
     ]
     rows = [row[:-1] if i in bare else row for i, row in enumerate(rows)]
     are_remarks = [line.lstrip()[:1] in NO_ROW for line in lines]
-    are_like = [len(row) > 1 and _is_like(row, last) for row in rows]
     told = [i for i in range(len(rows)) if not are_remarks[i]]
-    # numbers of bodies stand above their axes, and no sample follows them
-    pairs = ((i, are_like[j]) for i, j in zip(told, [*told[1:], told[-1]], strict=True))
-    first = next((i for i, is_followed in pairs if are_like[i] and is_followed), None)
+    # numbers of bodies stand above their axes: words follow them
+    pairs = zip(told, [*told[1:], *told[-1:]], strict=True)
+    are_samples = ((i, len(rows[i]) > 1 and _is_like(rows[i], last), j) for i, j in pairs)
+    first = next((i for i, is_like, j in are_samples if is_like and _is_numeric(rows[j])), None)
     above = [] if first is None else _lines_above(rows, first, are_remarks)
     if first is None or not above:
         return _without_header(rows)
