@@ -165,18 +165,20 @@ def after(u: Tensor, grid: Grid, change: SignalMap, before: Tensor) -> Tensor:
     return change(longer, grid.begun_earlier)[..., 1:]
 
 
-def delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+def delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -> Tensor:
     """u(t - delay) of straight lines between times, so that a step comes as late as it should.
 
     Args:
         u: Signal, (..., num_times); held beyond the ends.
         delay: () or (K,) [s].
+        signed: As of ``held_delayed``.
     """
     if _is_alone(grid):
         return _alone(u, delay)
     t = grid.times
     ends = u[..., :1], u[..., -1:]
-    return _read_at(torch.cat([ends[0], u, ends[1]], -1), t, t - delay[..., None])
+    values = torch.cat([ends[0], u, ends[1]], -1)
+    return _read_at(values, t, t - delay[..., None], both_sides=signed)
 
 
 def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
@@ -463,31 +465,40 @@ def _monotone_slopes(u: Tensor, times: Tensor) -> Tensor:
     return torch.cat([flat, inner, flat], -1)
 
 
-def late_by(delay: Tensor, *, held: bool) -> SignalMap:
+def late_by(delay: Tensor, *, held: bool, signed: bool = True) -> SignalMap:
     """A delay of commands that are held, or straight, between times.
 
     Args:
         delay: () or (K,) [s].
         held: Whether they are held.
+        signed: As of ``held_delayed``.
     """
-    return partial(held_delayed if held else delayed, delay=delay)
+    return partial(held_delayed if held else delayed, delay=delay, signed=signed)
 
 
 #: What a command does between samples: it is held, goes straight, or is known at samples alone.
 Between = Literal["held", "straight", "smooth"]
 
 
-def _late_only(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+def _held_late_only(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
     return held_delayed(u, grid, delay, signed=False)
 
 
+def _late_only(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+    return delayed(u, grid, delay, signed=False)
+
+
 #: Maps that do nothing but bring a signal late.
-DELAYS = frozenset({delayed, held_delayed, _late_only})
+DELAYS = frozenset({delayed, held_delayed, _late_only, _held_late_only})
 #: Maps that remember what came before, by the names that rows of causes use.
 MAPS: Mapping[str, Mapping[Between, SizedMap]] = MappingProxyType(
     {
         "delayed": {"held": held_delayed, "straight": delayed, "smooth": smoothly_delayed},
-        "delayed_only": {"held": _late_only, "straight": delayed, "smooth": smoothly_delayed},
+        "delayed_only": {
+            "held": _held_late_only,
+            "straight": _late_only,
+            "smooth": smoothly_delayed,
+        },
         "smoothly_delayed": dict.fromkeys(("held", "straight", "smooth"), smoothly_delayed),
         "lagged": {"held": held_lagged, "straight": lagged, "smooth": lagged},
         "in_steps": {"held": held_in_steps, "straight": in_steps, "smooth": in_steps},

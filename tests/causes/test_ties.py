@@ -1,5 +1,7 @@
 """What several members have alike: ties, exchanges, a bus; rows of drives against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -59,6 +61,23 @@ def test_a_tie_is_its_members_with_one_size(joints, row):
     torch.testing.assert_close(
         shown(setup, run, (some, whole.typical)), shown(setup, run, *each[:2]), rtol=1e-12, atol=0
     )
+
+
+@pytest.mark.parametrize("row", ["delay", "gain_drift", "slow_share"])
+def test_a_member_acts_beside_its_tie_with_a_size_of_its_own(joints, row):
+    """Causes by formulas took the tie's size for the member's: the sum acted twice, or not."""
+    run, setup, known = joints
+    run = replace(run, order=2)
+    whole, one = known[f"{row}_of_all_commands"], known[f"{row}_of_u1"]
+    others = [known[f"{row}_of_u{k}"] for k in (0, 2)]
+    both = shown(setup, run, (whole, whole.typical), (one, 0.5 * whole.typical))
+    apart = shown(setup, run, *[(e, whole.typical) for e in others])
+    torch.testing.assert_close(both[:, [0, 2]], apart[:, [0, 2]], rtol=1e-12, atol=1e-12)
+    for sizes in ((0.0, one.typical), (one.typical, 0.0)):  # either alone
+        alone = shown(setup, run, (one, one.typical))[:, 1]
+        given = zip((whole, one), sizes, strict=True)
+        torch.testing.assert_close(shown(setup, run, *given)[:, 1], alone, rtol=1e-12, atol=1e-12)
+    assert (both[:, 1] - alone).abs().max() > 1e-3
 
 
 def test_sizes_are_tied_by_their_unit_and_times_whatever_they_delay():

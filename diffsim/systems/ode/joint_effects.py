@@ -191,6 +191,7 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
     late, states = dict[str, Expression](), dict[str, Expression]()
     starts = dict[str, Expression]()
     inputs = [n for n in plain.names if n in network.inputs]
+    later = parse_expression("u + more")
     for state in (n for n in plain.names if n in network.rates):
         a, b = (f"{place} of {state} for {name}" for place in ("first", "second"))
         known = {"u": named(state), "a": named(a), "b": named(b), "size": size, "tau": tau}
@@ -206,11 +207,15 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
         # what other causes add to it, such as friction, comes in time
         "now": named(definition),
         "plain": plain,
-        "late": filled(plain, late | {n: named(f"{n} for {name}") for n in inputs}),
+        "late": filled(
+            plain,
+            late
+            | {n: filled(later, {"u": named(n), "more": named(f"{n} for {name}")}) for n in inputs},
+        ),
         "size": size,
     }
     change = Change(
-        names={definition: filled(parse_expression("now + where(size, late - plain, 0)"), known)},
+        names={definition: filled(parse_expression("now + (late - plain)"), known)},
         states=states,
         starts=starts,
         inputs={f"{n} for {name}": network.inputs[n] for n in inputs},
@@ -238,14 +243,15 @@ def _come_late(
     names: Mapping[str, str], held: Mapping[str, bool], scene: OdeScene, size: Tensor
 ) -> dict[str, Tensor]:
     return {
-        late: _come_late_by(scene, n, late_by(size[..., :1], held=held[n]))
+        late: _come_late_by(scene, n, late_by(size[..., :1], held=held[n], signed=False))
         for n, late in names.items()
     }
 
 
 def _come_late_by(scene: OdeScene, name: str, change: SignalMap) -> Tensor:
-    rows = scene.commands.rows[name]
-    return scene.commands.act(change, rows, scene.inputs[name][..., None, :], scene.grid)[..., 0, :]
+    """By how much an input is larger when it comes late, (..., num_times)."""
+    rows, now = scene.commands.rows[name], scene.inputs[name]
+    return scene.commands.act(change, rows, now[..., None, :], scene.grid)[..., 0, :] - now
 
 
 def closed_loops(network: Network) -> tuple[str, ...]:
