@@ -171,14 +171,14 @@ def delayed(u: Tensor, grid: Grid, delay: Tensor, *, signed: bool = True) -> Ten
     Args:
         u: Signal, (..., num_times); held beyond the ends.
         delay: () or (K,) [s].
-        signed: Whether it may be early: then slopes at whole steps are central.
+        signed: As of ``held_delayed``.
     """
     if _is_alone(grid):
         return _alone(u, delay)
     t = grid.times
     ends = u[..., :1], u[..., -1:]
-    padded = torch.cat([ends[0], u, ends[1]], -1)
-    return _read_at(padded, t, t - delay[..., None], both_sides=signed)
+    values = torch.cat([ends[0], u, ends[1]], -1)
+    return _read_at(values, t, t - delay[..., None], both_sides=signed)
 
 
 def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
@@ -471,7 +471,7 @@ def late_by(delay: Tensor, *, held: bool, signed: bool = True) -> SignalMap:
     Args:
         delay: () or (K,) [s].
         held: Whether they are held.
-        signed: Whether they may be early: then slopes at whole steps are central.
+        signed: As of ``held_delayed``.
     """
     return partial(held_delayed if held else delayed, delay=delay, signed=signed)
 
@@ -480,17 +480,25 @@ def late_by(delay: Tensor, *, held: bool, signed: bool = True) -> SignalMap:
 Between = Literal["held", "straight", "smooth"]
 
 
-def _late_only(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+def _held_late_only(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
     return held_delayed(u, grid, delay, signed=False)
 
 
+def _late_only(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
+    return delayed(u, grid, delay, signed=False)
+
+
 #: Maps that do nothing but bring a signal late.
-DELAYS = frozenset({delayed, held_delayed, _late_only})
+DELAYS = frozenset({delayed, held_delayed, _late_only, _held_late_only})
 #: Maps that remember what came before, by the names that rows of causes use.
 MAPS: Mapping[str, Mapping[Between, SizedMap]] = MappingProxyType(
     {
         "delayed": {"held": held_delayed, "straight": delayed, "smooth": smoothly_delayed},
-        "delayed_only": {"held": _late_only, "straight": delayed, "smooth": smoothly_delayed},
+        "delayed_only": {
+            "held": _held_late_only,
+            "straight": _late_only,
+            "smooth": smoothly_delayed,
+        },
         "smoothly_delayed": dict.fromkeys(("held", "straight", "smooth"), smoothly_delayed),
         "lagged": {"held": held_lagged, "straight": lagged, "smooth": lagged},
         "in_steps": {"held": held_in_steps, "straight": in_steps, "smooth": in_steps},

@@ -63,6 +63,23 @@ def test_a_tie_is_its_members_with_one_size(joints, row):
     )
 
 
+@pytest.mark.parametrize("row", ["delay", "gain_drift", "slow_share"])
+def test_a_member_acts_beside_its_tie_with_a_size_of_its_own(joints, row):
+    """Causes by formulas took the tie's size for the member's: the sum acted twice, or not."""
+    run, setup, known = joints
+    run = replace(run, order=2)
+    whole, one = known[f"{row}_of_all_commands"], known[f"{row}_of_u1"]
+    others = [known[f"{row}_of_u{k}"] for k in (0, 2)]
+    both = shown(setup, run, (whole, whole.typical), (one, 0.5 * whole.typical))
+    apart = shown(setup, run, *[(e, whole.typical) for e in others])
+    torch.testing.assert_close(both[:, [0, 2]], apart[:, [0, 2]], rtol=1e-12, atol=1e-12)
+    for sizes in ((0.0, one.typical), (one.typical, 0.0)):  # either alone
+        alone = shown(setup, run, (one, one.typical))[:, 1]
+        given = zip((whole, one), sizes, strict=True)
+        torch.testing.assert_close(shown(setup, run, *given)[:, 1], alone, rtol=1e-12, atol=1e-12)
+    assert (both[:, 1] - alone).abs().max() > 1e-3
+
+
 def test_sizes_are_tied_by_their_unit_and_times_whatever_they_delay():
     names = {e.name for e in setup_of(study(("rad", "rad", "N m"))).effects}
     assert {"delay_of_all_commands", "command_gain_of_all_commands_in_rad"} <= names
@@ -147,21 +164,3 @@ def test_sizes_that_are_simulated_together_are_those_of_one_by_one():
         points[:, problem.columns_of(effect)] = np.array([[0.5], [0.2], [0.9]])
         together, alone = problem.records(points), [problem.record(x) for x in points]
         np.testing.assert_allclose(together, alone, rtol=0, atol=1e-10, err_msg=effect.name)
-
-
-def test_slopes_of_a_late_controller_are_those_of_a_delay_that_begins():
-    """A controller is never early: where goals jump, its slope is that of the side it may go to."""
-    made = DRIVES["late_torque"].record(0, False)
-    jumps = 0.3 * np.sign(np.sin(7.0 * made.runs[0].time_s))
-    run = replace(made.runs[0], command={"goal": jumps})
-    setup = setup_of(made)
-    effect = next(e for e in setup.effects if e.name == "delay_inside_motor")
-    problem = Problem(setup.model, (run,), WhiteNoise(made.channels), (effect,))
-    x, (place,) = np.zeros(len(problem.names)), problem.columns_of(effect)
-    weights = np.random.default_rng(0).normal(size=len(problem.residual(x)))
-    steps = 1e-3 * np.arange(4.0)
-    f0, f1, f2, f3 = (
-        weights @ problem.residual(np.where(np.arange(len(x)) == place, step, x)) for step in steps
-    )
-    slope = (-11.0 * f0 + 18.0 * f1 - 9.0 * f2 + 2.0 * f3) / (6.0 * steps[1])
-    np.testing.assert_allclose(-problem.pullback(x, weights)[place], slope, rtol=1e-4)

@@ -35,6 +35,7 @@ SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a per
 PEAKS = 2  # wave numbers of a variable that are weighed
 ONE_TURN = 1.0  # wave number of what an angle brings back after a turn, as weight on a lever
 ROUNDING = 1e-9  # of the size of a variable, or of what the record tells best: less is none
+LARGEST = 1e38  # range of a variable: its powers, eight at most, are numbers
 NUM_POINTS = 81  # over the range of a variable, at which forms are held against the record
 MOST_AGAIN = 100  # laws that are weighed again beside one that stands
 MOST_SIMULATED = 24  # laws of a screen whose terms must be simulated: eleven tangents each
@@ -312,7 +313,7 @@ def screen_laws(
         if tally.steps - begun > most_steps:
             break
         progress("laws", k / len(dear), f"at {at.entry.words}")
-        reach = _range_of(np.concatenate(courses[id(variable)]))
+        reach = range_of(np.concatenate(courses[id(variable)]))
         block = None if reach is None else at.simulate(variable, reach)
         if reach is not None and block is not None:
             simulated[at.entry, id(variable)] = block
@@ -401,7 +402,7 @@ class _AtEntry:
     ) -> list[Basis]:
         """Bumps, the waves that repeat best, and, of an angle, that of one turn: known beforehand,
         it holds where bumps have no samples. None of a variable that rests."""
-        found = _range_of(np.concatenate(u))
+        found = range_of(np.concatenate(u))
         if found is None:
             return []
         is_angle = variable.is_turn and variable.unit == "rad"
@@ -440,7 +441,7 @@ def _repeating(
         most_work: Wave numbers by samples.
     """
     every = np.concatenate(u)
-    if not seen or _range_of(every) is None:
+    if not seen or range_of(every) is None:
         return {}
     reach = float(every.max() - every.min())
     steps = np.concatenate([np.abs(np.diff(v)) for v in u])
@@ -483,12 +484,12 @@ def _waves(u: Sequence[Array], numbers: Array, spacing: float) -> list[Array]:
     return out
 
 
-def _range_of(u: Array) -> tuple[float, float] | None:
-    """Least and largest value of a variable; None where it rests."""
+def range_of(u: Array) -> tuple[float, float] | None:
+    """Least and largest value of a variable; None where it rests, or has diverged."""
     seen = u[np.isfinite(u)]
     low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 0.0)
     is_flat = high - low <= ROUNDING * max(abs(low), abs(high), 1e-300)
-    return None if is_flat or not np.isfinite(high - low) else (low, high)
+    return (low, high) if not is_flat and high - low < LARGEST else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -225,7 +225,7 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
         if decision.verdict == "none":
             against = _contradiction(search, validation)
             gates = (*gates, *against)
-            if withdrawn or against:
+            if against or _took_misfit(search, withdrawn):
                 decision = replace(decision, verdict="unknown")
         elif decision.verdict == "unknown":
             steps = search.null.case.settings.plain_steps
@@ -263,6 +263,17 @@ def judge(search: Search, validation: Validation | None, seed: int) -> Judgment:
             return replace(judgment, as_good=as_good(judgment, validation, seed))
         withdrawn |= {min(harmful, key=lambda i: harmful[i])}
         search = _ready_without(search, decision.best - withdrawn)
+
+
+def _took_misfit(search: Search, withdrawn: Members) -> bool:
+    """Whether something is missing from the record in place of what was withdrawn: evidence of data
+    sheets alone, which numbers of the model were off, asks for nothing."""
+    plain = search.fit_of(frozenset()).chi2
+    return any(
+        0.5 * (plain - weighed.chi2) >= KEEP_NATS
+        for h, weighed in search.posteriors.items()
+        if h.unknown is None and h.effects & withdrawn
+    )
 
 
 def _contradiction(search: Search, validation: Validation | None) -> tuple[GateResult, ...]:

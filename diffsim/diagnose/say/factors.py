@@ -96,7 +96,7 @@ def times_all_drives(rows: Sequence[tuple[CauseRow, float]], drives: Sequence[st
     """
     found = {r.name: next(iter(r.size.values())).value / v for r, v in rows if v}
     values = [found[name] for name in drives if name in found]
-    is_all = len(values) == len(drives) > 1
+    is_all = len(values) == len(drives) > 0
     value = fmean(values) if is_all else 0.0
     return value if is_all and np.ptp(values) <= SAME * abs(value) else None
 

@@ -347,9 +347,11 @@ def _open(answer: Answer, verb: str) -> list[str]:
         also = ", or its data sheet is off"
     is_any = shown == "one of several causes" or shown.endswith(("another cause", UNNAMED))
     said = f"{capital(shown) if is_any else f'Something like {shown}'} {verb} missing{also}"
+    short = [f"{capital(shown)} {verb} missing or {off_sheets[0]} off"] if " or " in also else []
     return [
         f"{said}; these runs cannot tell which",
         said,
+        *([] if is_any else short),
         f"One of several causes {verb} missing; these runs cannot tell which",
     ]
 
@@ -412,8 +414,11 @@ def _off_sheet(rows: Sequence[CauseRow], drives: Sequence[str] = ()) -> list[str
     times = times_all_drives(stated, drives) if len(rows) == len(drives) else None
     how = "" if all(row.status == CERTAIN for row in rows) else f"{PROBABLY} "
     if times is not None:
-        strong = f"All drives are {how}{figure(times)} times as strong as"
-        return [f"{strong} their data sheets say", f"{strong} stated"]
+        are, say = ("All drives are", "their data sheets say")
+        if len(drives) == 1:
+            are, say = ("The drive is", "its data sheet says")
+        strong = f"{are} {how}{figure(times)} times as strong as"
+        return [f"{strong} {say}", f"{strong} stated"]
     row = found[0]
     value, unit = next(iter(row.size.values())).value, after_number(row.unit)
     prior = row.sheet.partition(" +-")[0]

@@ -191,6 +191,7 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
     late, states = dict[str, Expression](), dict[str, Expression]()
     starts = dict[str, Expression]()
     inputs = [n for n in plain.names if n in network.inputs]
+    later = parse_expression("u + more")
     for state in (n for n in plain.names if n in network.rates):
         a, b = (f"{place} of {state} for {name}" for place in ("first", "second"))
         known = {"u": named(state), "a": named(a), "b": named(b), "size": size, "tau": tau}
@@ -207,7 +208,11 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
         # what other causes add to it, such as friction, comes in time
         "now": named(definition),
         "plain": plain,
-        "late": filled(plain, late | {n: named(f"{n} for {name}") for n in inputs}),
+        "late": filled(
+            plain,
+            late
+            | {n: filled(later, {"u": named(n), "more": named(f"{n} for {name}")}) for n in inputs},
+        ),
     }
     change = Change(
         names={definition: filled(parse_expression("now + (late - plain)"), known)},
@@ -244,8 +249,9 @@ def _come_late(
 
 
 def _come_late_by(scene: OdeScene, name: str, change: SignalMap) -> Tensor:
-    rows = scene.commands.rows[name]
-    return scene.commands.act(change, rows, scene.inputs[name][..., None, :], scene.grid)[..., 0, :]
+    """By how much an input is larger when it comes late, (..., num_times)."""
+    rows, now = scene.commands.rows[name], scene.inputs[name]
+    return scene.commands.act(change, rows, now[..., None, :], scene.grid)[..., 0, :] - now
 
 
 def closed_loops(network: Network) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from threading import Lock
 
 from diffsim.core.expression import Apply, Expression, Name, Node, NumberNode
@@ -44,6 +45,43 @@ class Change:
     states: Mapping[str, Expression] = field(default_factory=dict)
     starts: Mapping[str, Expression] = field(default_factory=dict)
     inputs: Mapping[str, bool] = field(default_factory=dict)
+
+    @cached_property
+    def _others(self) -> dict[tuple[str, ...], Change]:
+        """Kept, as solvers are kept by their changes."""
+        return {}
+
+    def again(self, sizes: tuple[str, ...]) -> Change:
+        """What the same effect does once more: its sizes, states and inputs have other names.
+
+        Args:
+            sizes: Symbols of its sizes.
+        """
+        if sizes not in self._others:
+            own = {n: named(once_more(n)) for n in (*sizes, *self.states, *self.inputs)}
+
+            def renamed(formulas: Mapping[str, Expression]) -> dict[str, Expression]:
+                return {
+                    once_more(n) if n in self.states else n: filled(formula, own)
+                    for n, formula in formulas.items()
+                }
+
+            self._others[sizes] = Change(
+                rates=renamed(self.rates),
+                held_rates=renamed(self.held_rates),
+                factors=renamed(self.factors),
+                names=renamed(self.names),
+                readings=renamed(self.readings),
+                states=renamed(self.states),
+                starts=renamed(self.starts),
+                inputs={once_more(n): held for n, held in self.inputs.items()},
+            )
+        return self._others[sizes]
+
+
+def once_more(name: str) -> str:
+    """What a size, state or input of an effect is called where it acts a second time."""
+    return f"{name} once more"
 
 
 # what a formula of a change was before; a state may be called "rate", none has a space

@@ -15,7 +15,7 @@ from diffsim.core.expression import Expression, parse_expression
 from diffsim.data.study import Run
 from diffsim.ode import Ode
 from diffsim.ode.integrate import integrated
-from diffsim.systems.ode.network import TIME, Change, Network, filled
+from diffsim.systems.ode.network import TIME, Change, Network, filled, once_more
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +52,13 @@ class OdeScene(Scene):
         return {**dict(zip(self.commands.rows, heard, strict=True)), **self.further}
 
     def with_change(self, change: Change, sizes: Mapping[str, Tensor]) -> OdeScene:
-        """A copy with other formulas; ``sizes`` are values of the symbols in them."""
+        """A copy with other formulas; ``sizes`` are values of the symbols in them.
+
+        One that acts already, such as that of a drive and that of all drives, acts once more.
+        """
+        if change in self.changes:
+            again = {once_more(name): size for name, size in sizes.items()}
+            return self.with_change(change.again(tuple(sizes)), again)
         numbers = {**self.numbers, **sizes}
         return self.changed(changes=(*self.changes, change), numbers=numbers)
 
@@ -63,8 +69,13 @@ class OdeScene(Scene):
         sizes: Mapping[str, Tensor] | None = None,
     ) -> OdeScene:
         """A copy with more inputs (..., num_times), which ``change`` puts into formulas."""
+        sizes = sizes or {}
+        if change in self.changes:
+            change = change.again(tuple(sizes))
+            inputs, sizes = ({once_more(n): v for n, v in d.items()} for d in (inputs, sizes))
+            return self.with_further_inputs(inputs, change, sizes)
         scene = self.changed(further={**self.further, **inputs})
-        return scene.with_change(change, sizes or {})
+        return scene.with_change(change, sizes)
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels) or (K, num_samples, num_channels)."""

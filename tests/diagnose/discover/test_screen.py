@@ -5,7 +5,14 @@ import pytest
 from scipy import sparse, special, stats
 
 from diffsim.diagnose.discover.follow import Reach, ReachInRun
-from diffsim.diagnose.discover.screen import NUM_BUMPS, Candidate, Weigher, bumps, trend
+from diffsim.diagnose.discover.screen import (
+    NUM_BUMPS,
+    Candidate,
+    Weigher,
+    bumps,
+    range_of,
+    trend,
+)
 from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.identify.law import Entry, Variable
 
@@ -154,3 +161,14 @@ def test_bumps_overlap_so_that_they_can_be_level():
     values = bumps(-1.0, 1.0).values(np.linspace(-0.6, 0.6, 101)).sum(1)
     assert values.shape == (101,) and np.ptp(values) < 0.05 * values.mean()
     assert len(bumps(-1.0, 1.0).terms) == NUM_BUMPS
+
+
+def test_a_memory_that_diverged_is_no_variable_of_a_law():
+    """That of a slide pushed four times as hard reached 6e42: its eighth power ended the answer."""
+    rest, course = np.full(40, 2.0), np.linspace(-1e-9, 3.0, 40)
+    assert range_of(course) == (-1e-9, 3.0)
+    assert range_of(rest) is None and range_of(np.full(40, np.nan)) is None
+    memory = np.cumprod(np.full(40, 12.0))
+    assert memory[-1] > 1e42 and range_of(memory) is None
+    low, high = range_of(memory[:35])
+    assert np.isfinite((high - low) ** 8)

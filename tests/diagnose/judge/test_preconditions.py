@@ -36,6 +36,7 @@ from tests.diagnose import linear
 from tests.diagnose.say.test_causes import OTHER, PUSH, QUICK, causes, diagnosed, recorded
 
 PUSHED, OTHERS = frozenset({0}), frozenset({1})
+WEIGHT = replace(linear.line("mass"), name="weight", family="weight")  # a parameter does the same
 WRONG = GateResult("gradient:push", False, 0.4, 1e-4)
 
 
@@ -403,6 +404,16 @@ def test_of_two_names_that_do_harm_the_one_that_surely_does_is_withdrawn(monkeyp
     monkeypatch.setattr(judge, "gain_over", told)
     report = diagnosed({PUSH: 3.0, OTHER: 3.0}, (PUSH, OTHER))
     assert report.best_names == ("push",)
+
+
+@pytest.mark.parametrize(("hidden", "verdict"), [(WEIGHT, "data_sheet"), (PUSH, "unknown")])
+def test_what_data_sheets_alone_asked_for_leaves_nothing_unknown(monkeypatch, hidden, verdict):
+    """An arm's servo four times too strong: an unbalance spared a mass its data sheet, unseen parts
+    refuted it, and "something is missing that no cause explains" where the fit left noise alone."""
+    harm = Gain(-4.7, -8.0, -1.7, 2.4, 4)
+    monkeypatch.setattr(judge, "gain_over", lambda *given: harm)
+    report = diagnosed({hidden: 5.0}, (hidden,))
+    assert report.verdict == verdict and report.named == ()
 
 
 def run_apart(*sizes: float, course: float = 0.0):

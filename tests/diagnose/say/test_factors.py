@@ -92,6 +92,8 @@ def test_numbers_that_are_off_by_one_factor_are_one_finding():
         "Kp of pan and kp of lift are all 4.21 (3.88 to 4.62) times their data sheets. The twin of"
     )
     assert sheet_words([wide[0], (gain("kp of lift", 26.0, 37.0), 8.0)], both) == []
+    (said,) = sheet_words(wide[:1], both[:1])
+    assert said.startswith("Kp of pan is 4.17 (3.67 to 4.67) times its data sheet. The twin of all")
     assert sheet_words(wide, (*both, "kp of wrist")) == [], "one is as stated"
     masses = [
         (gain("mass of a", 0.42, 0.43, "kg"), 1.0),

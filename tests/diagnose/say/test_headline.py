@@ -101,6 +101,17 @@ def test_a_data_sheet_has_digits_that_tell_it_from_the_answer():
     assert text.startswith("Only a data sheet is off: mass is 1.5004 kg, not 1.5 kg; the error")
 
 
+def test_a_cause_and_a_data_sheet_in_its_place_are_named_where_there_is_room_for_little():
+    """A servo four times too strong: one of several causes may be missing, it said."""
+    rows, stays = (
+        [cause("command_gain_of_servo1")],
+        ErrorRow("t", "angle", "deg", 0.0626, 0.0625, 0.0573, 200, 0),
+    )
+    gained, forms = Gain(0.006, -0.01, 0.02, 1.0, 4), {0: "a wrong data sheet of mass of link1"}
+    text = said("ambiguous", rows, (stays,), ((),), forms, gained)
+    assert text.startswith("Command gain of servo1 is missing or mass of link1 off; but")
+
+
 def test_one_of_several_data_sheets_is_said_as_one_of_them():
     """It said: Two data sheets are off, first modulus is 5.09e+05 Pa, not 800000 Pa."""
     rows = [
@@ -458,6 +469,10 @@ def test_drives_off_by_one_factor_come_before_a_cause_in_their_place():
     assert headline(answer, [FELL]).startswith(strong)
     one = replace(answer, drives=(*drives, "actuator.m3.kp"))
     assert headline(one, [FELL]).startswith("Two data sheets are probably off, such as")
+    alone = replace(answer, causes=(sheets[0],), drives=drives[:1], verdict="data_sheet")
+    assert headline(alone, [FELL]).startswith(
+        "The drive is probably 2.9 times as strong as its data"
+    )
 
 
 def test_three_data_sheets_in_place_of_a_cause_are_a_short_sentence():
