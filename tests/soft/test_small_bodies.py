@@ -44,6 +44,20 @@ def test_answers_and_gradients_are_those_of_the_general_factor(kind):
         torch.testing.assert_close(a, b, rtol=1e-8, atol=1e-9)
 
 
+@pytest.mark.parametrize("stretch", [(0.4, 1.2, 1.2), (1.6, 1.3, 0.9), (-0.5, 1.0, 1.0)])
+def test_steps_from_far_from_rest_end_where_newtons_do(stretch):
+    """Near rest a line search takes stresses without singular values, elsewhere by them."""
+    m = irregular_mesh("hex", cells=(3, 2, 2), size=(1.5, 1.0, 1.0), amount=0.03)
+    one = noise(m.num_nodes, 1, seed=4).abs()  # some elements are far from rest, others near
+    x = m.x_rest * (1.0 + one.clamp(max=1.0) * (torch.tensor(stretch, dtype=torch.float64) - 1.0))
+    ends = []
+    for method in ("auto", "newton_cholesky"):
+        solver = soft.SolverOptions(method=method, rtol=1e-11)
+        body = soft_body(m, fixed=rail_mask(m), youngs_modulus=200.0, solver=solver)
+        ends.append(body(soft.State(x, torch.zeros_like(x))).x)
+    torch.testing.assert_close(*ends, rtol=0, atol=1e-9)
+
+
 def test_an_adjoint_goes_on_by_the_factor_of_its_step():
     """The first who asks finds it and takes it, the second makes it again: the same bits."""
     body, state, leaves = bars("hex", "linearly_implicit")

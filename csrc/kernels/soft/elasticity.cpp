@@ -9,11 +9,27 @@ namespace {
 
 using namespace elements;
 
+/// Whether a material knows its stress without samples.
+template <typename M>
+constexpr bool kHasStressAlone = std::is_same_v<M, PdMaterial>;
+
+/// Stress [Pa] of a register of a stage; returns its energy density [J/m^3].
+template <typename Group, typename M>
+Native stress_of(const Stage<Group, M>& stage, int r, const Weights<M>& w, bool by_samples,
+                 Native P[9]) {
+  if constexpr (kHasStressAlone<M>)
+    if (!by_samples) return M::stress_alone(stage.F[r], w.data(), P);
+  return stress<M>(stage.sample(r), w.data(), P);
+}
+
 template <typename Group, typename M>
 void solid_gradient(const SoftModel& model, const SoftParameters& p, const DampingFrames& frames,
                     const double* x, ElasticityScratch& scratch, ThreadPool& pool) {
   const ElementBlock& solid = model.solid;
-  const KeptSamples<M> kept = kept_samples<M>(scratch, model, x);
+  const bool by_samples = !(kHasStressAlone<M> && scratch.stresses_alone);
+  KeptSamples<M> kept;
+  if (by_samples) kept = kept_samples<M>(scratch, model, x);
+  kept.is_needed = by_samples;
   for_stages(solid, pool, [&](Index first, int count) {
     const Stage<Group, M> stage(solid, first, count, x, kept, p.damp_mu != nullptr);
     for (int n = 0; n < count; ++n) {
@@ -23,7 +39,7 @@ void solid_gradient(const SoftModel& model, const SoftParameters& p, const Dampi
       for (int part = 0; part < kParts; ++part) {
         const int r = n * kParts + part;
         const auto w = weights_at<Group, M>(solid, g, part, p.weights);
-        Native psi = stress<M>(stage.sample(r), w.data(), P[part]);
+        Native psi = stress_of<Group, M>(stage, r, w, by_samples, P[part]);
         if (p.damp_mu) {
           Native Fn[9], delta[9];
           split_matrix(frames.solid[at(g)].Fn, part, Fn);

@@ -42,6 +42,8 @@ struct ElasticityScratch {
   /// positions (compared bit by bit) need not make them again. Not those of large bodies, see
   /// element_stage.h.
   bool keep_samples = false;
+  /// Whether a gradient leaves them as they are, where the material knows its stresses without.
+  bool stresses_alone = false;
   std::vector<double> kept_at;  // positions that `samples` belongs to
   AlignedBuffer<double> samples;
 };

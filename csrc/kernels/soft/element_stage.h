@@ -49,11 +49,12 @@ void for_stages(const ElementBlock& block, ThreadPool& pool, F&& f) {
 }
 
 /// Samples of the solid kept between evaluations, one after another by part; null where they are
-/// not kept, and to be made where not ready.
+/// not kept, and to be made where not ready but needed.
 template <typename M>
 struct KeptSamples {
   typename M::template Sample<Native>* data = nullptr;
   bool is_ready = false;
+  bool is_needed = true;
 };
 
 template <typename M>
@@ -83,7 +84,7 @@ class Stage {
     if (needs_F || !kept.is_ready)
       for (int n = 0; n < count; ++n)
         deformation_gradient<Group>(block, first + n, x, F + n * kParts);
-    if (kept.is_ready) return;
+    if (kept.is_ready || !kept.is_needed) return;
     make_samples<M, kStageParts>(F, count * kParts, samples_);
   }
   Stage(const Stage&) = delete;

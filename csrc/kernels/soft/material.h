@@ -63,7 +63,10 @@ void make_samples(const Native (*F)[9], int count, typename M::template Sample<N
   if constexpr (kIsPrincipal<M>) {
     PrincipalFrame<Native> frames[kMost];
     principal_frames(F, count, frames);
-    for (int r = 0; r < count; ++r) new (out + r) Sample(frames[r]);
+    if constexpr (std::is_same_v<M, PdMaterial>)
+      Sample::make(frames, count, out);
+    else
+      for (int r = 0; r < count; ++r) new (out + r) Sample(frames[r]);
   } else if constexpr (std::is_same_v<M, CorotatedMaterial>) {
     Sample::make(F, count, out);
   } else {

@@ -10,19 +10,34 @@
 // Fiber:  psi(F) = w/2 (|F m| - a)^2, unit direction m, activation a = target stretch.
 #pragma once
 
+#include <algorithm>
+#include <new>
+
 #include "kernels/soft/jets.h"
+#include "kernels/soft/nearest_matrices.h"
 
 namespace diffsim {
+
+/// Where the search for t_2 begins. Near a volume of one at first order, t_i = s_i - l / s_i with
+/// l = (J - 1) J / (squares of s1 s2, s0 s2 and s0 s1), which leaves an error of second order.
+template <class T>
+DIFFSIM_INLINE T first_target(const T s[3]) {
+  const T s01 = s[0] * s[1], s02 = s[0] * s[2], s12 = s[1] * s[2];
+  const T less_one = s01 * s[2] - 1.0;
+  const T near = s[2] - less_one * s01 / (s01 * s01 + s02 * s02 + s12 * s12);
+  const T far = max(s[2], detail::constant<T>(0.3));
+  return select(less(abs(less_one), detail::constant<T>(0.5)) & less(far, near + near), near, far);
+}
 
 /// Targets t of the volume projection of the principal stretches s, and q = 2t - s: solves
 /// u t0 t1 = 1 by Newton inside a bracket; exact to rounding, any sign of det F.
 template <class T>
 DIFFSIM_INLINE void project_volume(const T s[3], T t[3], T q[3]) {
-  const T one = broadcast<T>(1.0), zero = broadcast<T>(0.0), tiny = broadcast<T>(1e-12);
+  const T one = detail::constant<T>(1.0), zero{}, tiny = detail::constant<T>(1e-12);
   const T d0 = (s[0] - s[2]) * (s[0] + s[2]);
   const T d1 = (s[1] - s[2]) * (s[1] + s[2]);
-  T low = zero, high = broadcast<T>(1e300);
-  T u = max(s[2], broadcast<T>(0.3));
+  T low = zero, high = detail::constant<T>(1e300);
+  T u = first_target(s);
   bool last = false;
   for (int iter = 0;; ++iter) {
     const T q2 = 2.0 * u - s[2];
@@ -42,7 +57,7 @@ DIFFSIM_INLINE void project_volume(const T s[3], T t[3], T q[3]) {
     // slope = t0 t1 + u q2 (t1 / q0 + t0 / q1), with one division instead of three
     const T q01 = q0 * q1;
     const T newton = u - value * q01 / (t0 * t1 * q01 + u * q2 * (t1 * q1 + t0 * q0));
-    const T bisect = select(greater(high, broadcast<T>(1e299)), 2.0 * u, 0.5 * (low + high));
+    const T bisect = select(greater(high, detail::constant<T>(1e299)), 2.0 * u, 0.5 * (low + high));
     u = last ? newton : select(less(low, newton) & less(newton, high), newton, bisect);
   }
 }
@@ -54,6 +69,26 @@ struct PdSample : PrincipalFrame<T> {
 
   explicit PdSample(const PrincipalFrame<T>& frame) : PrincipalFrame<T>(frame) {
     project_volume(this->s, t, q);
+  }
+  PdSample(const PrincipalFrame<T>& frame, const T t_of[3], const T q_of[3])
+      : PrincipalFrame<T>(frame) {
+    for (int i = 0; i < 3; ++i) t[i] = t_of[i], q[i] = q_of[i];
+  }
+
+  /// Samples of `count` registers, some side by side, into memory that holds none.
+  static void make(const PrincipalFrame<T>* frames, int count, PdSample* out) {
+    for (int r = 0; r < count; r += kFrames) {
+      const int some = std::min(kFrames, count - r);
+      Registers<T, kFrames> s[3], targets[3], roots[3];
+      for (int i = 0; i < kFrames; ++i)
+        for (int k = 0; k < 3; ++k) s[k].at[i] = frames[r + std::min(i, some - 1)].s[k];
+      project_volume(s, targets, roots);
+      for (int i = 0; i < some; ++i) {
+        const T t_of[3] = {targets[0].at[i], targets[1].at[i], targets[2].at[i]};
+        const T q_of[3] = {roots[0].at[i], roots[1].at[i], roots[2].at[i]};
+        new (out + r + i) PdSample(frames[r + i], t_of, q_of);
+      }
+    }
   }
 };
 
@@ -102,6 +137,22 @@ void volume_jets(const PdSample<T>& p, const Jet<T> F[9], Jet<T> B[9]) {
   for (int i = 0; i < 9; ++i) B[i] = {t[i], B1[i], B2[i], B12[i]};
 }
 
+/// Nearest rotation and nearest matrix of determinant one: by singular values in the lanes only
+/// that are far from rest.
+inline void project(const Native F[9], Native R[9], Native B[9]) {
+  const auto found = nearest_matrices(F, R, B);
+  if (all(found)) return;
+  const PdSample<Native> sample(principal_frame(F));
+  const Native one = broadcast<Native>(1.0), ones[3] = {one, one, one};
+  Native rotation[9], unit[9];
+  compose(sample.U, ones, sample.V, rotation);
+  compose(sample.U, sample.t, sample.V, unit);
+  for (int k = 0; k < 9; ++k) {
+    R[k] = select(found, R[k], rotation[k]);
+    B[k] = select(found, B[k], unit[k]);
+  }
+}
+
 /// The solid as a material, see material.h.
 struct PdMaterial {
   static constexpr const char* kName = "pd";
@@ -118,6 +169,19 @@ struct PdMaterial {
     for (int i = 0; i < 3; ++i) {
       const T a = p.s[i] - 1.0, b = p.s[i] - p.t[i];
       d[i] = w[0] * a + w[1] * b;
+      corotated += a * a;
+      volume += b * b;
+    }
+    return 0.5 * (w[0] * corotated + w[1] * volume);
+  }
+
+  /// First Piola stress [Pa] of F; returns the energy density [J/m^3].
+  static Native stress_alone(const Native F[9], const Native w[kWeights], Native P[9]) {
+    Native R[9], B[9], corotated{}, volume{};
+    project(F, R, B);
+    for (int k = 0; k < 9; ++k) {
+      const Native a = F[k] - R[k], b = F[k] - B[k];
+      P[k] = w[0] * a + w[1] * b;
       corotated += a * a;
       volume += b * b;
     }

@@ -68,6 +68,8 @@ struct Search {
     for (std::size_t i = 0; i < x.size(); ++i)
       if (system.fixed()[i]) x[i] = in.target[i];
     value = problem.value_gradient(x, gradient);
+    // The tangent is that of the first place; elsewhere nothing needs singular values.
+    problem.scratch().stresses_alone = true;
     stats = begin_stats(problem, options, gradient, system.rounding_floor(x));
     is_left = !std::isfinite(value);
     check();

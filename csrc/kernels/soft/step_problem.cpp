@@ -68,6 +68,7 @@ StepProblem::StepProblem(const ConstantSystem& system, const StepInputs& inputs,
       memory_(system.pattern().memories().take()),
       by_multigrid_(by_multigrid) {
   memory_->elastic.keep_samples = true;
+  memory_->elastic.stresses_alone = false;
   if (in_.parameters.damp_mu)
     frames_ = damping_frames(system.model(), in_.x_frame, in_.x_velocity, pool);
 }
