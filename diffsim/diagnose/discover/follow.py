@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from diffsim.core.arrays import Array
+from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Aside
 from diffsim.data.study import Run
@@ -36,6 +36,30 @@ LAST_STEP_SHARE = 0.01  # of the misfit, that a last step takes away
 
 
 @dataclass(frozen=True, eq=False)
+class Blocks:
+    """A matrix of dense blocks; no two share a row or a column.
+
+    Attributes:
+        parts: Rows, columns and entries of each.
+        shape: Of the matrix.
+    """
+
+    parts: tuple[tuple[IntArray, IntArray, Array], ...]
+    shape: tuple[int, int]
+
+    @property
+    def T(self) -> Blocks:
+        """The transposed matrix."""
+        return Blocks(tuple((c, r, b.T) for r, c, b in self.parts), self.shape[::-1])
+
+    def __matmul__(self, other: Array) -> Array:
+        out = np.zeros((self.shape[0], *other.shape[1:]))
+        for rows, columns, block in self.parts:
+            out[rows] = block @ other[columns]
+        return out
+
+
+@dataclass(frozen=True, eq=False)
 class ReachInRun:
     """What terms at an entry do in one run: ``basis @ mixed @ spread @ terms``.
 
@@ -46,7 +70,7 @@ class ReachInRun:
         basis: Orthonormal columns that span it, (num_valid, k): few knots move many readings.
     """
 
-    mixed: Array | sparse.csr_array
+    mixed: Array | sparse.csr_array | Blocks
     spread: sparse.csr_array
     basis: Aside = Aside()
 
@@ -124,10 +148,35 @@ def _read_at_once(read: sparse.csr_array) -> ReachInRun:
         scale = sparse.diags_array(size[felt], format="csr")
         basis = sparse.csr_array(read[:, felt] @ sparse.diags_array(1.0 / size[felt]))
         return ReachInRun(scale, sparse.eye_array(len(size), format="csr")[felt], basis)
+    if (windows := _read_in_windows(read)) is not None:
+        return windows
     moved = np.flatnonzero(np.diff(read.indptr))
     count, shape = len(moved), (read.shape[0], len(moved))
     basis = sparse.csr_array((np.ones(count), (moved, np.arange(count))), shape=shape)
     return ReachInRun(sparse.eye_array(count, format="csr"), read[moved], basis)
+
+
+def _read_in_windows(read: sparse.csr_array) -> ReachInRun | None:
+    """The same where samples mix within short windows, whose start states are fitted to the record:
+    a window has fewer samples than readings that they move; None where they mix farther."""
+    moves = abs(read)
+    moves.eliminate_zeros()
+    _, label = sparse.csgraph.connected_components(moves.T @ moves, directed=False)
+    if np.bincount(label).max(initial=0) > MOST_KNOTS:
+        return None
+    by_sample, count = sparse.csc_array(moves), 0
+    parts: list[tuple[IntArray, IntArray, Array]] = []
+    mixed: list[tuple[IntArray, IntArray, Array]] = []
+    for samples in np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1]):
+        rows = np.unique(by_sample[:, samples].indices)
+        if len(rows):
+            basis, of_samples = np.linalg.qr(read[rows][:, samples].toarray())
+            at = np.arange(count, count := count + len(of_samples))
+            parts.append((rows, at, basis))
+            mixed.append((at, samples, of_samples))
+    every = sparse.eye_array(read.shape[1], format="csr")
+    basis_of_all = Blocks(tuple(parts), (read.shape[0], count))
+    return ReachInRun(Blocks(tuple(mixed), (count, read.shape[1])), every, basis_of_all)
 
 
 @dataclass(frozen=True, eq=False)

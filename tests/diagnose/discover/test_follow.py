@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 
-from diffsim.diagnose.discover.follow import follow
+from diffsim.diagnose.discover import follow as following
+from diffsim.diagnose.discover.follow import Reach, follow
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
@@ -120,3 +122,23 @@ BENCH = {
     "readings": {"angle_rad": "k*torque"},
     "parameters": {"k": {"value": 3.0, "percent": 30}},
 }
+
+
+def test_readings_of_windows_are_known_by_their_samples(monkeypatch):
+    """What flights read was known by all readings that a start state moves, 13 for each sample."""
+    rng = np.random.default_rng(0)
+    windows = [rng.normal(size=(26, 6)) for _ in range(3)]
+    windows[1][:, 2] = 0.0  # a sample that is missing
+    read = sparse.csr_array(sparse.block_diag(windows))
+    quick = Reach((following._read_at_once(read),))
+    monkeypatch.setattr(following, "MOST_KNOTS", 5)
+    plain = Reach((following._read_at_once(read),))
+    terms, rows = [rng.normal(size=(18, 4))], rng.normal(size=(78, 3))
+    made, wanted = quick.coordinates(terms), plain.coordinates(terms)
+    assert len(made) == 17 and len(wanted) == 78  # what is missing moves nothing
+    np.testing.assert_allclose(made.T @ made, wanted.T @ wanted, rtol=0.0, atol=1e-10)
+    for seen in (rows, rows[:, 0]):
+        products = quick.seen(seen).T @ made, plain.seen(seen).T @ wanted
+        np.testing.assert_allclose(*products, rtol=0.0, atol=1e-10)
+    columns = quick.columns(terms), plain.columns(terms)
+    np.testing.assert_allclose(*columns, rtol=0.0, atol=1e-12)
