@@ -34,17 +34,21 @@ _LETTER = "A-Za-z_%°µμΩΩÅ"
 _TOKEN = re.compile(rf"\s*(\*\*|[*/^()·⋅.]|1(?![\w.])|[{_LETTER}][{_LETTER}0-9]*)\s*")
 _EXPONENT = re.compile(r"\s*(\()?\s*([+-]?[0-9]{1,2}(?:\.5)?)(?![0-9.])\s*(?(1)\)|)\s*")
 _DIGIT_IS_POWER = re.compile(r"(m|mm|cm|km|s)([234])")  # "m/s2" and "mm3" are written, too
-#: Products without a blank: Nm, Nms, Vs, kgm^2; pint has textile numbers, Nm, and milliseconds
-_GLUED = re.compile(
-    r"(?<![A-Za-z])(?:(kg|[kmucM]?N)(m|cm|mm)(s?)|(g)(cm|mm)()|([kmu]?[NVA])(s)())"
+#: Products without a blank: Nm, Nms, Vs, and kgm^2 with its power; pint has textile numbers, Nm,
+#: and milliseconds
+_GLUED_NAMES = re.compile(
+    r"(?<![A-Za-z])(?:([kmucM]?N)(m|cm|mm)(s?)|([kmu]?[NVA])(s)()|(k?g)(m|cm|mm)()(?=\^?\d))"
     r"(\d|\^-?\d+)?(?![A-Za-z0-9])"
 )
-#: Products with a dash, as makers of motors write torques: N-m, kg-cm, oz-in
-_DASHED = re.compile(rf"[{_LETTER}]+(?:-[{_LETTER}]+)+(?![\^0-9-])")
-_WEIGHTS = {"g": "gf", "kg": "kgf", "oz": "ozf", "lb": "lbf"}  # of such a product, a torque
+#: Torques with a dash, as makers of motors write them: N-m, kg-cm, oz-in, ft-lbs; no momentum
+_DASHED_TORQUE = re.compile(
+    r"(?<![A-Za-z0-9-])(?:(k?gf?|oz|lbf?|[kmucM]?N)-(in|ft|cm|mm|m)|(in|ft)-(oz|lbf?)s?)"
+    r"(?![A-Za-z0-9^-])(?!\s*/\s*s)"
+)
+_WEIGHTS = {"g": "gf", "kg": "kgf", "oz": "ozf", "lb": "lbf"}  # of such a product
 #: Powers without a mark, as in "m s-1" and "kg m-3"; alone, "A-1" is a label
-_SIGNED = re.compile(r"(?<=[A-Za-z])-(?=\d(?!\d))")
-_SIGNED_ALONE = ("s-1", "min-1", "h-1")
+_BARE_POWER = re.compile(r"(?<=[A-Za-z])-(?=\d(?!\d))")
+_ALONE = ("s-1", "min-1", "h-1")
 _SPELLED = {"°C": "degC", "°F": "degF", "°": "deg"}
 _DIVIDES, _TIMES = ("/", "per"), ("*", "·", "⋅", ".")  # "N.m" is written in France
 #: Symbols of names that are spelled out, or abbreviated otherwise
@@ -178,10 +182,17 @@ def powers_of(text: str) -> Mapping[str, float]:
 def _with_marks(text: str) -> str:
     """The text with a mark for each power, and with a blank and brackets for each product."""
     text = _RAISED.sub(lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text)
-    if " " in text.strip() or text.strip() in _SIGNED_ALONE:
-        text = _SIGNED.sub("^-", text)
-    text = _DASHED.sub(lambda m: f"({' '.join(_WEIGHTS.get(n, n) for n in m[0].split('-'))})", text)
-    return _GLUED.sub(lambda m: f"({' '.join(filter(None, m.groups()[:-1]))}{m[10] or ''})", text)
+    if " " in text.strip() or text.strip() in _ALONE:
+        text = _BARE_POWER.sub("^-", text)
+    text = _DASHED_TORQUE.sub(_torque, text)
+    return _GLUED_NAMES.sub(
+        lambda m: f"({' '.join(filter(None, m.groups()[:-1]))}{m[10] or ''})", text
+    )
+
+
+def _torque(matched: re.Match[str]) -> str:
+    names = filter(None, matched.groups())
+    return f"({' '.join(_WEIGHTS.get(name, name) for name in names)})"
 
 
 class _Reader:
@@ -245,7 +256,7 @@ def _powers_of_name(name: str) -> Counter[str]:
     name = _SPELLED.get(name, name)
     if raised := _DIGIT_IS_POWER.fullmatch(name):
         return Counter({raised[1]: int(raised[2])})
-    if name[:1].isupper() and name.lower() in _spelled_out():  # Meters, Newton, DEG
+    if name[:1].isupper() and name[1:].islower() and name.lower() in _spelled_out():  # Meters
         name = name.lower()
     return Counter([name])
 
@@ -254,7 +265,7 @@ def _powers_of_name(name: str) -> Counter[str]:
 def _spelled_out() -> frozenset[str]:
     """Words that are units, with their plurals; no symbol is one, whose case has a meaning."""
     words = {*_SYMBOLS, "gram", "degree", "minute", "hour", "liter", "bar", "amp", "celsius"}
-    return frozenset({*words, *(f"{w}s" for w in words), "deg", "rad", "sec", "min", "rpm", "mph"})
+    return frozenset({*words, *(f"{w}s" for w in words)})
 
 
 def factor(unit: str, into: str) -> float:

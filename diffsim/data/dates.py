@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
@@ -22,6 +23,7 @@ _BARE = re.compile(
 #: What MATLAB writes of a timetable whose times are durations
 _DURATION = re.compile(r"([-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?) (sec|min|hr|days?)", re.IGNORECASE)
 _SECONDS = {"sec": 1.0, "min": 60.0, "hr": 3600.0, "day": 86400.0, "days": 86400.0}
+_FIRST_CELLS = 3  # of which one says that these are durations
 _EXPECTED = "expected 12:30:05.25, 2024-05-01 12:30:05.25 or 01.05.2024 12:30:05.25"
 
 
@@ -41,9 +43,8 @@ def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
         ValueError: a cell is no time, or nothing says whether the day or the month stands first;
             the exception's second argument is the index of the cell.
     """
-    durations = [one for cell in cells if (one := _DURATION.fullmatch(cell)) is not None]
-    if durations and len(durations) == len(cells):
-        return [float(one[1]) * _SECONDS[one[2].lower()] for one in durations]
+    if any(map(_DURATION.fullmatch, filter(None, cells[:_FIRST_CELLS]))):
+        return [_duration(cell, k) for k, cell in enumerate(cells)]
     found = [_STAMP.fullmatch(_with_colons(cell)) for cell in cells]
     for k, (one, cell) in enumerate(zip(found, cells, strict=True)):
         if one is None or not cell or (one["h"] is None and one["a"] is None):
@@ -57,6 +58,14 @@ def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
         except ValueError:
             raise ValueError(f"{cells[k]!r} is no time; {_EXPECTED}", k) from None
     return out
+
+
+def _duration(cell: str, place: int) -> float:
+    """Seconds of a duration; NaN of an empty cell, and of one that says so."""
+    matched = _DURATION.fullmatch(cell)
+    if matched is None and cell and cell.lower() not in ("nan", "nan sec"):
+        raise ValueError(f"{cell!r} is no duration; expected 0.02 sec", place)
+    return math.nan if matched is None else float(matched[1]) * _SECONDS[matched[2].lower()]
 
 
 def _with_colons(cell: str) -> str:

@@ -138,9 +138,11 @@ def find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
 def _runs_of(folder: Path, path: Path, layout: TableLayout) -> Iterator[FoundTable]:
     """The table of a file, or each of the runs that stand side by side in it."""
     runs = runs_beside([c.name for c in layout.columns]) if layout.header_line else {}
+    whole = {c.name: c for c in layout.columns}
     for label, names in runs.items():
-        own = replace(layout, columns=tuple(map(column_of, names)))
-        yield FoundTable(folder, path, label, own, len(runs))
+        pairs = ((column_of(name), whole[own]) for name, own in names.items())
+        columns = (c if c.unit else replace(c, unit=of.unit, is_said=of.is_said) for c, of in pairs)
+        yield FoundTable(folder, path, label, replace(layout, columns=tuple(columns)), len(runs))
     if not runs:
         yield FoundTable(folder, path, "", layout)
 

@@ -9,9 +9,9 @@ import re
 from collections.abc import Iterable, Mapping
 
 _LABEL = r"(?:run|trial|test|data ?set|measurement|lauf|versuch|messung|essai) ?#? ?\d+|latest"
-_BEFORE = re.compile(rf"({_LABEL}) ?[:,] ?(?P<name>.+)", re.IGNORECASE)
+_BEFORE = re.compile(rf"(?P<label>{_LABEL}) ?[:,] ?(?P<name>.+)", re.IGNORECASE)
 _CLOCK = re.compile(r"(time|t|zeit|temps|tiempo)( ?[(\[].*)?", re.IGNORECASE)
-_AFTER = re.compile(rf"(?P<name>.+?)[ ,_]+({_LABEL})", re.IGNORECASE)
+_AFTER = re.compile(rf"(?P<name>.+?)[ ,_]+(?P<label>{_LABEL})", re.IGNORECASE)
 
 
 def runs_beside(header: Iterable[str]) -> Mapping[str, Mapping[str, str]]:
@@ -21,15 +21,19 @@ def runs_beside(header: Iterable[str]) -> Mapping[str, Mapping[str, str]]:
         header: Names of the columns.
 
     Returns:
-        By the run's label: the whole name of each column by the name without it. Empty where there
-        are fewer than two labels, or one has no clock of its own.
+        By the run's label: the whole name of each column by the name without it; columns without a
+        label are of all runs. Empty where there are fewer than two labels, or one has no clock of
+        its own.
     """
     found: dict[str, dict[str, str]] = {}
+    of_all: dict[str, str] = {}
     for name in header:
-        for pattern in (_BEFORE, _AFTER):
-            if matched := pattern.fullmatch(name):
-                label = next(group for group in matched.groups() if group != matched["name"])
-                found.setdefault(label, {})[matched["name"]] = name
-                break
+        matched = _BEFORE.fullmatch(name) or _AFTER.fullmatch(name)
+        if matched:
+            found.setdefault(matched["label"], {})[matched["name"]] = name
+        elif name:
+            of_all[name] = name
     have_clocks = (any(map(_CLOCK.fullmatch, columns)) for columns in found.values())
-    return found if len(found) > 1 and all(have_clocks) else {}
+    if len(found) < 2 or not all(have_clocks):
+        return {}
+    return {label: {**of_all, **columns} for label, columns in found.items()}

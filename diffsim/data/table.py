@@ -25,7 +25,7 @@ from diffsim.core.arrays import Array, IntArray
 from diffsim.core.check import did_you_mean
 from diffsim.core.progress import say_stage
 from diffsim.data.dates import seconds_of_stamps
-from diffsim.data.formats import Columns, is_container, left_out_of, read_columns, split_part
+from diffsim.data.formats import Columns, is_container, left_out_of, read_columns
 from diffsim.data.formats.columns import MAX_COLUMNS, MOST_ENTRIES, text_of
 from diffsim.data.side_by_side import runs_beside
 
@@ -159,6 +159,8 @@ def _header(
         raise ValueError(f"{where}: not CSV: {error}") from None
     if not header:
         raise ValueError(f"{path}: the file is empty; expected a header line with time_s")
+    if names and path.suffix == ".lvm":
+        header = header[: len(names)]  # a comment may follow
     if names and len(names) != len(header):
         raise ValueError(
             f"{where}: {len(header)} cells, but `columns` names {len(names)}: {', '.join(names)}"
@@ -205,6 +207,8 @@ def _number_rows(
             continue  # blank line, usually the last
         if len(row) == len(header) + 1 and not row[-1].strip():
             row = row[:-1]  # loggers end a row with a delimiter
+        if len(row) == len(header) + 1 and path.suffix == ".lvm":
+            row = row[:-1]  # a comment
         first = row[0].strip()
         is_remark = first.startswith("#") and first.lower() not in MISSING  # of the logger
         if is_remark and (are_numbers or len(row) != len(header)):
@@ -334,8 +338,8 @@ class Table:
             self.lines = range(1, 1 + len(self._arrays[self.header[0]]))
             return
         self._form = (path, what, header_line, first_line, columns)
-        file, part = split_part(path)
-        if part and file.is_file() and not path.is_file():
+        file, part = _run_in(path)
+        if part:
             whole = Table(
                 file, what, header_line=header_line, first_line=first_line, columns=columns
             )
@@ -503,6 +507,14 @@ class Table:
             raise ValueError(f"{where}: {why}") from None
 
 
+def _run_in(path: Path) -> tuple[Path, str]:
+    """File and label of a run in it; "" where the path is a file itself, or leads to none."""
+    text = str(path)
+    marks = [] if path.is_file() else [k for k, letter in enumerate(text) if letter == "#"]
+    found = ((Path(text[:k]), text[k + 1 :]) for k in marks)
+    return next((pair for pair in found if pair[0].is_file()), (path, ""))
+
+
 def _run_beside(whole: Table, label: str) -> Columns:
     """Columns of one of the runs that stand side by side, to the last row that it has.
 
@@ -557,7 +569,7 @@ def _all_numbers_of(
         waiting, num_rows, places = iter(lines), 0, list[Sequence[int]]()
         found = np.empty((len(header), 0))
         for block in iter(lambda: list(islice(waiting, ROWS_SHOWN)), []):
-            filled = [line for line in block if line.strip(f"{mark} \r\n")]
+            filled = [line for line in block if _has_cells(line, mark)]
             try:
                 now = _numbers_of_lines(filled, mark) if filled else None
             except ValueError:  # cell by cell it is told which
@@ -566,7 +578,7 @@ def _all_numbers_of(
             before += len(block)
             if now is None:
                 continue
-            if now.shape[1] != len(header) or np.isinf(now).any():
+            if now.shape != (len(filled), len(header)) or np.isinf(now).any():
                 return None
             if num_rows + len(now) > found.shape[1]:  # about as many as these rows are long
                 size = int(1.05 * state.st_size * len(filled) / sum(map(len, filled)))
@@ -577,7 +589,7 @@ def _all_numbers_of(
             found[:, num_rows : num_rows + len(now)] = now.T
             num_rows += len(now)
             if len(filled) < len(block):
-                own = [n for n, line in zip(own, block, strict=True) if line.strip(f"{mark} \r\n")]
+                own = [n for n, line in zip(own, block, strict=True) if _has_cells(line, mark)]
             places.append(own)
             if len(block) == ROWS_SHOWN:
                 say_stage(f"reading {path.name}, row {num_rows}")
@@ -587,6 +599,10 @@ def _all_numbers_of(
     rows = range(places[0][0], places[0][0] + num_rows) if is_plain else list(chain(*places))
     _IN_MEMORY[key] = read = _Numbers(dict(zip(header, found[:, :num_rows], strict=True)), rows)
     return read
+
+
+def _has_cells(line: str, mark: str) -> bool:
+    return bool(line.strip() and line.strip(f"{mark} \r\n"))
 
 
 def _numbers_of_lines(lines: list[str], mark: str) -> Array:
@@ -602,8 +618,9 @@ def _numbers_of_lines(lines: list[str], mark: str) -> Array:
         text = "".join(lines)
         if mark == " " or (mark != "," and _LONE_COMMA.search(text)):
             raise
-    full = _MISSING_CELL[mark].sub("nan", text if mark == "," else text.replace(",", "."))
-    return np.loadtxt(full.splitlines(), delimiter=by, comments=None, ndmin=2)
+    text = re.sub(" {2,}", " ", text if mark == "," else text.replace(",", "."))
+    full = _MISSING_CELL[mark].sub("nan", text).rstrip("\n")
+    return np.loadtxt(full.split("\n"), delimiter=by, comments=None, ndmin=2)
 
 
 def _all_cells_of(

@@ -57,7 +57,8 @@ _ENDINGS_AFTER = {
 }
 #: What turns: its 1/min counts turns, as data sheets of German motors have it
 _TURNS = re.compile(
-    r"drehzahl|speed|rotat|spindle|shaft|omega|velocit|vitesse|regime|velocidad|(^|_)(n|rpm)(_|\d|$)",
+    r"drehzahl|rotat|spindle|shaft|omega|^vitesse|^n_?\d*$|rpm"
+    r"|^((motor|wheel|rotor|fan|pump|engine)[_ ]?)?speed",
     re.IGNORECASE,
 )
 _PER_MINUTE = to_si("1/min")
@@ -113,17 +114,14 @@ def layout_of(path: Path) -> TableLayout | None:
         marks = [" "] * len(lines)
     rows = [cells_of(line, mark) for line, mark in zip(lines, marks, strict=True)]
     last = next((row for row in reversed(rows) if _is_numeric(row)), [])
-    # LabVIEW names a column of comments, and writes no cell where there is none
-    bare = [
-        i for i, row in enumerate(rows) if row[-1:] == ["Comment"] and len(row) == 1 + len(last)
-    ]
-    rows = [row[:-1] if i in bare else row for i, row in enumerate(rows)]
+    # LabVIEW names a column of comments, and writes a cell where there is one
+    bare = [i for i, row in enumerate(rows) if path.suffix == ".lvm" and row[-1:] == ["Comment"]]
+    width = len(rows[bare[-1]]) - 1 if bare else None
+    rows = [row[:width] for row in rows]
+    last = last[:width]
     are_remarks = [line.lstrip()[:1] in NO_ROW for line in lines]
-    told = [i for i in range(len(rows)) if not are_remarks[i]]
-    # numbers of bodies stand above their axes: words follow them
-    pairs = zip(told, [*told[1:], *told[-1:]], strict=True)
-    are_samples = ((i, len(rows[i]) > 1 and _is_like(rows[i], last), j) for i, j in pairs)
-    first = next((i for i, is_like, j in are_samples if is_like and _is_numeric(rows[j])), None)
+    like = (i for i, row in enumerate(rows) if len(row) > 1 and _is_like(row, last))
+    first = next((i for i in like if not _is_above_names(rows, i)), None)
     above = [] if first is None else _lines_above(rows, first, are_remarks)
     if first is None or not above:
         return _without_header(rows)
@@ -134,7 +132,7 @@ def layout_of(path: Path) -> TableLayout | None:
     is_part = bool(_names_twice(names)) or ("" in names and not is_pair)
     if len(above) > 1 and is_part:  # as of motion capture: bodies above their axes
         return _lines_as_names([rows[i] for i in above], above[-1] + 1, first + 1)
-    units = _drop_empty_end(rows[above[1]]) if len(above) > 1 else [""] * len(names)
+    units = [*(rows[above[1]] if len(above) > 1 else []), *[""] * len(names)]
     cells = [*rows[first], *[""] * len(names)]  # lists, "[0.1, 0.2]", are a column for each entry
     columns = (
         column_of(name, unit)
@@ -153,6 +151,19 @@ def last_line(path: Path) -> str:
     return next((line[:60] for line in reversed(lines) if re.search(r"\d", line)), "")
 
 
+def _is_above_names(rows: list[list[str]], at: int) -> bool:
+    """Whether a row of numbers is none of samples: those of bodies stand above their axes."""
+    width = len(rows[at])
+    near = [_are_names(row, width) for row in rows[max(at - 2, 0) : at + 3]]
+    return any(near[-2:]) and not any(near[:-3])
+
+
+def _are_names(row: list[str], width: int) -> bool:
+    """Whether a row has a word in every cell, and no number."""
+    words = (cell and cell.lower() not in MISSING and not _holds_numbers(cell) for cell in row)
+    return len(row) == width and all(words)
+
+
 def _lines_above(rows: list[list[str]], first: int, are_remarks: list[bool]) -> list[int]:
     """Indices of the lines right above the first numbers that may be names and units; lines that
     are blank, or remarks of the logger, may lie between."""
@@ -163,7 +174,7 @@ def _lines_above(rows: list[list[str]], first: int, are_remarks: list[bool]) -> 
         head = _drop_empty_end(rows[i])
         is_other = not num_cells & {len(head), len(rows[i])}
         is_other |= any(_NUMBER.fullmatch(cell) for cell in head)
-        is_other |= len(head) > 1 and bool(head[0]) and not any(head[1:])  # a title, no names
+        is_other |= head[:1] == ["***End_of_Header***"]  # of LabVIEW
         if is_other and not above and are_remarks[i]:
             continue
         if is_other:
@@ -208,9 +219,11 @@ def _lines_as_names(above: list[list[str]], last: int, first: int) -> TableLayou
 
 
 def _are_channels_of(rows: list[list[str]], units: int) -> bool:
-    """Whether a line of units stands below one of names, of which some are numbers."""
+    """Whether a line of units stands below one of numbered channels: x-axis, 1, 2."""
     names = rows[units - 1] if units else []
-    return _are_units(rows[units]) and len(names) == len(rows[units]) and all(names)
+    numbers = [int(name) if name.isdecimal() else 0 for name in names[1:]]
+    are_numbered = bool(numbers) and numbers[0] > 0 and sorted({*numbers}) == numbers
+    return are_numbered and _are_units(rows[units]) and len(names) == len(rows[units])
 
 
 def _are_units(row: list[str]) -> bool:
@@ -252,7 +265,10 @@ def column_of(name: str, unit_cell: str = "") -> Column:
     for pattern in (_BRACKETS, _AFTER, _SLASH, _LAST):
         if not (match := pattern.match(name)):
             continue
-        for unit in (match.group(2) or "-", match.group(2).lower()):  # Time (Seconds), too
+        given = match.group(2) or "-"
+        if re.search(r"-\d", given) and (pattern is _LAST or given not in given.lower()):
+            continue  # "Sensor s-1" is a label
+        for unit in (given, given.lower()):  # RATE (DEG/S), too
             if _is_unit(unit):
                 return Column(name, _word(match.group(1)), _of_turns(match.group(1), unit), True)
     for ending in _LISTED:

@@ -5,7 +5,9 @@ import pytest
 import yaml
 
 from diffsim.cli import main
+from diffsim.core.units import to_si
 from diffsim.data.table import Table
+from diffsim.data.table_guess import column_of, layout_of
 
 T = 0.02 * np.arange(150)
 SWING = 0.1 * np.exp(-0.2 * T) * np.cos(5.0 * T) + 1e-4 * np.cos(900.0 * T)
@@ -136,3 +138,67 @@ def test_marks_of_thousands_are_told_and_loops_counted_are_no_command(tmp_path, 
     said = capsys.readouterr().out
     assert "cannot be read, not used" in said and "leave marks of thousands out" in said
     assert "counters and flags, not used (see missing_if): loopIteration" in said
+
+
+@pytest.mark.parametrize(
+    ("lines", "time", "channels"),
+    [  # what stands above, or as the second row: names and the first rows are read all the same
+        (["Rate,100,Hz", "t,V,A", "0,1,2"], "t", {"V", "A"}),
+        (["time_s,volt,amp", "0,1.5,2", "0.02,OL,OL"], "time_s", {"volt", "amp"}),
+        (["time_s,volt,amp", "0,1.5,2", "OK"], "time_s", {"volt", "amp"}),
+        (["time_s,volt,amp", "0,1.5,2", ",,"], "time_s", {"volt", "amp"}),
+        (["time_s,volt,amp", "0,1.5,2", "slow,fast,none"], "time_s", {"volt", "amp"}),
+    ],
+)
+def test_an_odd_row_above_or_below_the_first_moves_no_header(tmp_path, lines, time, channels):
+    rows = [f"{t + 0.1:.2f},{x:.5f},{x * x:.6f}" for t, x in zip(T, SWING, strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([*lines, *rows]), "utf-8")
+    found = layout_of(path)
+    assert found is not None and found.has_names
+    assert {c.name for c in found.columns} == {time, *channels}
+
+
+def test_units_and_commands_of_runs_side_by_side_are_kept(tmp_path):
+    header = "Run 1: Time,Run 1: Position,Run 2: Time,Run 2: Position,Motor command (V)"
+    rows = (
+        f"{1e3 * t:.0f},{100 * x:.4f},{1e3 * t:.0f},{50 * x:.4f},{np.sign(np.sin(9 * t)):.0f}"
+        for t, x in zip(T, SWING, strict=True)
+    )
+    folder = tmp_path / "rig #3"
+    folder.mkdir()
+    (folder / "a.csv").write_text("\n".join([header, "ms,cm,ms,cm,", *rows]), "utf-8")
+    assert main(["diagnose", "init", str(folder), "--system", "ode"]) == 0
+    found = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
+    assert found["time"]["unit"] == "ms" and [c["unit"] for c in found["channels"]] == ["cm"]
+    assert [c["name"] for c in found["commands"]] == ["Motor_command"]
+
+
+def test_comments_that_labview_writes_end_no_table(tmp_path):
+    rows = [f"{t:.6f}\t{x:.6f}\t{np.sin(t):.6f}" for t, x in zip(T, SWING, strict=True)]
+    rows[0] += "\tstart"
+    rows[40] += "\tstep"
+    found = init(tmp_path, ".lvm", LABVIEW + "\n".join(rows))
+    assert [c["name"] for c in found["channels"]] == ["Position", "Force"]
+    assert len(Table(tmp_path / "a.lvm", "run", **found["table"])) == len(T)
+
+
+def test_a_label_that_looks_like_a_unit_is_none():
+    names = ["Voltage A-B", "Signal pk-pk", "Temp deg-C", "Sensor S-1", "Heater H-1", "n_beats"]
+    assert [column_of(name).unit for name in names] == [None] * len(names)
+    assert to_si(column_of("SPEED (RAD/S)").unit).unit == "rad/s"
+    assert column_of("flow speed [1/min]").unit == "1/min"
+
+
+@pytest.mark.parametrize("mark", [" ", ";"])
+def test_lines_of_blanks_and_form_feeds_are_no_rows(tmp_path, mark):
+    rows = [mark.join(["0", "1"]), "\t", mark.join(["1", "2"]), mark.join(["2", "3"]), ""]
+    (tmp_path / "a.csv").write_text("\n".join([mark.join("tx"), *rows]), "utf-8")
+    table = Table(tmp_path / "a.csv", "run")
+    assert len(table) == len(table.numbers("t")) == 3
+
+
+def test_durations_may_be_missing(tmp_path):
+    (tmp_path / "a.csv").write_text("Time,x\n0 sec,1\n,2\nNaN sec,3\n0.04 sec,4\n", "utf-8")
+    seconds = Table(tmp_path / "a.csv", "run").dates("Time")
+    np.testing.assert_array_equal(seconds, [0.0, np.nan, np.nan, 0.04])

@@ -2,6 +2,7 @@
 
 import math
 import random
+import re
 import time
 
 import pytest
@@ -52,6 +53,8 @@ from diffsim.core.units import factor, in_si, in_unit, small_scale, to_si
         ("N-m", "N m", 1.0),
         ("kg-cm", "N m", 0.0980665),  # a torque, not a mass times a length
         ("oz-in", "N m", 0.00706155181422604),
+        ("ft-lbs", "N m", 1.3558179483314004),
+        ("Nm/A", "N m/A", 1.0),
         ("mm/s^2", "m/s^2", 1e-3),
         ("ml/s", "m^3/s", 1e-6),
         ("mV", "V", 1e-3),
@@ -82,9 +85,28 @@ def test_a_coherent_unit_means_the_same_in_any_spelling():
     assert in_unit("30 mm3", "m^3") == pytest.approx(3e-8, rel=1e-14)
 
 
-@pytest.mark.parametrize("unit", ["furlongs/fn", "A-1", "left-arm", "N-1", "Mps"])
+@pytest.mark.parametrize(
+    "unit",
+    [
+        "furlongs/fn",
+        "A-1",
+        "left-arm",
+        "N-1",
+        "Mps",
+        "A-B",
+        "L-N",
+        "pk-pk",
+        "deg-C",
+        "kg-cm^2",
+        "g-cm2",
+        "kg-m/s",
+        "J/(kg-K)",
+        "kgcm",
+        "RAD/S",
+    ],
+)
 def test_an_unknown_unit_is_told(unit):
-    with pytest.raises(ValueError, match=f"unit {unit!r} is unknown"):
+    with pytest.raises(ValueError, match=f"unit {re.escape(repr(unit))} is unknown"):
         to_si(unit)
 
 

@@ -158,6 +158,18 @@ class _PlainModel:
             return np.concatenate([self.model.predict(run, q).numpy() for run in self.runs])
 
 
+def _reads_a_turn(study: Study, channel: str) -> bool:
+    """Whether a channel reads, as it is, how fast a place turns on which torques act."""
+    model = study.model or {}
+    read = str((model.get("readings") or {}).get(channel, "")).strip()
+    turning = (
+        place.get("velocity")
+        for place in model.get("places") or ()
+        if str(place.get("unit", "")).startswith("N m") or place.get("position_unit") == "rad"
+    )
+    return read in turning
+
+
 def _ways(study: Study, runs: Sequence[Run]) -> Iterator[_Way]:
     """Changes of columns: exchanges first, then units, commands before channels."""
     commands = [n for n, values in runs[0].command.items() if len(values) == len(runs[0].time_s)]
@@ -173,7 +185,7 @@ def _ways(study: Study, runs: Sequence[Run]) -> Iterator[_Way]:
                 NEAR_HINTED,
             )
     for channel in study.channels:
-        if channel.unit in ("Hz", "1/s"):
+        if channel.unit in ("Hz", "1/s") and _reads_a_turn(study, channel.name):
             yield _Way(
                 f"channel {channel.name}",
                 f"its unit counts no turns: channel {channel.name} times 2 pi is what the model "

@@ -26,8 +26,11 @@ def test_a_factor_between_units_is_a_fault_where_no_number_may_be_it(
     assert not said or (said in problems[0].message and "times 9.5493 " in problems[0].message)
 
 
-@pytest.mark.parametrize(("unit", "said"), [("1/min", True), ("rpm", False), ("Hz", True)])
-def test_turns_that_a_unit_does_not_count_are_told_beside_friction(unit, said, tmp_path):
+@pytest.mark.parametrize(
+    ("unit", "read", "said"),
+    [("1/min", "w", True), ("rpm", "w", False), ("Hz", "w", True), ("Hz", "w/(2*pi)", False)],
+)
+def test_turns_that_a_unit_does_not_count_are_told_beside_friction(unit, read, said, tmp_path):
     """Drehzahl in 1/min: 2 pi less than rad/s, which inertia and friction took up together."""
     t = 0.02 * np.arange(400)
     for name, rate in (("a", 0.9), ("b", 1.4)):
@@ -47,10 +50,11 @@ runs: [{{name: a}}, {{name: b}}]
 model:
   system: ode
   inputs: [{{name: u, held: true}}]
-  states: {{w: 0}}
+  states: {{q: 0, w: 0}}
   parameters: {{J: {{value: 0.05, percent: 5}}, d: {{value: 0.08, percent: 10}}}}
-  rates: {{w: (u - d*w)/J}}
-  readings: {{n: w}}
+  rates: {{q: w, w: (u - d*w)/J}}
+  readings: {{n: {read}}}
+  places: [{{name: shaft, position: q, velocity: w, inertia: J, unit: N m}}]
 """)
     study = load_study(tmp_path)
     problems = list(column_problems(study, setup_of(study)))
