@@ -57,6 +57,14 @@ _SYMBOLS = {
     "newton": "N", "pascal": "Pa", "joule": "J", "watt": "W", "volt": "V", "ohm": "ohm",
     "hertz": "Hz", "tesla": "T", "coulomb": "C", "henry": "H", "farad": "F", "lux": "lx",
 }  # fmt: skip
+_SI_FACTOR = rf"(?:{'|'.join(_SYMBOLS.values())})(?:\^\d)?"
+_SI = re.compile(rf"-|(?:1|{_SI_FACTOR}(?: {_SI_FACTOR})*)(?:/{_SI_FACTOR})?")  # as SI writes it
+#: Words that are units, with their plurals; no symbol is one, whose case has a meaning
+_WORDS = frozenset(
+    word + end
+    for word in (*_SYMBOLS, "gram", "degree", "minute", "hour", "liter", "bar", "amp", "celsius")
+    for end in ("", "s")
+)
 _ROTATIONS = re.compile(r"(tr|u|umdr)\s*/\s*min", re.I)  # tours, Umdrehungen
 _LONGEST = 2 * LONGEST  # letters of a number with its unit
 #: Coherent SI units by what pint makes of them; others are spelled out in base units.
@@ -170,24 +178,18 @@ def powers_of(text: str) -> Mapping[str, float]:
     """
     if len(text) > LONGEST:
         raise ValueError(f"a unit has at most {LONGEST} letters, got {len(text)}")
-    reader = _Reader(_with_marks(text))
+    text = _RAISED.sub(lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text)
+    if " " in text.strip() or text.strip() in _ALONE:
+        text = _BARE_POWER.sub("^-", text)
+    text = _DASHED_TORQUE.sub(_torque, text)
+    glued = lambda m: f"({' '.join(filter(None, m.groups()[:-1]))}{m[10] or ''})"  # noqa: E731
+    reader = _Reader(_GLUED_NAMES.sub(glued, text))
     powers = reader.product()
     if reader.at < len(reader.text):
         raise reader.error()
     if beyond := [p for p in powers.values() if abs(p) > LARGEST_POWER]:
         raise ValueError(f"powers go up to {LARGEST_POWER}, got {beyond[0]:g}")
     return powers
-
-
-def _with_marks(text: str) -> str:
-    """The text with a mark for each power, and with a blank and brackets for each product."""
-    text = _RAISED.sub(lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text)
-    if " " in text.strip() or text.strip() in _ALONE:
-        text = _BARE_POWER.sub("^-", text)
-    text = _DASHED_TORQUE.sub(_torque, text)
-    return _GLUED_NAMES.sub(
-        lambda m: f"({' '.join(filter(None, m.groups()[:-1]))}{m[10] or ''})", text
-    )
 
 
 def _torque(matched: re.Match[str]) -> str:
@@ -256,16 +258,9 @@ def _powers_of_name(name: str) -> Counter[str]:
     name = _SPELLED.get(name, name)
     if raised := _DIGIT_IS_POWER.fullmatch(name):
         return Counter({raised[1]: int(raised[2])})
-    if name[:1].isupper() and name[1:].islower() and name.lower() in _spelled_out():  # Meters
+    if name[:1].isupper() and name[1:].islower() and name.lower() in _WORDS:  # Meters
         name = name.lower()
     return Counter([name])
-
-
-@lru_cache(maxsize=1)
-def _spelled_out() -> frozenset[str]:
-    """Words that are units, with their plurals; no symbol is one, whose case has a meaning."""
-    words = {*_SYMBOLS, "gram", "degree", "minute", "hour", "liter", "bar", "amp", "celsius"}
-    return frozenset({*words, *(f"{w}s" for w in words)})
 
 
 def factor(unit: str, into: str) -> float:
@@ -326,7 +321,8 @@ def to_si(unit: str) -> SI:
             "look at its powers"
         )
     if size == 1.0 and offset == 0.0:
-        return SI(_in_symbols(unit.strip()) or NO_UNIT, 1.0, 0.0)
+        short = unit.strip() or NO_UNIT
+        return SI(short if _SI.fullmatch(short) else _in_symbols(short), 1.0, 0.0)
     name = str(one.units)
     short = f"{one.units:~}".replace(" ** ", "^").replace(" * ", " ").replace(" / ", "/")
     return SI(_COHERENT.get(name, short), size, offset)
@@ -335,7 +331,7 @@ def to_si(unit: str) -> SI:
 def _in_symbols(unit: str) -> str:
     """A unit as SI writes it, so that "meters/sec", "m s-1" and "m/s" are one; with brackets it is
     kept as it is."""
-    if unit in ("", NO_UNIT) or "(" in unit:
+    if "(" in unit:
         return unit
     over, under = list[str](), list[str]()
     for name, power in powers_of(unit).items():

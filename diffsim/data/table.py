@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, islice
+from itertools import chain, compress, islice
 from pathlib import Path
 from typing import Any, TextIO
 from weakref import WeakValueDictionary
@@ -338,7 +338,7 @@ class Table:
             self.lines = range(1, 1 + len(self._arrays[self.header[0]]))
             return
         self._form = (path, what, header_line, first_line, columns)
-        file, part = _run_in(path)
+        file, part = _run_in(path) if "#" in str(path) else (path, "")
         if part:
             whole = Table(
                 file, what, header_line=header_line, first_line=first_line, columns=columns
@@ -567,13 +567,18 @@ def _all_numbers_of(
         if key in _IN_MEMORY or len(set(header)) < len(header):
             return _IN_MEMORY.get(key)
         waiting, num_rows, places = iter(lines), 0, list[Sequence[int]]()
+        by = None if mark == " " else mark
         found = np.empty((len(header), 0))
         for block in iter(lambda: list(islice(waiting, ROWS_SHOWN)), []):
-            filled = [line for line in block if _has_cells(line, mark)]
+            no_cells = f"{mark} \r\n"
+            have_cells = [bool(line.strip() and line.strip(no_cells)) for line in block]
+            filled = [*compress(block, have_cells)]
             try:
-                now = _numbers_of_lines(filled, mark) if filled else None
-            except ValueError:  # cell by cell it is told which
-                return None
+                now = np.loadtxt(filled, delimiter=by, comments=None, ndmin=2) if filled else None
+            except ValueError:  # beside gaps; else it is told cell by cell which
+                now = _numbers_beside_gaps(filled, mark)
+                if now is None:
+                    return None
             own: Sequence[int] = range(before + 1, before + 1 + len(block))
             before += len(block)
             if now is None:
@@ -589,7 +594,7 @@ def _all_numbers_of(
             found[:, num_rows : num_rows + len(now)] = now.T
             num_rows += len(now)
             if len(filled) < len(block):
-                own = [n for n, line in zip(own, block, strict=True) if _has_cells(line, mark)]
+                own = [*compress(own, have_cells)]
             places.append(own)
             if len(block) == ROWS_SHOWN:
                 say_stage(f"reading {path.name}, row {num_rows}")
@@ -601,26 +606,18 @@ def _all_numbers_of(
     return read
 
 
-def _has_cells(line: str, mark: str) -> bool:
-    return bool(line.strip() and line.strip(f"{mark} \r\n"))
-
-
-def _numbers_of_lines(lines: list[str], mark: str) -> Array:
-    """Numbers of lines, (num_lines, num_cells); NaN where a cell is empty.
-
-    Raises:
-        ValueError: a cell is no number, or lines differ in length.
-    """
-    by = None if mark == " " else mark
-    try:
-        return np.loadtxt(lines, delimiter=by, comments=None, ndmin=2)
-    except ValueError:
-        text = "".join(lines)
-        if mark == " " or (mark != "," and _LONE_COMMA.search(text)):
-            raise
+def _numbers_beside_gaps(lines: list[str], mark: str) -> Array | None:
+    """Numbers of lines with empty cells, or decimal commas, (num_lines, num_cells); NaN where a
+    cell is empty. None: a cell is no number, or lines differ in length."""
+    text = "".join(lines)
+    if mark == " " or (mark != "," and _LONE_COMMA.search(text)):
+        return None
     text = re.sub(" {2,}", " ", text if mark == "," else text.replace(",", "."))
     full = _MISSING_CELL[mark].sub("nan", text).rstrip("\n")
-    return np.loadtxt(full.split("\n"), delimiter=by, comments=None, ndmin=2)
+    try:
+        return np.loadtxt(full.split("\n"), delimiter=mark, comments=None, ndmin=2)
+    except ValueError:
+        return None
 
 
 def _all_cells_of(

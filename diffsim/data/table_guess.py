@@ -61,7 +61,7 @@ _TURNS = re.compile(
     r"|^((motor|wheel|rotor|fan|pump|engine)[_ ]?)?speed",
     re.IGNORECASE,
 )
-_PER_MINUTE = to_si("1/min")
+_PER_MINUTE = ("1/min", "1/Min", "min^-1", "min-1", "min⁻¹")
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,8 @@ def column_of(name: str, unit_cell: str = "") -> Column:
         return Column(name, f"{whole.base}_{places}", whole.unit, whole.is_said)
     in_cell = _bare_unit(unit_cell)
     if in_cell and _is_unit(in_cell):
-        return Column(name, _word(name), _of_turns(name, in_cell), True)
+        unit = "rpm" if in_cell in _PER_MINUTE and _TURNS.search(name) else in_cell
+        return Column(name, _word(name), unit, True)
     for pattern in (_BRACKETS, _AFTER, _SLASH, _LAST):
         if not (match := pattern.match(name)):
             continue
@@ -270,7 +271,9 @@ def column_of(name: str, unit_cell: str = "") -> Column:
             continue  # "Sensor s-1" is a label
         for unit in (given, given.lower()):  # RATE (DEG/S), too
             if _is_unit(unit):
-                return Column(name, _word(match.group(1)), _of_turns(match.group(1), unit), True)
+                base = match.group(1)
+                unit = "rpm" if unit in _PER_MINUTE and _TURNS.search(base) else unit
+                return Column(name, _word(base), unit, True)
     for ending in _LISTED:
         if name.endswith(f"_{ending}"):
             base = name[: -len(ending) - 1]
@@ -284,11 +287,6 @@ def column_of(name: str, unit_cell: str = "") -> Column:
             return Column(name, _word(base), unit, False)
     is_speed = re.fullmatch(r"rpm_?\d*", name, re.IGNORECASE)  # of the first motor: rpm1
     return Column(name, _word(name), "rpm" if is_speed else None, False)
-
-
-def _of_turns(name: str, unit: str) -> str:
-    """The unit of a column; of turns in a minute where it is the speed of what turns."""
-    return "rpm" if _TURNS.search(name) and to_si(unit) == _PER_MINUTE else unit
 
 
 def _is_ending(word: str) -> bool:
