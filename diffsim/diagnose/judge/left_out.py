@@ -268,10 +268,10 @@ def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:
     for i in fold.runs:
         run, own = fit.problem.runs[i], rows == i
         alone = replace(fit.problem, runs=(run,))
-        left = None
-        if fold.is_whole:  # what is its own is fitted to it again, from where that ended
-            _, left = own_point(alone, x, run, fit.jacobian[own], unmet, fit.x)
-        found[own] = alone.residual(x) if left is None else left
+        point = x
+        if fold.is_whole:
+            point = own_point(alone, x, run, fit.jacobian[own], unmet)
+        found[own] = alone.residual(point)
     return np.asarray(found[fold.rows])
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -13,16 +12,14 @@ import torch
 from scipy import optimize
 
 from diffsim.core.arrays import Array
-from diffsim.core.errors import DiffsimError
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
 from diffsim.data.study import Run
 from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
-from diffsim.identify.effort import FIT_NATS, FIT_RTOL
+from diffsim.identify.effort import FIT_RTOL
 
-LEAST_SHARE = 0.01  # of a step along slopes, below which these lead nowhere
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
 
 _FIRST_NOISE = re.compile(r"first (.+) noise")  # of what a run's start is read from
@@ -127,7 +124,7 @@ def held_out_point(fit: Frozen, run: Run, unmet: Collection[str] | None = None) 
     known = tuple(unmet_by(fit.problem) if unmet is None else unmet)
     found: Array = fit.problem.memo(
         ("held_out_point", run, np.asarray(fit.x).tobytes(), known),
-        lambda: own_point(replace(fit.problem, runs=(run,)), fit.x, run, unmet=known)[0],
+        lambda: own_point(replace(fit.problem, runs=(run,)), fit.x, run, unmet=known),
     )
     return found.copy()
 
@@ -183,89 +180,48 @@ def own_point(
     run: Run,
     slopes: Array | None = None,
     unmet: Collection[str] = (),
-    begin: Array | None = None,
-) -> tuple[Array, Array | None]:
-    """Coordinates with the values of one run ("offset@run") fitted to it, all others as given; and
-    the whitened residual there, (num_valid,), None where the run has none of its own.
+) -> Array:
+    """Coordinates with the values of one run ("offset@run") fitted to it, all others as given.
 
     Args:
         problem: Model and noise, with this run only.
-        x: Standardized coordinates, (n,).
-        slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated where they are
-            asked for.
+        x: Standardized coordinates, (n,); the run's own are fitted from the middle of their prior.
+        slopes: Whitened slopes of the run's rows, (num_valid, n); None: simulated at every step.
         unmet: Parameters that no fitted run has, as of ``own_names``.
-        begin: Coordinates at which the run's own begin, (n,); None: the middle of their prior.
     """
     names = set(own_names(problem.names, run, unmet))
     own = [i for i, n in enumerate(problem.names) if n in names]
     if not own:
-        return x, None
+        return x
     # what is stated per run acts almost linearly: slopes of the fit serve for all steps; a size is
     # no straight function of its coordinate
     is_straight = not names & set(unmet) and max(own) < problem.num_base
     held = -slopes[:, own] if slopes is not None and is_straight else None
 
-    others, place = x.copy(), np.eye(len(x))[:, own]
-    others[own] = 0.0
-
-    def residual(part: Array) -> Array:
-        """Residual and prior below, (num_valid + num_own,)."""
-        return np.concatenate([problem.residual(others + place @ part), part])
+    def full(part: Array) -> Array:
+        """All coordinates, (n,)."""
+        point = x.copy()
+        point[own] = part
+        return point
 
     def columns(part: Array) -> Array:
-        """Slopes of both, (num_valid + num_own, num_own)."""
-        at = held if held is not None else -problem.linearize(others + place @ part, only=own)[1]
+        """Slopes of the residual and of the prior below, (num_valid + num_own, num_own)."""
+        at = -problem.linearize(full(part), only=own)[1] if held is None else held
         return np.vstack([at, np.eye(len(own))])
 
     low, high = (bound[own] for bound in problem.bounds)
-    first = np.clip(np.zeros(len(own)), low, high)
-    if held is not None:
-        part, left = _fit_along(
-            residual, columns(first), first if begin is None else begin[own], (low, high)
-        )
-        return others + place @ part, left[: -len(own)]
     is_bounded = np.isfinite(low).any() or np.isfinite(high).any()
     found = optimize.least_squares(
-        residual,
-        first,
+        lambda part: np.concatenate([problem.residual(full(part)), part]),
+        np.clip(np.zeros(len(own)), low, high),
         jac=columns,
         bounds=(low, high),
         method="dogbox" if is_bounded else "trf",
         ftol=FIT_RTOL,
+        # slopes that are a little wrong end in ever shorter steps, none of which gains anything
+        xtol=1e-8 if held is None else 1e-3,
     )
-    return others + place @ found.x, np.asarray(found.fun[: -len(own)])
-
-
-def _fit_along(
-    residual: Callable[[Array], Array], slopes: Array, first: Array, bounds: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """Values that act almost linearly, (num_own,), and the residual there: each step is a
-    simulation, and mends the slopes by what it has shown (Broyden 1965).
-
-    Args:
-        residual: What is minimized, at some values.
-        slopes: Of it, anywhere.
-        first: Where it begins, (num_own,).
-        bounds: Of the values.
-    """
-    at, left, share = first, residual(first), 1.0
-    while share > LEAST_SHARE:
-        step = share * np.linalg.lstsq(slopes, -left, rcond=None)[0]
-        step = np.clip(at + step, *bounds) - at
-        off, cost = left + slopes @ step, float(left @ left)
-        if cost - float(off @ off) < max(2.0 * FIT_NATS, FIT_RTOL * cost):
-            break
-        try:
-            there = residual(at + step)
-        except DiffsimError:  # too far to be simulated
-            there = np.full(len(left), np.inf)
-        with np.errstate(over="ignore"):
-            now = float(there @ there)
-        if math.isfinite(now):
-            slopes = slopes + np.outer(there - off, step / (step @ step))
-        share = 1.0 if now < cost else 0.5 * share
-        at, left = (at + step, there) if now < cost else (at, left)
-    return at, left
+    return full(np.asarray(found.x))
 
 
 def own_words(rows: Sequence[OwnRow]) -> list[str]:
