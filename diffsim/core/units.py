@@ -182,8 +182,7 @@ def powers_of(text: str) -> Mapping[str, float]:
     if " " in text.strip() or text.strip() in _ALONE:
         text = _BARE_POWER.sub("^-", text)
     text = _DASHED_TORQUE.sub(_torque, text)
-    glued = lambda m: f"({' '.join(filter(None, m.groups()[:-1]))}{m[10] or ''})"  # noqa: E731
-    reader = _Reader(_GLUED_NAMES.sub(glued, text))
+    reader = _Reader(_GLUED_NAMES.sub(_product, text))
     powers = reader.product()
     if reader.at < len(reader.text):
         raise reader.error()
@@ -195,6 +194,11 @@ def powers_of(text: str) -> Mapping[str, float]:
 def _torque(matched: re.Match[str]) -> str:
     names = filter(None, matched.groups())
     return f"({' '.join(_WEIGHTS.get(name, name) for name in names)})"
+
+
+def _product(matched: re.Match[str]) -> str:
+    *names, power = matched.groups("")
+    return f"({' '.join(filter(None, names))}{power})"
 
 
 class _Reader:

@@ -31,7 +31,7 @@ from diffsim.data.names import (
     without_role,
 )
 from diffsim.data.signal import rest_and_jump, scatter, step_of
-from diffsim.data.table import is_number
+from diffsim.data.table import GROUPED_DIGITS, is_number
 from diffsim.data.table_guess import Column
 
 _SET_UNITS = ("N", "Nm", "Pa", "V", "A", "Hz")  # what drives, rather than what moves
@@ -47,7 +47,6 @@ _NO_ORDER = 0.5
 _ALIKE = 0.7  # correlation of a motion with what it follows
 _ORDERS = (2, 4, 6)  # of differences: noise is alike in all, a quick motion least in the last
 _MOST_SAMPLES = 4000  # of a run, that are compared
-_GROUPED_DIGITS = re.compile(r"[-+]?\d{1,3}([.,' ]\d{3})+([.,]\d+)?")  # 1.234,5
 _RARE = 3.0  # times the steps of the record: samples of a file of commands, held in between
 
 
@@ -73,9 +72,8 @@ def _odd_cell(guess: Guess, c: GuessedColumn) -> str:
     """The first cell that is no number where most are; empty: it is a column of texts."""
     for run in guess.runs:
         filled = [cell for cell in run.texts(c) if cell]
-        if 2 * sum(is_number(c) or bool(_GROUPED_DIGITS.fullmatch(c)) for c in filled) > len(
-            filled
-        ):
+        are_numbers = [is_number(c) or bool(GROUPED_DIGITS.fullmatch(c)) for c in filled]
+        if 2 * sum(are_numbers) > len(filled):
             try:
                 run.numbers(c)
             except ValueError as error:

@@ -64,6 +64,7 @@ _MISSING_CELL = {
     )
     for mark in (",", ";", "\t")
 }
+GROUPED_DIGITS = re.compile(r"[-+]?\d{1,3}([.,' ]\d{3})+([.,]\d+)?")  # 1.234,5
 _LONE_COMMA = re.compile(r",(?!\d)")  # no decimal comma: what it is, is told cell by cell
 _DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
 
@@ -264,7 +265,7 @@ def parse_number(
         value = float("" if "_" in text else text)  # Python alone takes 1_000
     except ValueError:
         comma = "; use a decimal point" if re.fullmatch(r"-?\d+,\d+", text) else ""
-        if re.fullmatch(r"[-+]?\d{1,3}([.,' ]\d{3})+([.,]\d+)?", text):
+        if GROUPED_DIGITS.fullmatch(text):
             comma = "; leave marks of thousands out"
         raise ValueError(
             f"{path}, row {line}, column {column}: {text!r} is not a number{comma}; "
@@ -567,10 +568,9 @@ def _all_numbers_of(
         if key in _IN_MEMORY or len(set(header)) < len(header):
             return _IN_MEMORY.get(key)
         waiting, num_rows, places = iter(lines), 0, list[Sequence[int]]()
-        by = None if mark == " " else mark
+        by, no_cells = None if mark == " " else mark, f"{mark} \r\n"
         found = np.empty((len(header), 0))
         for block in iter(lambda: list(islice(waiting, ROWS_SHOWN)), []):
-            no_cells = f"{mark} \r\n"
             have_cells = [bool(line.strip() and line.strip(no_cells)) for line in block]
             filled = [*compress(block, have_cells)]
             try:
