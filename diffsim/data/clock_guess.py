@@ -16,6 +16,7 @@ from diffsim.data.table_guess import Column
 
 _FEWEST_ROWS = 5  # of a run, on average
 _NUMBERED = 20  # rows from which on whole steps of one are no command
+_MOST_EVEN = 0.9  # of the steps of a clock
 _JUMP = 10.0  # times the usual step of a counter: another recording
 _SINCE_1970 = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # counts in a second
 _YEARS = (1e9, 4e9)  # s: 2001 to 2096
@@ -52,11 +53,10 @@ def guess_clock(
         is_number = tables[0].is_number[column.name] and not COUNTER.match(column.base)
         if column.unit is None and is_number and _numbers_rows(column, tables):
             continue  # whole steps of one count frames: no unit follows from these
-        if is_number and may_be_time(column):  # a speed that a bench sweeps only grows, too
-            step = np.diff(tables[0].numbers(column.name))
-            if len(step) and (step > 0.0).all() and np.ptp(step) < 0.5 * np.median(step):
-                said.append(f"clock: column {column.name}, the first that only grows")
-                return _numeric_time(column, tables, said)
+        # a speed that a bench sweeps only grows, too
+        if is_number and may_be_time(column) and _is_even(tables[0].numbers(column.name)):
+            said.append(f"clock: column {column.name}, the first that only grows")
+            return _numeric_time(column, tables, said)
     for column in columns:
         is_named = is_counter(column, tables[0], np.arange(len(tables[0])))
         if (is_named and _counts(column, tables)) or _numbers_rows(column, tables):
@@ -127,7 +127,7 @@ def guess_split(
     table = tables[0]
     if clock is not None and table.is_number[clock.name]:
         step = np.diff(table.numbers(clock.name))
-        is_jump = step <= 0.0
+        is_jump = step < 0.0
         if COUNTER.match(clock.base):
             is_jump |= step > _JUMP * np.median(step)
         back = np.flatnonzero(is_jump)
@@ -184,7 +184,18 @@ def _unit_since_1970(now: Array, step: float) -> str | None:
 
 
 def _grows(column: Column, tables: Sequence[Table]) -> bool:
-    return bool((np.diff(tables[0].numbers(column.name)) > 0.0).all())
+    """Whether a clock by its name goes on; some of its stamps may be equal."""
+    step = np.diff(tables[0].numbers(column.name))
+    return bool((step >= 0.0).all() and np.mean(step > 0.0) > 0.5)
+
+
+def _is_even(now: Array) -> bool:
+    """Whether a column goes on, and nearly always by the same: loggers lose rows."""
+    step = np.diff(now)
+    if not len(step) or not (step > 0.0).all():
+        return False
+    off = np.abs(step - np.median(step))
+    return bool(np.mean(off < 0.5 * np.median(step)) > _MOST_EVEN)
 
 
 def _counts(column: Column, tables: Sequence[Table]) -> bool:

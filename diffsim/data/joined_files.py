@@ -137,7 +137,7 @@ def _kinds(tables: Sequence[FoundTable], way: Way) -> tuple[list[Kind], list[Gro
     usual = {
         tag: _alike(by)
         for tag, by in by_tag.items()
-        if not tag.isdigit() and len(by) >= _MOST * len(groups)
+        if not _MARK.sub("", tag).isdigit() and len(by) >= _MOST * len(groups)
     }
     whole = [group for group in groups if all(group in by for by in usual.values())]
     if len(usual) < 2 or not whole:

@@ -35,11 +35,12 @@ _UNITS = {
     **dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), "min"),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "stunden"), "h"),
 }
-CLOCK = re.compile(r"time$", re.I)  # a clock if it only grows, as systime; settling_time does not
+#: A clock if it only grows, as systime and plate_t; settling_time does not.
+CLOCK = re.compile(r"time$|[_ .]t$", re.I)
 COUNTER = re.compile(
     r"^((\w+_header_)?(frame|sample|index|idx|row|count|counter|seq|pose|image|bild|zeile|schritt|messpunkt"
     r"|loop_?iteration|iteration)"
-    r"(_?(id|nr|no|num|number|index|count))?|i|n|nr|no)$",
+    r"(_?(id|nr|no|num|number|index|count))?|(data|packet|msg|message)_?(id|nr|no|number)|i|n|nr|no)$",
     re.I,
 )
 TRIAL = re.compile(

@@ -214,3 +214,45 @@ def test_quick_motion_is_no_noise(tmp_path, capsys):
     stated = yaml.safe_load((tmp_path / "study.yaml").read_text())
     assert stated["channels"][0]["sd"] == pytest.approx(0.03, rel=0.1)
     assert stated["commands"][0]["unit"] == "N.m"
+
+
+@pytest.mark.parametrize("scale, header", [(1.0, "plate t,plate x"), (1e3, "sensor_time,x")])
+def test_a_clock_that_counts_coarsely_keeps_its_rows(tmp_path, capsys, scale, header):
+    """Equal stamps made it no clock, or ended the command."""
+    t = np.arange(400) / 30.0
+    stamps = [f"{scale * v:.3g}" for v in t]  # 9.97, 10, 10, 10.1: three rows for each of the last
+    write(tmp_path / "a.csv", header, [stamps, noisy(1, num=400)])
+    assert init(tmp_path) == 0
+    assert "equal stamps spread evenly: a" in capsys.readouterr().out
+    run = load_study(tmp_path).runs
+    assert sum(len(one.time_s) for one in run) == 400
+    steps = np.concatenate([np.diff(one.time_s) for one in run])
+    assert (steps > 0.0).all() and np.median(steps) == pytest.approx(1.0 / 30.0, rel=0.02)
+
+
+def test_a_row_that_the_next_one_overtook_is_put_back(tmp_path, capsys):
+    """The first two rows of a thrust stand's sweep of 30."""
+    stamps = T.copy()
+    stamps[[0, 1]] = stamps[[1, 0]]
+    write(tmp_path / "a.csv", "Time (s),Thrust (gf)", [stamps, noisy(1)])
+    assert init(tmp_path) == 0
+    assert "rows out of order, sorted by their stamps: a (1)" in capsys.readouterr().out
+
+
+def test_rows_that_a_logger_wrote_again_are_kept_once(tmp_path, capsys):
+    again = np.repeat(np.arange(len(T)), 3)
+    write(tmp_path / "a.csv", "time_s,u,x_m", [T[again], np.sin(T)[again], noisy(1)[again]])
+    assert init(tmp_path) == 0
+    assert "rows written more than once, of which the first is kept" in capsys.readouterr().out
+
+
+def test_a_first_column_without_a_name_is_the_clock_though_rows_are_lost(tmp_path, capsys):
+    """Steps that differ once were no clock; runs of other days were joined as sensors of one."""
+    for name, lost, width in (("10_14_1", 30, 2), ("10_14_2", 40, 2), ("4_17_1", 20, 3)):
+        kept = np.delete(np.arange(len(T)), slice(lost, lost + 5))
+        rows = np.stack([T, *(noisy(k) for k in range(width))], axis=1)[kept]
+        np.savetxt(tmp_path / f"{name}.dat", rows)
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "clock: column column_1, the first that only grows" in said
+    assert "runs: one for each of 2 files" in said and "not used: 4_17_1.dat" in said

@@ -54,6 +54,48 @@ def _element(kind: int, content: bytes) -> bytes:
     return struct.pack("<II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
 
 
+def test_mat_files_hold_runs_in_cells_and_in_arrays_of_structs(tmp_path):
+    from scipy.io import savemat
+
+    cells = np.empty((2, 2, 1), dtype=object)
+    runs = np.empty((1, 2), dtype=[("t", object), ("q", object)])
+    for k, length in enumerate((30, 40)):
+        cells[:, k, 0] = [np.arange(length)[:, None], np.ones((3, length))]
+        runs[0, k] = (np.arange(length), np.ones(length))
+    savemat(tmp_path / "cells.mat", {"t": cells[0], "y": cells[1], "dt": 0.01})
+    savemat(tmp_path / "structs.mat", {"runs": runs})
+    assert parts_of(tmp_path / "cells.mat") == ["t(1)", "t(2)"]
+    back = read_columns(tmp_path / "cells.mat#t(2)")
+    assert list(back) == ["t", "y[0]", "y[1]", "y[2]"] and len(back["t"]) == 40
+    assert parts_of(tmp_path / "structs.mat") == ["runs(1)", "runs(2)"]
+    assert len(read_columns(tmp_path / "structs.mat#runs(2)")["q"]) == 40
+
+
+def test_signals_that_simulink_and_dspace_saved_are_columns_of_one_run(tmp_path):
+    """Each signal was a run of its own, called signal_1; of dSPACE nothing was read."""
+    from scipy.io import savemat
+
+    def saved(values, label=""):
+        return {"time": TIME, "signals": {"values": values, "label": label}, "blockName": ""}
+
+    many = {"x": saved(TIME), "q": saved(2.0 * TIME), "u": saved(3.0 * TIME, "voltage")}
+    savemat(tmp_path / "sim.mat", many)
+    assert parts_of(tmp_path / "sim.mat") == [""]
+    back = read_columns(tmp_path / "sim.mat")
+    assert set(back) == {"time", "x", "q", "voltage"}
+    np.testing.assert_array_equal(back["q"], 2.0 * TIME)
+    with pytest.raises(ValueError, match=r"has no part 'x'; name one as FILE#PART: sim\.mat$"):
+        read_columns(tmp_path / "sim.mat#x")
+
+    signals = np.zeros(2, dtype=[("Name", object), ("Data", object)])
+    signals[0] = ('Model Root/Motor/"u[V]"', TIME)
+    signals[1] = ("Model Root/Encoder/Out1", 2.0 * TIME)
+    axes = np.zeros(1, dtype=signals.dtype)
+    axes[0] = ("", TIME)
+    savemat(tmp_path / "rec.mat", {"rec": {"X": axes, "Y": signals, "Description": ""}})
+    assert set(read_columns(tmp_path / "rec.mat#rec")) == {"time", "u[V]", "Out1"}
+
+
 def test_objects_of_matlab_are_told_with_a_way_out(tmp_path, recwarn):
     """Tables of MATLAB are no arrays: "variable None: no table", below two warnings of SciPy."""
     from scipy.io import savemat

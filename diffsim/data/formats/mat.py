@@ -33,13 +33,13 @@ def parts(path: Path) -> list[str]:
     """Structs that hold arrays; variables of the file itself are ""."""
     if _is_hdf5(path):
         return hdf5.parts(path, upright=True)
-    return [name for name, members in _tables(path).items() if _columns(members)]
+    return [name for name, members in _of_one_clock(_tables(path)).items() if _columns(members)]
 
 
 def read(path: Path, part: str) -> Columns:
     """Columns of the variables, or of a struct's fields; vectors in rows or columns alike."""
     if not _is_hdf5(path):
-        return _columns(_tables(path)[part])
+        return _columns(_members(path, part))
     return hdf5.read(path, part, upright=True)  # MATLAB's (n, 1) comes as (1, n)
 
 
@@ -47,7 +47,7 @@ def left_out(path: Path, part: str) -> list[str]:
     """Arrays that are none of the table."""
     if _is_hdf5(path):
         return hdf5.left_out(path, part, upright=True)
-    return _sorted_out(_tables(path)[part])[1]
+    return _sorted_out(_members(path, part))[1]
 
 
 def write(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -73,15 +73,73 @@ def _tables(path: Path) -> dict[str, dict[str, Any]]:
         content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
     variables = {k: v for k, v in content.items() if not k.startswith("__")}
     structs = {
-        name: _with_signals({field: getattr(value, field) for field in value._fieldnames})
+        name: _with_signals(name, {field: getattr(value, field) for field in value._fieldnames})
         for name, value in variables.items()
         if hasattr(value, "_fieldnames")
     }
-    return {"": {k: v for k, v in variables.items() if k not in structs}, **structs}
+    many = _structs_in_arrays(variables)
+    cells = _runs_in_cells(variables)
+    used = {*structs, *(name.partition("(")[0] for name in many)}
+    rest = {k: v for k, v in variables.items() if k not in used}
+    return {"": rest, **structs, **many, **cells}
 
 
-def _with_signals(members: dict[str, Any]) -> dict[str, Any]:
-    """A struct with time of Simulink, each of its signals by its label, else by its block."""
+def _members(path: Path, part: str) -> dict[str, Any]:
+    """What a part holds."""
+    return _of_one_clock(_tables(path))[part]
+
+
+def _structs_in_arrays(variables: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Each struct of an array of structs, ``runs(3)``, as MATLAB writes it."""
+    out = {}
+    for name, value in variables.items():
+        is_list = isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1
+        if is_list and len(value) and all(hasattr(one, "_fieldnames") for one in value):
+            for k, one in enumerate(value, 1):
+                fields = {field: getattr(one, field) for field in one._fieldnames}
+                out[f"{name}({k})"] = _with_signals(name, fields)
+    return out
+
+
+def _runs_in_cells(variables: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Runs of cells: the k-th cells of arrays with as many samples in each are columns of run k."""
+    groups: dict[tuple[int, ...], dict[str, NDArray[Any]]] = {}
+    for name, value in variables.items():
+        is_list = isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1
+        if is_list and all(_is_sampled(cell) for cell in value):
+            groups.setdefault(tuple(max(cell.shape) for cell in value), {})[name] = value
+    return {
+        f"{next(iter(group))}({k + 1})": {name: cells[k] for name, cells in group.items()}
+        for lengths, group in groups.items()
+        for k in range(len(lengths))
+    }
+
+
+def _is_sampled(cell: Any) -> bool:
+    """Whether a cell holds numbers with a row or a column for each sample."""
+    is_array = isinstance(cell, np.ndarray) and cell.dtype.kind in "biuf"
+    return is_array and cell.ndim in (1, 2) and max(cell.shape) > 1
+
+
+def _of_one_clock(tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Structs of the same stamps and other columns are one table: signals that Simulink saved."""
+    if any(_columns(own) for name, own in tables.items() if "time" not in own):
+        return tables
+    timed = {name: own for name, own in tables.items() if np.ndim(own.get("time", 0.0)) == 1}
+    names = [key for own in timed.values() for key in own if key != "time"]
+    stamps = [own["time"] for own in timed.values()]
+    if len(timed) < 2 or len(set(names)) < len(names):
+        return tables
+    if not all(np.array_equal(stamps[0], other) for other in stamps):
+        return tables
+    return {"": {key: values for own in timed.values() for key, values in own.items()}}
+
+
+def _with_signals(struct: str, members: dict[str, Any]) -> dict[str, Any]:
+    """A struct with time of Simulink, each of its signals by its label, else by its block; one
+    that has neither by the struct."""
+    if {"X", "Y"} <= members.keys():
+        return _of_dspace(members)
     signals = np.atleast_1d(members.get("signals", np.empty(0, dtype=object)))
     if "time" not in members or not all(hasattr(one, "values") for one in signals):
         return members
@@ -89,8 +147,20 @@ def _with_signals(members: dict[str, Any]) -> dict[str, Any]:
     for k, one in enumerate(signals, 1):
         texts = (getattr(one, field, "") for field in ("label", "blockName"))
         label, block = (t.strip() if isinstance(t, str) else "" for t in texts)  # empty: an array
-        name = label or block.rpartition("/")[2] or f"signal_{k}"
+        name = label or block.rpartition("/")[2] or (f"signal_{k}" if k > 1 else struct)
         out[f"{name}_{k}" if name in out else name] = one.values
+    return out
+
+
+def _of_dspace(members: dict[str, Any]) -> dict[str, Any]:
+    """A capture of dSPACE: the first axis is the clock, each signal is called by its last word."""
+    axes, signals = (np.atleast_1d(members[name]) for name in ("X", "Y"))
+    if not all(hasattr(one, "Data") and hasattr(one, "Name") for one in (*axes, *signals)):
+        return members
+    out: dict[str, Any] = {"time": axes[0].Data}
+    for k, one in enumerate(signals, 1):
+        name = str(one.Name).replace("\\", "/").rpartition("/")[2].strip(' "{}') or f"Y_{k}"
+        out[f"{name}_{k}" if name in out else name] = one.Data
     return out
 
 
@@ -101,16 +171,21 @@ def _columns(members: Mapping[str, Any]) -> Columns:
 
 def _sorted_out(members: Mapping[str, Any]) -> tuple[dict[str, NDArray[Any]], list[str]]:
     """Arrays with a row per sample, and what is left out."""
-    arrays, others = {}, []
+    arrays, others, single = {}, [], []
     for name, values in members.items():
         is_array = isinstance(values, np.ndarray) and values.dtype.kind in "biufU"
         if is_array and values.ndim in (1, 2):
             wide = values.ndim == 2 and values.shape[0] < values.shape[1]
             arrays[name] = values.T if wide else values
+        elif isinstance(values, scipy.io.matlab.MatlabOpaque):
+            others.append(_OBJECTS)
+        elif np.ndim(values) == 0 and not hasattr(values, "_fieldnames"):
+            single.append(name)
         elif not hasattr(values, "_fieldnames"):
-            what = "a single value" if np.ndim(values) == 0 else "no table"
-            is_object = isinstance(values, scipy.io.matlab.MatlabOpaque)
-            others.append(_OBJECTS if is_object else f"variable {name}: {what}")
+            others.append(f"variable {name}: no table")
+    if single:
+        what = "variable {}: a single value" if len(single) == 1 else "variables {}: single values"
+        others.append(what.format(", ".join(single)))
     used, left = arrays_of_a_table({n: v.shape for n, v in arrays.items()}, "variable")
     return {name: arrays[name] for name in used}, [*left, *others]
 

@@ -167,7 +167,7 @@ def _part_of(path: str | Path) -> tuple[Path, str]:
         part = parts[0]
     is_whole = not part and _READERS[file.suffix.lower()][1] is json_records.read
     if part not in parts and not (is_whole and json_records.is_log(file)):
-        shown = ", ".join(f"{file.name}#{p}" for p in parts[:30])
+        shown = ", ".join(f"{file.name}#{p}".removesuffix("#") for p in parts[:30])
         what = f"has no part {part!r}{did_you_mean(part, parts)}" if part else "holds several parts"
         raise ValueError(f"{file}: {what}; name one as FILE#PART: {shown}")
     return file, part
