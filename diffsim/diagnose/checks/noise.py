@@ -211,14 +211,17 @@ def repeat_deviations(runs: Sequence[Run], left: Mapping[str, Array]) -> list[Ar
 
 
 def _repeats_differ(runs: Sequence[Run]) -> bool:
-    """Whether something that was recorded beside the channels differs between repeats, by more than
-    its own noise."""
+    """Whether a condition that was recorded beside the channels differs between repeats, by more
+    than its own noise: from the start on, unlike what the motion or a ripple makes."""
     for name in runs[0].columns if runs else ():
         values = {run.name: run.columns[name][:, None] for run in runs}
-        deviations = np.concatenate([*repeat_deviations(runs, values), np.zeros((0, 1))])
+        parts = repeat_deviations(runs, values)
+        deviations = np.concatenate([*parts, np.zeros((0, 1))])
         seen = deviations[np.isfinite(deviations)]
         noise = [scatter(np.diff(run.columns[name], n=2), 2) for run in runs]
-        if len(seen) and np.sqrt(np.mean(seen**2)) > UNREPEATABLE * np.nanmedian(noise):
+        is_off = len(seen) and np.sqrt(np.mean(seen**2)) > UNREPEATABLE * np.nanmedian(noise)
+        begins = [np.nanmean(d[: max(len(d) // MIN_DEVIATIONS, 1)]) for d in parts]
+        if is_off and np.mean(np.square(begins)) > 0.5 * np.mean(seen**2):
             return True
     return False
 

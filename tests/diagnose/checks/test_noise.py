@@ -267,6 +267,19 @@ def test_what_a_recorded_column_does_is_no_noise_of_repeats(differs, source):
     assert np.isnan(noise.scatter_ratio[0]) == differs
 
 
+def test_what_follows_from_the_motion_excuses_no_scatter_of_repeats():
+    """Two starts of one drive that differ, the way it went and its rippling current beside."""
+    rng, time = np.random.default_rng(9), 0.02 * np.arange(300)
+    runs, left = [], {}
+    for k in range(2):
+        apart = (2.0 * k - 1.0) * (1.0 - np.exp(-time))  # unlike starts at one speed
+        left[f"r{k}"] = (apart + 0.1 * rng.normal(size=300))[:, None]
+        seen = {"way": 0.02 * np.cumsum(apart), "current": np.sin(40.0 * time + k)}
+        runs.append(replace(make_run(left[f"r{k}"], f"r{k}"), columns=seen))
+    noise = noise_floor(runs, [Channel("w", "rad/s", "angular_velocity", sd=0.1)], left)
+    assert noise.scatter_ratio[0] > 5.0 and not noise.is_repeatable
+
+
 def poses(rng, loud=1.0, num_channels=6):
     """Nineteen poses of a rod, each read twice: one sample a run; the first channel may be loud."""
     runs = [
