@@ -31,6 +31,7 @@ SAME = 1e-3  # of a command's range: how far lines between rows may be off
 SLOW = 1e-2  # of a channel's range
 NOISES = 4.0  # noise sd that are no motion
 MOST_SHARE = 0.5  # of a run's rows: where more are needed, all stay
+LEAST = 3  # rows: each second one and a few more are over that share
 
 _KNOWN: Memo[Run] = Memo()
 
@@ -112,6 +113,7 @@ def _cut(run: Run, study: Study, interval: float, steps_of: Collection[str]) -> 
     stride = int(np.ceil(interval / float(np.median(steps)) - 1e-6))
     if stride < 2:
         return run
+    stride = max(stride, LEAST)
     rows = np.union1d(np.arange(0, count, stride), [count - 1])
     measured = {c.name for c in study.commands if c.is_measured}
     for name, values in run.command.items():

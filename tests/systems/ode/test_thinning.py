@@ -66,6 +66,14 @@ def test_all_that_lines_do_not_tell_stays():
     assert len(found.runs) == 3 and interval_of(replace(study, frame={INTERVAL: 0.5}), 1) == 0.5
 
 
+@pytest.mark.parametrize("share", [1.1, 1.9])
+def test_few_more_rows_than_may_be_are_thinned_too(share):
+    """Each second one and the last are more than half, so all stayed, up to twice as many."""
+    study = study_of(run_of("a", SLOW), run_of("bb", JUMPS))
+    found = thinned(study, interval_of(study, int(2 * ROWS / share)))
+    assert sum(len(run.time_s) for run in found.runs) < 0.4 * 2 * ROWS
+
+
 def test_what_needs_all_rows_keeps_them():
     noisy = np.random.default_rng(0).normal(size=ROWS)
     study = study_of(run_of("a", noisy), run_of("bb", np.where(TIME > 1.0, np.nan, 0.0)))
