@@ -28,7 +28,7 @@ from diffsim.causes.readings import (
 from diffsim.causes.row import Row, spell_plainly
 from diffsim.causes.ties import MAX_PAIRED, Member, pairs, ties
 from diffsim.core.checked import checked
-from diffsim.core.units import NO_UNIT, powers_of
+from diffsim.core.units import NO_UNIT, powers_of, to_si
 from diffsim.identify.effect import Effect
 
 RECORD = "record"  # what rows of the whole record are each of
@@ -264,7 +264,10 @@ def _say_unit(pattern: str, force: str, length: str) -> str:
         return "kg"
     if length == "-":
         pattern = pattern.split("/X")[0].replace("X", "-")
-    return pattern.replace("F", force).replace("X", length)
+    said = pattern.replace("F", force).replace("X", length)
+    if force != f"{length}/s^2":
+        return said
+    return NO_UNIT if pattern == _INERTIA else to_si(said).unit  # an acceleration divides to less
 
 
 def _list_of_stores(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:

@@ -278,6 +278,26 @@ def test_a_place_that_states_no_units_turns_where_a_channel_reads_it_as_an_angle
     assert units == [("N/m", "m"), turns, turns, ("N m/deg", "deg")]
 
 
+def test_what_no_inertia_divides_is_an_acceleration():
+    """Sizes at a swing, of which a voltage is read, were said in newtons."""
+    plain = plain_study()
+    swing = {
+        "rates": {"x": "v", "v": "force - 9.0*sin(x) - 0.2*v"},
+        "readings": {"position_m": "0.3*x"},
+        "places": [{"name": "cart", "position": "x", "velocity": "v"}],
+    }
+    volts = replace(plain, channels=(Channel("position_m", "V", "voltage", 1e-3),))
+    rates = {**plain.model["rates"], "v": "force - 9.0*x"}
+    sliding = {**plain.model, "rates": rates, "places": swing["places"]}
+    for study, units in (
+        (replace(volts, model={**plain.model, **swing}), ("rad/s^2", "1/s", "rad")),
+        (replace(plain, model=sliding), ("m/s^2", "1/s", "m")),
+    ):
+        by = {e.name.removesuffix("_at_cart"): e.unit for e in setup_of(study).effects}
+        assert (by["dry_friction"], by["viscous_friction"], by["stop_above"]) == units
+        assert by["extra_inertia"] == "-" and by["added_spring"] == "1/s^2"
+
+
 @pytest.mark.parametrize(
     ("read", "unit", "friction", "stop"),
     [

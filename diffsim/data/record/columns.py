@@ -116,7 +116,9 @@ def find_laws(record: Record) -> Iterator[Finding]:
             continue
         names = ", ".join(s.name for s in others)
         is_effort = channel.unit in EFFORTS
-        made = "it is the controller's law and was not measured; nothing of the plant can be learned"
+        made = (
+            "it is the controller's law and was not measured; nothing of the plant can be learned"
+        )
         if not is_effort:
             made = "it was computed, as a speed is by differences; nothing more can be learned"
         acted = "; as what acted it may be a command with `is_measured: true`" if is_effort else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache, partial
@@ -50,17 +51,24 @@ class DescribedMotion:
     @classmethod
     def of(cls, description: Any, study: Study) -> DescribedMotion:
         """What moves in a description that has these keys; a place that does not state its units
-        turns where a channel reads its position, or how fast that changes, as an angle's."""
+        turns where a channel reads its position, or how fast that changes, as an angle's, or where
+        a rate has its sine; what no inertia divides is an acceleration."""
         read = {c.name: c.unit for c in study.channels}
         read_as = {text.strip(): read.get(name) for name, text in description.readings.items()}
         given = {key.name: getattr(description, key.name) for key in fields(cls)}
         places = []
         for place in description.places:
             position, velocity = read_as.get(place.position), read_as.get(place.velocity)
-            turns = position in ("rad", "rad/s") or (position is None and velocity == "rad/s")
+            turns = position in ("rad", "rad/s")
+            if position is None:
+                angle = re.compile(rf"\b(sin|cos|tan)\(\s*{re.escape(place.position)}\s*\)")
+                texts = (*description.rates.values(), *description.readings.values())
+                turns = velocity == "rad/s" or any(angle.search(text) for text in texts)
             # a speed may stand as the position: of a motor of which no more was measured
             usual = "m" if not turns else "rad/s" if position == "rad/s" else "rad"
             force = place.unit or ("N m" if turns else "N")
+            if not place.unit and place.force is None and place.inertia == "1":
+                force = "rad/s^2" if turns else "m/s^2"
             units = {"unit": force, "position_unit": place.position_unit or usual}
             places.append(place.model_copy(update=units))
         given["places"] = tuple(places)

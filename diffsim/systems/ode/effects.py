@@ -153,7 +153,8 @@ def _list_places(library: Library) -> dict[str, Place]:
         has_inertia = place.force in network.definitions and place.inertia != "1"
         is_driven = place.force is None or (has_inertia and has_linear_drive(network, place))
         pushed = place.force or pushed_by_inputs(library.system, place)
-        is_plain = (place.unit, place.position_unit) == ("N", "m") and len(library.places) == 1
+        is_plain = place.unit in ("N", "m/s^2") and place.position_unit == "m"
+        is_plain &= len(library.places) == 1
         found[place.name] = Place(
             magnitudes_at(scale),
             # where a force is stated, other rates hold the inertia, too

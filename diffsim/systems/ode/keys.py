@@ -115,10 +115,14 @@ class Place(Part):
         "the rate of the velocity alone",
     )
     unit: str = Field(
-        "", description="Unit of the force: N, N m, or any text; none: N, or N m of what turns"
+        "",
+        description="Unit of the force: N, N m, or any text; none: N, or N m of what turns; "
+        "without an inertia that of an acceleration",
     )
     position_unit: str = Field(
-        "", description="Unit of the position; none: m, or rad where a channel reads it as an angle"
+        "",
+        description="Unit of the position; none: m, or rad where a channel reads it as an angle, "
+        "or a rate has its sine",
     )
     stick_velocity: float | None = Field(
         None,
