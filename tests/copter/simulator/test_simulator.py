@@ -83,7 +83,7 @@ def test_estimate_beats_the_reading(flights):
     assert np.sqrt(np.mean(off[100:] ** 2)) < 0.5 * np.sqrt(3.0) * SensorNoise().position
 
 
-@pytest.mark.parametrize("name", ["lqr", "pid"])
+@pytest.mark.parametrize("name", ["lqr", pytest.param("pid", marks=pytest.mark.story)])
 def test_any_heading_and_a_far_place(name):
     mission = mission_from_text(
         "name: turned\nsteps:\n  - take_off: {height: 1, speed: 1}\n"

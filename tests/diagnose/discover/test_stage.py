@@ -23,7 +23,7 @@ from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.registry import load_extended, setup_of
-from tests.diagnose.discover.answers import found
+from tests.diagnose.discover.answers import few_laws, found
 from tests.diagnose.discover.turntable import DAMPING, turntable_study
 
 USES = ("fit", "fit", "select", "test")
@@ -47,7 +47,8 @@ def cogs():
 @pytest.mark.cpu(8)  # a whole diagnosis, then another one with the laws that it found
 def test_one_recording_alone_claims_no_law():
     """The same cogging: nothing that was not fitted could contradict its law."""
-    report = found(turntable_study(cogging, uses=USES[:1], noise=NOISE, count=130))
+    with few_laws():
+        report = found(turntable_study(cogging, uses=USES[:1], noise=NOISE, count=130))
     assert report.verdict == "ambiguous" and len(report.described.laws) == 1
     row = next(c for c in report.causes if c.name == report.described.laws[0].name)
     assert row.status == "likely" and "no other recording could contradict it" in row.doubts
@@ -108,7 +109,7 @@ def test_unseen_runs_confirm_it(cogs):
     assert row.after < 1.2 * NOISE and row.before > 10.0 * NOISE
 
 
-@pytest.mark.cpu(8)  # as the first
+@pytest.mark.story  # a whole diagnosis beside the first
 def test_a_law_that_unseen_runs_do_not_ask_for_stays_out():
     """Fitted runs have twice the torque of the others, from which the law takes one error and to
     which it gives another as large: what stood before it stands."""
@@ -117,7 +118,8 @@ def test_a_law_that_unseen_runs_do_not_ask_for_stays_out():
     def faded(angle, speed, temp):
         return share * cogging(angle, speed, temp)
 
-    report = found(turntable_study(faded, uses=USES, noise=NOISE, count=130))
+    with few_laws():
+        report = found(turntable_study(faded, uses=USES, noise=NOISE, count=130))
     assert report.verdict == "unknown" and not report.named
 
 
@@ -165,6 +167,7 @@ def test_laws_alone_are_fitted_before_any_beside_a_cause(
 
     monkeypatch.setattr(stage, "_fit_law", noted)
     monkeypatch.setattr(stage, "best_pairs", promising)
+    monkeypatch.setattr(stage, "NUM_FITTED", 3)
     study = turntable_study(hidden, uses=("fit", "fit"), noise=1e-4, count=50)
     fitted_laws(study, most_steps=1.0 if is_spent else np.inf, with_library=True)
     assert asked.count(0) >= (3 if is_pair_tried else 1)
@@ -225,11 +228,12 @@ def test_two_laws_at_once_are_found_and_said_as_one_rotation():
     assert float(said.group(1)) == pytest.approx(np.degrees(TURN), rel=0.05)
 
 
-@pytest.mark.cpu(8)  # several laws are fitted in the simulator
+@pytest.mark.story  # a further law of the same kind
 def test_damping_that_falls_with_a_recorded_temperature_is_found():
     """The column is in no formula: it is named before every memory, and its slope is right."""
     study = turntable_study(thinner_when_warm, uses=("fit", "fit"), noise=NOISE, count=160)
-    laws = fitted_laws(study)
+    with few_laws():
+        laws = fitted_laws(study)
     best = laws.screened[0]
     assert (best.entry.kind, best.entry.target, best.variable.name) == ("number", "c", "temp")
     assert best.share > 0.95 and best.variable.columns == ("temp",)
@@ -250,7 +254,7 @@ def stiffer_when_warm(angle, speed, temp):
     return -5e-4 * (temp - 298.0) * angle
 
 
-@pytest.mark.cpu(8)  # every law of one variable, and pairs of them, fitted in the simulator
+@pytest.mark.story  # all laws of one variable, then of two
 def test_a_law_of_two_variables_is_found_where_none_of_them_explains_as_much():
     """A spring that only warmth makes: it pulls by the angle times the temperature above a zero."""
     study = turntable_study(stiffer_when_warm, uses=("fit", "fit"), noise=NOISE, count=120)
@@ -311,7 +315,7 @@ def test_a_saved_law_judges_another_study(cogs, tmp_path, capsys):
     assert "confirmed" in capsys.readouterr().out
 
 
-@pytest.mark.cpu(10)  # a whole diagnosis
+@pytest.mark.story  # a further law of the same kind
 def test_weight_off_the_shaft_is_told_in_less_than_a_turn():
     """Bumps follow it where runs went, and lead elsewhere; what an angle brings back holds."""
     noise = 1e-3  # [rad]
