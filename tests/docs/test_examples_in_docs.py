@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from diffsim.cli import main
-from tests.diagnose.discover.answers import few_laws
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
@@ -90,8 +89,7 @@ def test_a_diagnosis_from_its_pages_alone(whole, tmp_path, monkeypatch, capsys):
             for line in text.strip().splitlines():
                 if not whole and line.startswith(LONG):
                     continue
-                with few_laws():
-                    assert main(shlex.split(line.removeprefix("diffsim "), comments=True)) == 0
+                assert main(shlex.split(line.removeprefix("diffsim "), comments=True)) == 0
     certain = {c.name for c in names["report"].causes if c.status == "certain"}
     assert certain == {"dry_friction"}
     if not whole:

@@ -40,3 +40,12 @@ def few_laws() -> Iterator[None]:
         patch.setattr(screen, "MOST_SIMULATED", 4)
         patch.setattr(stage, "NUM_FITTED", 2)
         yield
+
+
+@contextmanager
+def no_laws() -> Iterator[None]:
+    """Laws that nobody listed are found nowhere, at once."""
+    with pytest.MonkeyPatch.context() as patch:
+        none = stage.FoundLaws((), (), (), 0)
+        patch.setattr("diffsim.diagnose.diagnosis.find_laws", lambda *_: none)
+        yield
