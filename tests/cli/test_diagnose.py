@@ -261,12 +261,15 @@ def test_an_interruption_while_files_are_written_goes_on(
     short_folder, explained, tmp_path, monkeypatch, capsys, stopped
 ):
     """Other inputs' files lie there already: none of them may pass for the answer."""
-    for name in ("inputs.json", "report.json", "extended_model.yaml"):
-        (tmp_path / name).write_bytes((explained / name).read_bytes())
     pytest.importorskip("matplotlib", reason="pages need pip install -e '.[viz]'")
+    for name in ("inputs.json", "report.json", "extended_model.yaml", "report.html"):
+        (tmp_path / name).write_bytes((explained / name).read_bytes())
     monkeypatch.setattr(stopped, stopped_report)
     assert run("explain", short_folder, tmp_path, *FEW) == 130
     monkeypatch.undo()
+    page, others = (folder / "report.html" for folder in (tmp_path, explained))
+    if "viz" in stopped:  # before, the page is still that of the inputs beside it
+        assert not page.exists() or page.read_bytes() != others.read_bytes()
     capsys.readouterr()
     assert run("explain", short_folder, tmp_path, *FEW) == 0
     assert "going on with what an interrupted diagnosis left" in capsys.readouterr().out
