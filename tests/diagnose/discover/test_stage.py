@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from diffsim.data import Command, save_study
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.discover import stage
 from diffsim.diagnose.discover.beside import Pair
+from diffsim.diagnose.discover.screen import ONE_TURN, Basis, Candidate, bumps
 from diffsim.diagnose.discover.stage import find_laws
 from diffsim.diagnose.say.headline import first_of
 from diffsim.diagnose.search.fit import silent
@@ -169,11 +171,23 @@ def test_laws_alone_are_fitted_before_any_beside_a_cause(
     monkeypatch.setattr(stage, "best_pairs", promising)
     monkeypatch.setattr(stage, "NUM_FITTED", 3)
     study = turntable_study(hidden, uses=("fit", "fit"), noise=1e-4, count=50)
-    fitted_laws(study, most_steps=1.0 if is_spent else np.inf, with_library=True)
+    laws = fitted_laws(study, most_steps=1.0 if is_spent else np.inf, with_library=True)
     assert asked.count(0) >= (3 if is_pair_tried else 1)
     first_pair = asked.index(0.5) if 0.5 in asked else None
     assert (first_pair is not None) == is_pair_tried
     assert not is_pair_tried or 0 not in asked[first_pair:]
+    # further laws are weighed beside the first, which explains nothing again
+    alone = [f.candidate for f in laws.fitted if not f.beside]
+    assert not any(one is other for one, other in combinations(alone, 2))
+
+
+def test_one_turn_of_an_angle_is_fitted_beside_its_bumps():
+    port = setup_of(turntable_study(uses=("fit",), noise=NOISE, count=20)).laws
+    shaft = next(e for e in port.entries if e.words == "force at shaft")
+    angle = next(v for v in port.variables() if v.name == "angle")
+    bump = Candidate(shaft, angle, bumps(-1.0, 1.0), nats=90.0, gained=90.0, share=0.9, typical=1.0)
+    turn = replace(bump, basis=Basis(("sin(u)", "cos(u)"), wave=ONE_TURN), nats=60.0, gained=60.0)
+    assert stage._choose([bump, turn], 3.0) == [bump, turn]
 
 
 def test_pairs_end_with_the_budget(monkeypatch):
