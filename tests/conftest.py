@@ -23,7 +23,10 @@ from tests.cpu_seconds import CpuSeconds  # noqa: E402
 COLLECTION_S = pytest.StashKey[float]()
 """CPU seconds of this process up to its first test."""
 TESTS = Path(__file__).parent
-STORY_ROOMS = {TESTS / room for room in ("benchmarks", "labs", "rl", "systems/published")}
+STORY_ROOMS = {
+    TESTS / room
+    for room in ("benchmarks", "copter/fabrication", "examples", "labs", "rl", "systems/published")
+}
 """Rooms of the tier ``story``: studies, and scripts beside the library. A run that names one of
 them, or a file there, has it all the same."""
 

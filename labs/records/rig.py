@@ -65,10 +65,12 @@ def course(rng: np.random.Generator, t: Array, kind: str, size: float) -> Array:
 
 
 def followed(
-    rate: Callable[[Array, float], Array], start: Array, u: Array, step: float, fine: int = 10
+    rate: Callable[[Any, float], Any], start: Array, u: Array, step: float, fine: int = 10
 ) -> Array:
     """States at the samples, (num_samples, num_states), of what a held command drives."""
     x, out = np.array(start, dtype=np.float64), np.empty((len(u), len(start)))
+    if len(start) == 1:  # a number of Python has the same bits, ten times sooner
+        x = x.item()
     for k, value in enumerate(u):
         out[k] = x
         for _ in range(fine):

@@ -108,6 +108,7 @@ def runs(seed: int = 4) -> tuple[Run, ...]:
     return tuple(out)
 
 
+@pytest.mark.story  # a whole diagnosis
 def test_a_play_and_a_late_camera_on_one_of_two_alike_channels_are_named():
     study = Study("gantry", "ode", CHANNELS, runs(), model=MODEL)
     setup = setup_of(study)

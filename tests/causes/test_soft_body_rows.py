@@ -112,7 +112,13 @@ SIZES = {
 }
 
 
-@pytest.mark.parametrize("name", PLANTED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.story] * (n != "sensor_backlash_of_laser"))
+        for n in PLANTED
+    ],
+)
 def test_a_cause_that_is_new_to_soft_bodies_is_found(name):
     """Planted by NumPy in the command or in the record of the plain body."""
     change, size = PLANTED[name], SIZES[name]

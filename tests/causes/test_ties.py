@@ -133,7 +133,7 @@ def test_a_profile_is_that_of_constant_acceleration():
     [
         ("elastic", 0, "elastic_coupling_at_joint", 1.1),
         ("elastic_arm", 0, "elastic_coupling_at_joint1", 1.1),
-        ("elastic_arm", 1, "elastic_coupling_at_joint2", 1.1),
+        pytest.param("elastic_arm", 1, "elastic_coupling_at_joint2", 1.1, marks=pytest.mark.story),
         ("late_torque", 0, "delay_inside_motor", 1.4),
     ],
 )

@@ -29,6 +29,7 @@ sys.exit(main(["play"]) or main(["fabricate", "pentacopter", "--out", "plan"]))
 """
 
 
+@pytest.mark.story  # a whole plan, in a process of its own
 def test_play_lists_and_fabricate_plans_without_any_extra(tmp_path):
     made = subprocess.run(
         [sys.executable, "-c", WITHOUT], capture_output=True, text=True, cwd=tmp_path

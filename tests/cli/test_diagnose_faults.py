@@ -128,6 +128,7 @@ def test_new_recordings_are_never_for_fitting(folder):
     }
 
 
+@pytest.mark.story  # ten groups, each judged alone
 def test_known_groups_are_judged_by_the_others(folder, capsys):
     said = run(folder, "--all")
     assert len(said) == 10

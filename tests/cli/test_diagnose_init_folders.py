@@ -131,6 +131,7 @@ def test_a_torque_drives_where_nothing_was_commanded(tmp_path):
     assert [(c.name, c.is_measured) for c in study.commands] == [("torque", True)]
 
 
+@pytest.mark.story  # published sets
 @pytest.mark.parametrize(
     "name, runs, channels, commands",
     [

@@ -75,7 +75,7 @@ def test_a_first_answer_fits_some_runs_of_each_kind_with_their_repeats(tmp_path)
     )
 
 
-@pytest.mark.parametrize("fact", ["icy", 3.0])
+@pytest.mark.parametrize("fact", ["icy", pytest.param(3.0, marks=pytest.mark.story)])
 def test_the_only_run_of_a_kind_is_fitted(tmp_path, fact):
     """Spread evenly over runs, a first answer left out a load, a floor, that one run alone has."""
     study = read_study(str(campaign(tmp_path, 38, 1e-4)))

@@ -48,6 +48,7 @@ def test_command_is_a_table_of_commands_and_what_they_do(cart, capsys):
         assert list(csv.DictReader(file)) != rows
 
 
+@pytest.mark.story  # two best commands
 def test_worth_says_what_a_cause_costs(cart, capsys):
     assert _run("worth", cart) == 0
     said = capsys.readouterr().out

@@ -272,7 +272,14 @@ def test_an_error_does_not_fill_the_screen_with_what_stands_in_a_file(capsys, tm
     assert "log.csv" in said and "letters more" in said and len(said) < 3_000
 
 
-@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-", "| head -1"])
+@pytest.mark.parametrize(
+    "closed",
+    [
+        *(pytest.param(one, marks=pytest.mark.story) for one in (">&-", "2>&-")),
+        "<&- >&- 2>&-",
+        "| head -1",
+    ],
+)
 def test_streams_that_are_closed_end_nothing_and_nothing_is_written_elsewhere(tmp_path, closed):
     """Python has None in their place, and the first file that is opened gets their number."""
     (tmp_path / "a.csv").write_text("time_s,q\n0,1\n1,2\n")

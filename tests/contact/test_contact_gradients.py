@@ -280,6 +280,7 @@ def assert_one_graph(obstacles, friction, speed: float, backend: str) -> None:
         torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.story  # compiles, the adjoint too
 def test_steps_on_half_spaces_are_one_graph():
     """One that moves and one that rests, friction and restitution."""
     motion = {"velocity": (0.1, 0.0, 0.2), "angular_velocity": (0.0, 0.1, 0.0)}
@@ -346,6 +347,7 @@ def landing_on_waves():
     return lambda v: soft.step(body, soft.State(x, v), obstacles=ground).x, ground
 
 
+@pytest.mark.story  # compiles
 def test_a_distance_function_breaks_the_graph():
     """Its half spaces stay right; the whole step among the stories, where it is compiled in 8 s."""
     end, ground = landing_on_waves()

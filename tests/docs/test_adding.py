@@ -106,7 +106,7 @@ def add_a_kind_and_a_format(folder):
     change(formats / "registry.py", "import arrays,", "import triples, arrays,")
 
 
-@pytest.mark.cpu(8)  # a diagnosis from the command line, in a process of its own
+@pytest.mark.story  # a page, with a diagnosis in a process of its own
 def test_a_kind_with_its_causes_and_a_format_work_to_a_verdict(tmp_path):
     add_a_kind_and_a_format(tmp_path)
     recorded = tmp_path / "recorded"

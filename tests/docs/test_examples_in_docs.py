@@ -49,6 +49,7 @@ def run(text, page):
     assert blocks
 
 
+@pytest.mark.story  # pages
 @pytest.mark.example
 @pytest.mark.parametrize("page", PAGES)
 def test_its_python_runs(page, tmp_path, monkeypatch):

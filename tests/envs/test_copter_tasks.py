@@ -96,6 +96,7 @@ envs.close()
 """
 
 
+@pytest.mark.story  # three processes
 def test_forked_workers_of_gymnasium():
     done = warm.python("-c", FORKED_WORKERS, timeout=90)
     assert done.stdout.split("\n")[0] == "(2, 22)", done.stderr

@@ -46,7 +46,7 @@ def test_duck_slide_in_short(story):
     assert 0.0 < numbers["error_after_m"] <= numbers["error_before_m"] < 1.0
 
 
-@pytest.mark.story
+@pytest.mark.slow
 def test_duck_slide_comes_nearer_to_its_target(story, tmp_path):
     picture = tmp_path / "duck.png"
     numbers = story("duck_slide").main(0.04, max_simulations=4, out=str(picture))

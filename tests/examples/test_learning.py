@@ -32,7 +32,7 @@ def test_ppo_runs_in_short(story: str) -> None:
     assert all(0.0 < value < 1000.0 for value in found.values())  # steps in the air
 
 
-@pytest.mark.story
+@pytest.mark.slow
 @pytest.mark.example
 def test_ppo_keeps_the_quadcopter_in_the_air() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
@@ -40,7 +40,7 @@ def test_ppo_keeps_the_quadcopter_in_the_air() -> None:
     assert found["after"] > found["before"] + 15.0
 
 
-@pytest.mark.story
+@pytest.mark.slow
 @pytest.mark.example
 def test_a_loop_written_out_learns_on_gymnasiums_wrappers() -> None:
     """Quadcopters stay longer in the air; at half the steps of the example."""

@@ -23,7 +23,7 @@ def test_swimmer_learns_in_short():
     assert numbers["after_mm_per_s"] > numbers["before_mm_per_s"]
 
 
-@pytest.mark.story
+@pytest.mark.slow
 def test_swimmer_learns_to_swim(tmp_path):
     """Three iterations on two periods instead of eight on three: 4.1 mm/s from -0.1 mm/s."""
     picture = tmp_path / "swimmer.png"

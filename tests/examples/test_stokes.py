@@ -14,7 +14,7 @@ def test_amplifier_in_short():
     assert numbers["error of the gradient"] < 1e-5  # central differences, steps of 1e-5
 
 
-@pytest.mark.story
+@pytest.mark.slow
 def test_amplifier_triples_the_speed(tmp_path):
     numbers = load_story("stokes/amplifier.py").main(0.5, 4, out=str(tmp_path), with_export=True)
     assert numbers["loss"] < 0.01 * numbers["first loss"]

@@ -225,6 +225,7 @@ def test_a_checkpoint_holds_the_price_of_entropy() -> None:
     assert prices[0] == prices[1] != SapoOptions().temperature
 
 
+@pytest.mark.story  # training
 def test_a_short_training_hovers_better() -> None:
     setup = Setup("CopterHover", warm_up=20)
     learner = SapoLearner(setup, SapoOptions(batch=64, window=32, actor_rate=1e-2))

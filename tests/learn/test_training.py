@@ -367,6 +367,7 @@ def test_an_update_without_finite_gradient_leaves_the_controller_alone(
         made.update(0.0)
 
 
+@pytest.mark.story  # training
 def test_a_short_training_by_gradient_hovers_better() -> None:
     setup = Setup("CopterHover", {"seconds": 1.0}, warm_up=20)
     made = GradientLearner(setup, GradientOptions(batch=16, learning_rate=1e-2))

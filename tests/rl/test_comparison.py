@@ -186,7 +186,7 @@ def test_every_method_may_try_equally_many_candidates() -> None:
                 "test_the_quick_comparison_runs_and_reports_again_without_training[all]"
             ),
         ),
-        pytest.param(tuple(METHODS), marks=pytest.mark.story),
+        pytest.param(tuple(METHODS), marks=pytest.mark.slow),
     ],
     ids=["two", "all"],
 )

@@ -336,9 +336,14 @@ def test_checkpoints_change_nothing(name, integrator, block):
     ("name", "kind", "op"),
     [
         ("pd", "tet", "soft_step"),
-        ("pocket", "hex", "soft_step"),
-        ("pocket", "hex", "elastic_gradient"),
-        ("pd", "hex", "elastic_gradient"),
+        *(
+            pytest.param(*case, marks=pytest.mark.story)  # compiled three times each
+            for case in (
+                ("pocket", "hex", "soft_step"),
+                ("pocket", "hex", "elastic_gradient"),
+                ("pd", "hex", "elastic_gradient"),
+            )
+        ),
         ("pd", "tet", "elastic_energy"),
     ],
 )
@@ -364,9 +369,9 @@ def test_ops_keep_the_layer_contract(name, kind, op):
     ("name", "integrator"),
     [
         ("second shares", "implicit_euler"),
-        ("slack fibers", "bdf2"),
-        ("regions", "implicit_midpoint"),
-        ("cable", "semi_implicit_euler"),
+        pytest.param("slack fibers", "bdf2", marks=pytest.mark.story),
+        pytest.param("regions", "implicit_midpoint", marks=pytest.mark.story),
+        pytest.param("cable", "semi_implicit_euler", marks=pytest.mark.story),
     ],
 )
 def test_a_step_compiles_whole(name, integrator):

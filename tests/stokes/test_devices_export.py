@@ -41,6 +41,7 @@ def fluid(device, x):
     return float(field.volume_fraction.sum()) * field.grid.cell_volume
 
 
+@pytest.mark.story  # solids of a whole device
 def test_amplifier_has_a_floor_and_a_depth(tmp_path, export):
     import trimesh
 
@@ -109,6 +110,7 @@ def test_twister_holds_its_tunnel(tmp_path, export):
     assert solid.euler_number == 0
 
 
+@pytest.mark.story  # solids of a whole device
 def test_switch_has_a_solid_for_each_position(tmp_path, export):
     import trimesh
 
@@ -123,6 +125,7 @@ def test_switch_has_a_solid_for_each_position(tmp_path, export):
     assert not np.array_equal(on.vertices[:100], off.vertices[:100])
 
 
+@pytest.mark.story  # solids of a whole device
 def test_command_line_exports(tmp_path, capsys):
     arguments = ["devices", "amplifier", "--resolution", "0.375", "--sample-resolution", "0.25"]
     arguments += ["--samples", "3", "--starts", "1", "--checked", "2", "--evaluations", "3"]

@@ -296,6 +296,7 @@ def test_weights_that_leave_the_others_nothing_are_refused(spread):
         surface(random(1, 5, 3))
 
 
+@pytest.mark.story  # dense sampling
 @pytest.mark.reference
 def test_weights_as_far_apart_as_allowed_against_dense_sampling():
     p = random(5, 100, 3)

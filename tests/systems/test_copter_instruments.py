@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from diffsim.causes.signals import Grid
@@ -113,6 +114,7 @@ def test_a_lag_in_windows_is_the_exponential_filter():
     torch.testing.assert_close(lagged_in_windows(step, grid, none), step)
 
 
+@pytest.mark.story  # a further cause of the kind
 def test_a_late_barometer_is_named():
     made = late(
         told(kinds=("circle", "dash", "hop"), nuisances={"run_thrust_gain": 0.0}), {"z"}, 0.06

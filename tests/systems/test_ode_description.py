@@ -112,7 +112,9 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.story] * (n != "dead_band")) for n in HIDDEN]
+)
 def test_a_hidden_cause_is_named_with_its_size(name):
     size, hidden = HIDDEN[name]
     report = answer(cart_study(**hidden))
@@ -121,6 +123,7 @@ def test_a_hidden_cause_is_named_with_its_size(name):
     assert report.gain is not None and report.gain.low > 0.9
 
 
+@pytest.mark.story  # two whole diagnoses
 @pytest.mark.parametrize(
     ("name", "force"),
     [

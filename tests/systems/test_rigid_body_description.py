@@ -89,6 +89,7 @@ def test_hidden_drag_is_named():
     assert report.gain is not None and report.gain.low > 0.9
 
 
+@pytest.mark.story  # a further cause of the kind
 def test_hidden_fall_of_restitution_is_named():
     report = judged(bouncing(seed=1, slope=-0.06))
     assert report.named == ("restitution_slope",)
@@ -174,6 +175,7 @@ def test_a_box_of_unequal_edges_flies_as_euler_says():
     assert found.chi2 / found.num_samples == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.story  # a further cause of the kind
 def test_lengths_are_named_and_gravity_is_not():
     """Two per cent in all lengths look like two per cent less gravity, but for the rest."""
     study = box_study(scale=0.98)

@@ -44,6 +44,7 @@ def test_a_beam_of_the_laboratory_is_a_cantilever():
     assert np.linalg.solve(stiff, load)[-2] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.story  # two fits of whole swings
 def test_sizes_are_those_that_were_hidden():
     """What the clamp's record shows explains the swing, with the shift and turn that it has."""
     study = recorded()

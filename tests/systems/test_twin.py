@@ -74,6 +74,7 @@ def test_draws_have_the_posteriors_spread_and_correlation(fitted):
     assert np.corrcoef(q[:, mass], q[:, delay])[0, 1] == pytest.approx(wanted, abs=0.06)
 
 
+@pytest.mark.story  # three best commands
 def test_the_extended_models_command_serves_the_system_better_than_the_plain_ones(fitted):
     study, path, _ = fitted
     task, twin = TASK.for_study(study), Twin.read(path, study, TASK.time_s)

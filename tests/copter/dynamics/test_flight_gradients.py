@@ -246,6 +246,7 @@ def test_op_contract():
     torch.testing.assert_close(layer(*args), _ops_flight.flight(*args))
 
 
+@pytest.mark.story  # compiles
 def test_whole_flight_compiles():
     commands = case()["commands"].requires_grad_()
     vehicle, effects, start = crooked_copter(ROTORS), all_effects(ROTORS, STEPS), tumbling(BATCH)

@@ -72,6 +72,7 @@ def test_parts_that_touch_are_told_apart(a, b):
     assert overlaps({"a": posed(a), "b": posed(b)}) == ()
 
 
+@pytest.mark.story  # a whole plan
 def test_a_plan_reports_parts_that_interpenetrate():
     design = load_design("quadcopter")
     assert plan(design, printer=Printer(bed=(700.0, 700.0, 300.0))).overlaps == ()

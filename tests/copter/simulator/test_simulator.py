@@ -39,7 +39,7 @@ from tests.copter.vehicle.test_vehicle import plus_quadcopter
 TEN_INCH = [rotor_model("kde2814_10in")] * 4
 PACK = Battery.lipo(cells=3, capacity_mah=2200.0)
 SHORT = mission_from_text(
-    "name: short\nsteps:\n  - take_off: {height: 1, speed: 0.8}\n  - hover: {seconds: 4}"
+    "name: short\nsteps:\n  - take_off: {height: 1, speed: 0.8}\n  - hover: {seconds: 3}"
 )
 SILENT = FlightSensors(
     noise=SensorNoise(
@@ -69,9 +69,9 @@ def hovered():
 
 @pytest.mark.parametrize("name", ["lqr", "pid"])
 def test_hovers_with_noise(flights, name):
-    """Position noise of 2 cm is filtered; the place is held to 3 cm over the last three seconds."""
+    """Position noise of 2 cm is filtered; the place is held to 3 cm over the last two seconds."""
     log = flights[name]
-    last = log.series("time") > log.series("time")[-1] - 3.0
+    last = log.series("time") > log.series("time")[-1] - 2.0
     assert np.sqrt(np.mean(log.position_error[last] ** 2)) < 0.03
     assert log.outcome == "done"
     assert not log.series("saturated").any()
@@ -83,7 +83,7 @@ def test_estimate_beats_the_reading(flights):
     assert np.sqrt(np.mean(off[100:] ** 2)) < 0.5 * np.sqrt(3.0) * SensorNoise().position
 
 
-@pytest.mark.parametrize("name", ["lqr", "pid"])
+@pytest.mark.parametrize("name", ["lqr", pytest.param("pid", marks=pytest.mark.story)])
 def test_any_heading_and_a_far_place(name):
     mission = mission_from_text(
         "name: turned\nsteps:\n  - take_off: {height: 1, speed: 1}\n"

@@ -8,7 +8,7 @@ import pytest
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose.checks import numerics as refine
-from diffsim.diagnose.checks.numerics import numerics_changes
+from diffsim.diagnose.checks.numerics import left_over, length, numerics_changes
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY
 from diffsim.diagnose.search.fit import Case, check_numerics, null_fit
 from diffsim.identify import DiagnosisSettings, Effect, Numerics, SearchSettings, SimModel
@@ -42,6 +42,12 @@ def test_a_coarse_time_step_is_refined_until_it_passes():
     # a first-order method: what refining still changes falls with the step
     before = np.linalg.norm(numerics_changes(null.fit.problem, null.at)["time_step"])
     assert np.linalg.norm(found.changes["time_step"]) < 0.6 * before
+
+
+def test_numerics_that_a_number_hides_count_by_its_pull_off_its_prior():
+    """A change of 10 noise sd along what a prior's width does, 5 noise sd: 10 / sqrt(1 + 5^2)."""
+    slopes, change = np.array([[0.0], [3.0], [4.0]]), np.array([0.0, 6.0, 8.0])
+    assert length(left_over(change, slopes)) == pytest.approx(10.0 / np.sqrt(26.0))
 
 
 def test_settings_whose_slopes_would_take_a_search_are_not_used():

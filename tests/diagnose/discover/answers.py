@@ -1,12 +1,14 @@
 """Whole answers about studies, as a command makes them."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
 
 from diffsim.data.study import Study
 from diffsim.diagnose import diagnose
-from diffsim.diagnose.discover import screen
+from diffsim.diagnose.discover import screen, stage
 from diffsim.diagnose.say.report import Report
 from diffsim.identify.effort import DiagnosisSettings
 from diffsim.systems.registry import setup_of
@@ -31,8 +33,19 @@ def answer(study: Study) -> Report:
     return found(study, with_laws=False)
 
 
-def found_beside_commands(study: Study) -> Report:
-    """The same; at commands, where terms are simulated, laws are looked for in few places."""
+@contextmanager
+def few_laws() -> Iterator[None]:
+    """Of each screen two laws are fitted in the simulator; of commands few terms are simulated."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(screen, "MOST_SIMULATED", 4)
-        return found(study)
+        patch.setattr(stage, "NUM_FITTED", 2)
+        yield
+
+
+@contextmanager
+def no_laws() -> Iterator[None]:
+    """Laws that nobody listed are found nowhere, at once."""
+    with pytest.MonkeyPatch.context() as patch:
+        none = stage.FoundLaws((), (), (), 0)
+        patch.setattr("diffsim.diagnose.diagnosis.find_laws", lambda *_: none)
+        yield

@@ -74,6 +74,7 @@ def test_a_course_bends_the_way_where_nothing_pushes(fitted):
     assert (as_fitted.found[0].entry.target, as_fitted.found[0].variable.name) in SAME
 
 
+@pytest.mark.story  # a further law of the same kind
 def test_friction_over_pressure_is_found_along_the_simulation_as_fitted(fitted, monkeypatch):
     setup, fit = fitted
     begin, fit_law, asked, ended = stage._begin, stage._fit_law, [], []

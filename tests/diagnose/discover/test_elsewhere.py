@@ -1,6 +1,7 @@
 """A law that another number of the model would do nearly as well: fits decide where it is."""
 
 import numpy as np
+import pytest
 
 from diffsim.data.study import Channel, Run, Study
 from tests.diagnose.discover.test_stage import fitted_laws
@@ -43,6 +44,7 @@ def wheel(seed: int) -> Study:
     return Study("wheel", "ode", channels, tuple(runs), model=MODEL)
 
 
+@pytest.mark.story  # a whole diagnosis
 def test_a_search_begins_at_each_number_whose_law_does_nearly_the_same():
     """By slopes from there the other one seems far behind: a kart's inertia was named."""
     laws = fitted_laws(wheel(2))

@@ -178,6 +178,7 @@ def test_forms_through_zero_are_for_variables_that_go_through_it():
     assert not {id(f.form) for f in found} & {id(f) for f in OF_ZERO}
 
 
+@pytest.mark.story  # many records
 @pytest.mark.reference
 def test_a_numbers_sd_is_that_of_the_record():
     """Of a threshold by many records of one noise: scatter and stated sd are one."""

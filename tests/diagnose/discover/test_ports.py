@@ -7,7 +7,6 @@ import pytest
 
 from diffsim.causes.ports import OF_FORCES
 from diffsim.core.expression import parse_expression
-from diffsim.diagnose.discover import screen, stage
 from diffsim.diagnose.discover.stage import find_laws
 from diffsim.diagnose.search.fit import silent
 from diffsim.diagnose.search.gauss_newton import gauss_newton
@@ -18,7 +17,7 @@ from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.outside.forces import Term
 from diffsim.systems.registry import load_extended, setup_of
 from tests.diagnose.discover import pump_rig
-from tests.diagnose.discover.answers import found, found_beside_commands
+from tests.diagnose.discover.answers import few_laws, found
 from tests.diagnose.discover.pump_rig import NOISE, recorded
 from tests.systems.outside import scenes
 
@@ -48,7 +47,8 @@ def entry_of(law):
 
 @pytest.fixture(scope="module")
 def warm():
-    return found_beside_commands(recorded(show=with_temperature, uses=("fit", *FEW)))
+    with few_laws():
+        return found(recorded(show=with_temperature, uses=("fit", *FEW)))
 
 
 def is_confirmed(report):
@@ -88,11 +88,16 @@ def test_nothing_is_described_where_nothing_is_hidden():
     ("hidden", "entry"),
     [
         ({"show": with_cross_talk, "uses": FEW}, ("reading", "p_a", ("p_b",), None)),
-        ({"stiffen": stiffer_when_cold}, ("number", "resistance_c", ("day temperature",), None)),
+        pytest.param(
+            {"stiffen": stiffer_when_cold},
+            ("number", "resistance_c", ("day temperature",), None),
+            marks=pytest.mark.story,  # of six days
+        ),
     ],
 )
 def test_place_and_variable_are_found(hidden, entry):
-    report = found_beside_commands(recorded(**hidden))
+    with few_laws():
+        report = found(recorded(**hidden))
     assert report.verdict == "described", report.sentences
     assert entry_of(report.described.laws[0]) == entry
     assert is_confirmed(report)
@@ -116,9 +121,7 @@ def test_a_force_at_a_place_of_an_outside_simulator_is_found():
     made = setup_of(study)
     problem = Problem(made.model, study.fit_runs, WhiteNoise(study.channels))
     start = linearization_at(problem, np.zeros(problem.num_base))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(screen, "MOST_SIMULATED", 4)
-        patch.setattr(stage, "NUM_FITTED", 1)
+    with few_laws():
         laws = find_laws([gauss_newton(problem, start)[0]], made.laws, silent)
     best = laws.screened[0]
     assert (best.entry.words, best.variable.name) == ("force at hinge", "speed at hinge")

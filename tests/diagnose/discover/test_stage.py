@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from diffsim.data import Command, save_study
 from diffsim.data.study import Channel, Run, Study
 from diffsim.diagnose.discover import stage
 from diffsim.diagnose.discover.beside import Pair
+from diffsim.diagnose.discover.screen import ONE_TURN, Basis, Candidate, bumps
 from diffsim.diagnose.discover.stage import find_laws
 from diffsim.diagnose.say.headline import first_of
 from diffsim.diagnose.search.fit import silent
@@ -23,7 +25,7 @@ from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.registry import load_extended, setup_of
-from tests.diagnose.discover.answers import found
+from tests.diagnose.discover.answers import few_laws, found
 from tests.diagnose.discover.turntable import DAMPING, turntable_study
 
 USES = ("fit", "fit", "select", "test")
@@ -47,7 +49,8 @@ def cogs():
 @pytest.mark.cpu(8)  # a whole diagnosis, then another one with the laws that it found
 def test_one_recording_alone_claims_no_law():
     """The same cogging: nothing that was not fitted could contradict its law."""
-    report = found(turntable_study(cogging, uses=USES[:1], noise=NOISE, count=130))
+    with few_laws():
+        report = found(turntable_study(cogging, uses=USES[:1], noise=NOISE, count=130))
     assert report.verdict == "ambiguous" and len(report.described.laws) == 1
     row = next(c for c in report.causes if c.name == report.described.laws[0].name)
     assert row.status == "likely" and "no other recording could contradict it" in row.doubts
@@ -108,7 +111,7 @@ def test_unseen_runs_confirm_it(cogs):
     assert row.after < 1.2 * NOISE and row.before > 10.0 * NOISE
 
 
-@pytest.mark.cpu(8)  # as the first
+@pytest.mark.story  # a whole diagnosis beside the first
 def test_a_law_that_unseen_runs_do_not_ask_for_stays_out():
     """Fitted runs have twice the torque of the others, from which the law takes one error and to
     which it gives another as large: what stood before it stands."""
@@ -117,7 +120,8 @@ def test_a_law_that_unseen_runs_do_not_ask_for_stays_out():
     def faded(angle, speed, temp):
         return share * cogging(angle, speed, temp)
 
-    report = found(turntable_study(faded, uses=USES, noise=NOISE, count=130))
+    with few_laws():
+        report = found(turntable_study(faded, uses=USES, noise=NOISE, count=130))
     assert report.verdict == "unknown" and not report.named
 
 
@@ -165,12 +169,25 @@ def test_laws_alone_are_fitted_before_any_beside_a_cause(
 
     monkeypatch.setattr(stage, "_fit_law", noted)
     monkeypatch.setattr(stage, "best_pairs", promising)
+    monkeypatch.setattr(stage, "NUM_FITTED", 3)
     study = turntable_study(hidden, uses=("fit", "fit"), noise=1e-4, count=50)
-    fitted_laws(study, most_steps=1.0 if is_spent else np.inf, with_library=True)
+    laws = fitted_laws(study, most_steps=1.0 if is_spent else np.inf, with_library=True)
     assert asked.count(0) >= (3 if is_pair_tried else 1)
     first_pair = asked.index(0.5) if 0.5 in asked else None
     assert (first_pair is not None) == is_pair_tried
     assert not is_pair_tried or 0 not in asked[first_pair:]
+    # further laws are weighed beside the first, which explains nothing again
+    alone = [f.candidate for f in laws.fitted if not f.beside]
+    assert not any(one is other for one, other in combinations(alone, 2))
+
+
+def test_one_turn_of_an_angle_is_fitted_beside_its_bumps():
+    port = setup_of(turntable_study(uses=("fit",), noise=NOISE, count=20)).laws
+    shaft = next(e for e in port.entries if e.words == "force at shaft")
+    angle = next(v for v in port.variables() if v.name == "angle")
+    bump = Candidate(shaft, angle, bumps(-1.0, 1.0), nats=90.0, gained=90.0, share=0.9, typical=1.0)
+    turn = replace(bump, basis=Basis(("sin(u)", "cos(u)"), wave=ONE_TURN), nats=60.0, gained=60.0)
+    assert stage._choose([bump, turn], 3.0) == [bump, turn]
 
 
 def test_pairs_end_with_the_budget(monkeypatch):
@@ -225,11 +242,12 @@ def test_two_laws_at_once_are_found_and_said_as_one_rotation():
     assert float(said.group(1)) == pytest.approx(np.degrees(TURN), rel=0.05)
 
 
-@pytest.mark.cpu(8)  # several laws are fitted in the simulator
+@pytest.mark.story  # a further law of the same kind
 def test_damping_that_falls_with_a_recorded_temperature_is_found():
     """The column is in no formula: it is named before every memory, and its slope is right."""
     study = turntable_study(thinner_when_warm, uses=("fit", "fit"), noise=NOISE, count=160)
-    laws = fitted_laws(study)
+    with few_laws():
+        laws = fitted_laws(study)
     best = laws.screened[0]
     assert (best.entry.kind, best.entry.target, best.variable.name) == ("number", "c", "temp")
     assert best.share > 0.95 and best.variable.columns == ("temp",)
@@ -250,7 +268,7 @@ def stiffer_when_warm(angle, speed, temp):
     return -5e-4 * (temp - 298.0) * angle
 
 
-@pytest.mark.cpu(8)  # every law of one variable, and pairs of them, fitted in the simulator
+@pytest.mark.story  # all laws of one variable, then of two
 def test_a_law_of_two_variables_is_found_where_none_of_them_explains_as_much():
     """A spring that only warmth makes: it pulls by the angle times the temperature above a zero."""
     study = turntable_study(stiffer_when_warm, uses=("fit", "fit"), noise=NOISE, count=120)
@@ -311,7 +329,7 @@ def test_a_saved_law_judges_another_study(cogs, tmp_path, capsys):
     assert "confirmed" in capsys.readouterr().out
 
 
-@pytest.mark.cpu(10)  # a whole diagnosis
+@pytest.mark.story  # a further law of the same kind
 def test_weight_off_the_shaft_is_told_in_less_than_a_turn():
     """Bumps follow it where runs went, and lead elsewhere; what an angle brings back holds."""
     noise = 1e-3  # [rad]

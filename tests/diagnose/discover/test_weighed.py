@@ -260,7 +260,7 @@ def listed():
     return found(turntable_study(push, uses=("fit", "fit", "select", "test"), count=130))
 
 
-@pytest.mark.cpu(8)
+@pytest.mark.story  # a whole diagnosis
 def test_a_cause_of_the_library_stays_certain_beside_laws_that_mimic_it(listed):
     (row,) = [row for row in listed.causes if row.status == CERTAIN]
     assert listed.verdict == "named" and row.name == MIMIC

@@ -68,7 +68,7 @@ def share_inside(found: Fit, half, run) -> float:
 
 
 @pytest.mark.reference
-@pytest.mark.parametrize("count", [4, 8])
+@pytest.mark.parametrize("count", [4, pytest.param(8, marks=pytest.mark.story)])
 def test_coverage_where_the_model_is_wrong(count):
     rng = np.random.default_rng(count)
     shares, by_noise = [], []

@@ -86,7 +86,7 @@ def cart() -> Study:
     return Study("cart", "ode", channels, tuple(runs), model=MODEL)
 
 
-@pytest.mark.cpu(7)  # a whole diagnosis of a cart, from its data sheet on
+@pytest.mark.story  # a whole diagnosis of a cart
 def test_two_large_causes_are_named_although_neither_helps_alone():
     study = cart()
     setup = setup_of(study)

@@ -69,7 +69,7 @@ def drive() -> Study:
     return Study("drive", "ode", channels, tuple(runs), model=MODEL)
 
 
-@pytest.mark.cpu(9)  # searched twice, the second time by steps of a few milliseconds
+@pytest.mark.story  # searched twice, by steps of milliseconds
 def test_a_first_answer_repeats_under_finer_steps_what_coarse_ones_could_not_fit():
     study = drive()
     setup = setup_of(study)

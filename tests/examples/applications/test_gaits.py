@@ -48,7 +48,7 @@ def test_torus_learns_to_roll():
     assert abs(after["drift mm"]) < 0.05 * after["travel mm"]
 
 
-@pytest.mark.story
+@pytest.mark.slow
 def test_quadruped_goes_further_than_its_best_random_signal():
     application = dataclasses.replace(quick("quadruped", steps=160), num_starts=3)
     found = minimize(application, max_evaluations=3)
@@ -60,7 +60,7 @@ def test_quadruped_goes_further_than_its_best_random_signal():
     assert abs(after["drift mm"]) < 0.05 * after["travel mm"]
 
 
-@pytest.mark.story
+@pytest.mark.slow
 def test_quadruped_goes_as_far_with_half_the_time_step():
     command = (0.855, 0.081, 6.94)  # where the search over whole gaits ends
     one, half = (meaning(quick("quadruped", refine=k), command) for k in (1, 2))

@@ -97,6 +97,7 @@ def test_what_slides_is_slowed_by_all_of_it():
     assert position(3.0, 1.0) == pytest.approx(exact, abs=1e-3)
 
 
+@pytest.mark.story  # finer and finer steps
 def test_a_step_that_follows_friction_is_as_it_was():
     """Of 10 us and 5 us: there friction fades by tanh(v/w), to the digits of the integrator."""
     coarse, fine = (position(1.0, 2.0, step=step)[:5] for step in (1e-5, 5e-6))

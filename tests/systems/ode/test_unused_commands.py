@@ -82,7 +82,7 @@ def test_a_command_that_some_run_does_not_show_is_no_variable(shown):
     assert "warm" not in {v.name for v in setup_of(study).laws.variables()}
 
 
-@pytest.mark.cpu(20)
+@pytest.mark.story  # a whole diagnosis
 def test_causes_of_the_library_leave_room_for_laws():
     """Half of the budget is kept though the plain fit stays at its data sheet: none of 20 causes
     explains anything, and sets of them had spent all of it."""

@@ -68,7 +68,7 @@ def fewer(study, every):
                 "test_both_campaigns_of_the_arm_ask_for_the_same_ballooning[both]"
             ),
         ),
-        pytest.param(("pneumatic_arm", "pneumatic_arm_p25"), 1, marks=pytest.mark.story),
+        pytest.param(("pneumatic_arm", "pneumatic_arm_p25"), 1, marks=pytest.mark.slow),
     ],
     ids=["one", "both"],
 )

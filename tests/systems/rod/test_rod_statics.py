@@ -261,8 +261,8 @@ def test_each_member_of_a_batch_is_itself_whatever_it_starts_from():
         assert places[row, column, 0].numpy() == pytest.approx(end, abs=1e-10)
 
 
+@pytest.mark.story  # every input; a plain run has the contract of kinds
 @pytest.mark.grad
-@pytest.mark.cpu(12)  # ops of 21 inputs are checked and compiled by PyTorch
 def test_derivatives_of_an_equilibrium_are_those_of_differences():
     made = general(2, 2)
     given = made._op_arguments(torch.zeros(2, 6, 3, dtype=F64), made.points, made.points.offset)
