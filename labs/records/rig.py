@@ -69,7 +69,7 @@ def followed(
 ) -> Array:
     """States at the samples, (num_samples, num_states), of what a held command drives."""
     x, out = np.array(start, dtype=np.float64), np.empty((len(u), len(start)))
-    if len(start) == 1:  # a number of Python has the same bits, ten times sooner
+    if len(start) == 1:  # a number of Python has the same bits, three times sooner
         x = x.item()
     for k, value in enumerate(u):
         out[k] = x
