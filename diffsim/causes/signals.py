@@ -440,10 +440,11 @@ def _read_at(values: Tensor, times: Tensor, place: Tensor, *, both_sides: bool =
     far = _measure_beyond(times)
     wide = torch.cat([times[:1] - far, times, times[-1:] + far])
     place = place.clamp(float(wide[0]), float(wide[-1]))
-    below = _interpolate_straight(values, wide, place, _left_of(wide, place, "left"))
-    if not both_sides:
-        return below
-    return 0.5 * (below + _interpolate_straight(values, wide, place, _left_of(wide, place)))
+    left = _left_of(wide, place, "left")
+    below = _interpolate_straight(values, wide, place, left)
+    if not both_sides or torch.equal(left, right := _left_of(wide, place)):
+        return below  # no place is a time of the grid
+    return 0.5 * (below + _interpolate_straight(values, wide, place, right))
 
 
 def _interpolate_straight(values: Tensor, times: Tensor, place: Tensor, left: Tensor) -> Tensor:

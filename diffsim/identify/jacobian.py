@@ -116,21 +116,18 @@ def _differences(
     many: PredictMany, at: Tensor, stencils: Mapping[int, Stencil]
 ) -> tuple[Array, Array]:
     """Differences of simulations, all in one call; that at ``at`` serves every coordinate."""
-    points = [at]
-    for i, stencil in stencils.items():
-        for offset in stencil.offsets:
-            if offset != 0.0:
-                moved = at.clone()
-                moved[i] += offset
-                points.append(moved)
+    moved = [(i, o) for i, stencil in stencils.items() for o in stencil.offsets if o != 0.0]
+    points = np.repeat(at.detach().numpy()[None], 1 + len(moved), axis=0)
+    for k, (i, offset) in enumerate(moved, 1):
+        points[k, i] += offset
     with torch.no_grad():
-        rows = many(points).detach().numpy().reshape(len(points), -1)
+        rows = many(torch.from_numpy(points).unbind()).detach().numpy().reshape(len(points), -1)
     out, k = np.zeros((len(stencils), rows[0].size)), 1
-    for j, stencil in enumerate(stencils.values()):
-        for offset, weight in zip(stencil.offsets, stencil.weights, strict=True):
-            with np.errstate(invalid="ignore", over="ignore"):  # whoever asks refuses infinities
+    with np.errstate(invalid="ignore", over="ignore"):  # whoever asks refuses infinities
+        for j, stencil in enumerate(stencils.values()):
+            for offset, weight in zip(stencil.offsets, stencil.weights, strict=True):
                 out[j] += weight * (rows[0] if offset == 0.0 else rows[k])
-            k += offset != 0.0
+                k += offset != 0.0
     return rows[0], out.T
 
 

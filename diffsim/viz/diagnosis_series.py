@@ -78,7 +78,7 @@ def point_of(fit: Fit, run: Run) -> Array:
 
     Nuisances of a run that was not fitted are fitted to it, as the gain does.
     """
-    return fit.x if run.use == "fit" else held_out_point(fit, run)
+    return fit.x if run.use == "fit" else held_out_point(fit, run)[0]
 
 
 def predicted(fit: Fit, run: Run) -> Array:

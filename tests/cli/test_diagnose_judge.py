@@ -16,7 +16,7 @@ from diffsim.data import save_study
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_file import load_study
 from diffsim.diagnose.judge.frozen import judge_saved
-from diffsim.diagnose.judge.gain import held_out_residual
+from diffsim.diagnose.judge.own_values import held_out_residual
 from diffsim.diagnose.judge.records import ErrorRow, OutsideRow, no_skill_words
 from diffsim.diagnose.judge.rivals import beside_no_skill
 from diffsim.diagnose.judge.unseen import Unseen

@@ -39,9 +39,15 @@ from scipy.sparse.linalg import splu
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Channel, Run
-from diffsim.diagnose.judge.gain import RAN_AWAY, LeftOut, Validation, held_out_residual
+from diffsim.diagnose.judge.gain import RAN_AWAY, LeftOut, Validation
 from diffsim.diagnose.judge.left_out import Fold, Repeats, folds_of, kept_runs, newest_samples
-from diffsim.diagnose.judge.own_values import Frozen, held_out_point, own_names, unmet_by
+from diffsim.diagnose.judge.own_values import (
+    Frozen,
+    held_out_point,
+    held_out_residual,
+    own_names,
+    unmet_by,
+)
 from diffsim.diagnose.judge.records import LEVEL
 from diffsim.diagnose.judge.unseen import outside_rows, spans_of, times_outside
 from diffsim.identify import Fit, Problem
@@ -450,7 +456,7 @@ def _posterior_variance(
         run: Run that was not fitted; its own values are fitted to it.
         unmet: Parameters that no fitted run has.
     """
-    x = held_out_point(at, run, unmet)
+    x = held_out_point(at, run, unmet)[0]
     own_of_run = set(own_names(at.problem.names, run, unmet))
     own = [i for i, name in enumerate(at.problem.names) if name in own_of_run]
     place = {name: i for i, name in enumerate(at.problem.names) if name not in own_of_run}

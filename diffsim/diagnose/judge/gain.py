@@ -7,7 +7,7 @@ other.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -25,7 +25,7 @@ from diffsim.diagnose.judge.left_out import (
     left_out_residual,
     time_of_rows,
 )
-from diffsim.diagnose.judge.own_values import Frozen, held_out_point
+from diffsim.diagnose.judge.own_values import Frozen, held_out_residual
 from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Fit, Problem
 from diffsim.identify.problem import PredictionError
@@ -236,11 +236,6 @@ def _sure_sd(blocks: Array) -> float:
     moved = (null - extended - value * (null - count)) / total
     sure = 1.0 - 1.0 / np.sqrt(2.0 * (num_blocks - 1))
     return float(sure * np.sqrt(num_blocks / (num_blocks - 1) * (moved @ moved)))
-
-
-def held_out_residual(fit: Frozen, run: Run) -> Array:
-    """(num_valid,) whitened residual with the fit's parameters, nuisances of this run refitted."""
-    return replace(fit.problem, runs=(run,)).residual(held_out_point(fit, run))
 
 
 def _blocks(time: Array, block_s: float, null: Array, extended: Array) -> Array:

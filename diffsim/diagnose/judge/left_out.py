@@ -268,10 +268,10 @@ def _simulate_part(fit: Fit, fold: Fold, x: Array) -> Array:
     for i in fold.runs:
         run, own = fit.problem.runs[i], rows == i
         alone = replace(fit.problem, runs=(run,))
-        point = x
+        point, left = x, None
         if fold.is_whole:
-            point = own_point(alone, x, run, fit.jacobian[own], unmet)
-        found[own] = alone.residual(point)
+            point, left = own_point(alone, x, run, fit.jacobian[own], unmet)
+        found[own] = alone.residual(point) if left is None else left
     return np.asarray(found[fold.rows])
 
 

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 import torch
-from scipy import optimize
 
 from diffsim.core.arrays import Array
+from diffsim.core.errors import DiffsimError
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
 from diffsim.data.study import Run
+from diffsim.diagnose.search.gauss_newton import MAX_RADIUS, MAX_STEPS
+from diffsim.diagnose.search.optimum import quadratic_optimum
 from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
-from diffsim.identify.effort import FIT_RTOL
+from diffsim.identify.effort import FIT_NATS, FIT_RTOL
 
+POOR = 0.25  # share of the promised gain, below which steps get shorter
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
 
 _FIRST_NOISE = re.compile(r"first (.+) noise")  # of what a run's start is read from
@@ -111,8 +115,11 @@ class Frozen(Protocol):
     def x(self) -> Array: ...
 
 
-def held_out_point(fit: Frozen, run: Run, unmet: Collection[str] | None = None) -> Array:
-    """A fit's coordinates with what is a run's own ("offset@run") fitted to it, (n,).
+def held_out_point(
+    fit: Frozen, run: Run, unmet: Collection[str] | None = None
+) -> tuple[Array, Array | None]:
+    """A fit's coordinates with what is a run's own ("offset@run") fitted to it, and the residual
+    there, as of ``own_point``.
 
     Gain, errors, page and recording ask for it: the problem keeps it, nothing is simulated twice.
 
@@ -122,11 +129,17 @@ def held_out_point(fit: Frozen, run: Run, unmet: Collection[str] | None = None) 
         unmet: Parameters that no fitted run has, as of ``own_names``; None: those of the problem.
     """
     known = tuple(unmet_by(fit.problem) if unmet is None else unmet)
-    found: Array = fit.problem.memo(
+    x, left = fit.problem.memo(
         ("held_out_point", run, np.asarray(fit.x).tobytes(), known),
         lambda: own_point(replace(fit.problem, runs=(run,)), fit.x, run, unmet=known),
     )
-    return found.copy()
+    return x.copy(), left
+
+
+def held_out_residual(fit: Frozen, run: Run) -> Array:
+    """(num_valid,) whitened residual with the fit's parameters, nuisances of this run refitted."""
+    x, left = held_out_point(fit, run)
+    return replace(fit.problem, runs=(run,)).residual(x) if left is None else left.copy()
 
 
 def unmet_by(problem: Problem) -> tuple[str, ...]:
@@ -180,8 +193,9 @@ def own_point(
     run: Run,
     slopes: Array | None = None,
     unmet: Collection[str] = (),
-) -> Array:
-    """Coordinates with the values of one run ("offset@run") fitted to it, all others as given.
+) -> tuple[Array, Array | None]:
+    """Coordinates with the values of one run ("offset@run") fitted to it, all others as given; and
+    the whitened residual there, (num_valid,), None where the run has none of its own.
 
     Args:
         problem: Model and noise, with this run only.
@@ -192,11 +206,11 @@ def own_point(
     names = set(own_names(problem.names, run, unmet))
     own = [i for i, n in enumerate(problem.names) if n in names]
     if not own:
-        return x
+        return x, None
     # what is stated per run acts almost linearly: slopes of the fit serve for all steps; a size is
     # no straight function of its coordinate
     is_straight = not names & set(unmet) and max(own) < problem.num_base
-    held = -slopes[:, own] if slopes is not None and is_straight else None
+    held = slopes[:, own] if slopes is not None and is_straight else None
 
     def full(part: Array) -> Array:
         """All coordinates, (n,)."""
@@ -204,24 +218,70 @@ def own_point(
         point[own] = part
         return point
 
-    def columns(part: Array) -> Array:
-        """Slopes of the residual and of the prior below, (num_valid + num_own, num_own)."""
-        at = -problem.linearize(full(part), only=own)[1] if held is None else held
-        return np.vstack([at, np.eye(len(own))])
+    def linearized(part: Array, left: Array | None) -> tuple[Array, Array]:
+        """Residual and slopes, (num_valid,) and (num_valid, num_own); ``left``: it is known."""
+        if held is None:
+            return problem.linearize(full(part), only=own)
+        return problem.residual(full(part)) if left is None else left, held
 
     low, high = (bound[own] for bound in problem.bounds)
-    is_bounded = np.isfinite(low).any() or np.isfinite(high).any()
-    found = optimize.least_squares(
-        lambda part: np.concatenate([problem.residual(full(part)), part]),
-        np.clip(np.zeros(len(own)), low, high),
-        jac=columns,
-        bounds=(low, high),
-        method="dogbox" if is_bounded else "trf",
-        ftol=FIT_RTOL,
-        # slopes that are a little wrong end in ever shorter steps, none of which gains anything
-        xtol=1e-8 if held is None else 1e-3,
-    )
-    return full(np.asarray(found.x))
+    first = np.clip(np.zeros(len(own)), low, high)
+    found, left = _fitted(lambda p: problem.residual(full(p)), linearized, first, low, high)
+    return full(found), left
+
+
+def _fitted(
+    residual: Callable[[Array], Array],
+    linearized: Callable[[Array, Array | None], tuple[Array, Array]],
+    at: Array,
+    low: Array,
+    high: Array,
+) -> tuple[Array, Array]:
+    """argmin |r(v)|^2 + |v|^2 within bounds, (num_own,), and r there: Gauss-Newton in a box, at
+    whose sides the first step seldom ends; slopes are simulated again only where they were wrong.
+
+    Args:
+        residual: r at some values.
+        linearized: r and -dr/dv at some values, and r there where it is known.
+        at: Where it begins.
+        low, high: Bounds.
+    """
+    left, slopes = linearized(at, None)
+    radius = MAX_RADIUS
+    for _ in range(MAX_STEPS):
+        box = np.maximum(low, at - radius), np.minimum(high, at + radius)
+        gram, right = slopes.T @ slopes + np.eye(len(at)), slopes.T @ (left + slopes @ at)
+        end = quadratic_optimum(gram, right, *box)
+        cost, least = _cost(left, at), max(2.0 * FIT_NATS, FIT_RTOL * _cost(left, at))
+        promised = cost - _cost(left - slopes @ (end - at), end)
+        there, longest = _tried(residual, end), float(np.abs(end - at).max())
+        gained = -math.inf if there is None else cost - _cost(there, end)
+        if there is not None and gained > 0.0:
+            at, left = end, there
+            if promised >= least and abs(gained - promised) >= least:
+                left, slopes = linearized(at, left)
+        if promised < least:
+            break
+        if gained < POOR * promised:
+            radius = POOR * longest
+        elif longest > 0.9 * radius:
+            radius *= 2.0
+    return at, left
+
+
+def _cost(left: Array, at: Array) -> float:
+    """Squares of a residual and of coordinates."""
+    return float(left @ left + at @ at)
+
+
+def _tried(residual: Callable[[Array], Array], at: Array) -> Array | None:
+    """The residual at some values; None where they are too far to be simulated."""
+    try:
+        left = residual(at)
+    except DiffsimError:
+        return None
+    with np.errstate(over="ignore"):
+        return left if np.isfinite(left @ left) else None
 
 
 def own_words(rows: Sequence[OwnRow]) -> list[str]:

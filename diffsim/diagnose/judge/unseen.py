@@ -331,15 +331,18 @@ def on_unseen(
             run, misread = choose_commands(given, commands, partial(_left_by, extended), sd)
             run, count = _without_spikes((plain, extended), run, sd)
             points = [
-                At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet))
+                At(replace(frozen.problem, runs=(run,)), held_out_point(frozen, run, unmet)[0])
                 for frozen in (plain, extended)
             ]
-            said = (_predict_run(points[0], run), _predict_run(points[1], run))
-            whitened = [point.problem.residual(point.x) for point in points]
+            records = [point.problem.record(point.x) for point in points]
+            whitened = [
+                p.problem.residual_of(record) for p, record in zip(points, records, strict=True)
+            ]
         except DiffsimError as error:  # of one run: the answer to all others stands
             failed[given.name] = str(error)
             continue
         num_spikes, num_misread = num_spikes + count, num_misread + misread
+        said = (records[0].reshape(run.measured.shape), records[1].reshape(run.measured.shape))
         left = [run.measured - prediction for prediction in said]
         # what the study declares unknown of a run, and start states that a model fits away
         own = own_names(extended.problem.names, run, unmet)

@@ -10,8 +10,9 @@ from scipy.optimize import least_squares
 from diffsim.data.study import TIMELESS, Study
 from diffsim.diagnose import diagnose
 from diffsim.diagnose import diagnosis as pipeline
-from diffsim.diagnose.judge.gain import LeftOut, gain_over, held_out_residual, validation_of
+from diffsim.diagnose.judge.gain import LeftOut, gain_over, validation_of
 from diffsim.diagnose.judge.left_out import Repeats, blocks_of, folds_of, left_out_residual
+from diffsim.diagnose.judge.own_values import held_out_residual
 from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel, fit
 from diffsim.identify.effect import coordinate_of
 from tests.diagnose import linear, toy
