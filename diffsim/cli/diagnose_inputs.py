@@ -24,14 +24,12 @@ from diffsim.data.study_file import load_study
 from diffsim.diagnose.inputs import Inputs
 from diffsim.identify import Problem, WhiteNoise
 from diffsim.identify.effect import Effect
-from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.effort import FIRST_STEPS, DiagnosisSettings
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.ode.traced import with_function
 from diffsim.systems.registry import setup_of
 
 MAX_PATH = 200  # longer texts of a description are no paths
-# a first answer fits as a full one does: looser fits named other causes of the arm and the starfish
-FIRST_STEPS = 16e6  # weighted, of a first answer
 SEARCH: dict[str, Any] = {"scan_steps": FIRST_STEPS, "refit_steps": FIRST_STEPS, "law_steps": None}
 FULL_TIMES = 5.0  # a full answer may cost as many first ones
 PLAIN_SHARE = 0.5  # of the steps of an answer, that the plain model's fit may take

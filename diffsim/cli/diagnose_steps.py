@@ -26,7 +26,7 @@ from diffsim.cli.diagnose_files import (
     write_judged,
 )
 from diffsim.cli.diagnose_init import init
-from diffsim.cli.diagnose_inputs import FIRST_STEPS, changed, inputs_of, read_study
+from diffsim.cli.diagnose_inputs import changed, inputs_of, read_study
 from diffsim.cli.diagnose_progress import progress_bar
 from diffsim.cli.diagnose_schema import write_schema
 from diffsim.cli.diagnose_task import command, worth
@@ -61,6 +61,7 @@ from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.next_run import Narrowing, NextRun
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK
+from diffsim.identify.effort import FIRST_STEPS
 from diffsim.identify.model_file import MODEL_FILE, SavedModel, read_extended
 from diffsim.identify.numerics import Numerics
 

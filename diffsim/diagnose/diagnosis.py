@@ -48,7 +48,7 @@ from diffsim.diagnose.discover.stage import Begin, FoundLaws, at_data_sheet, fin
 from diffsim.diagnose.inputs import Inputs
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER
+from diffsim.diagnose.judge.preconditions import ENDED
 from diffsim.diagnose.say.assemble import Checks, doubted, report_of, tested
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import FIRST_LOOK, first_look
@@ -89,7 +89,7 @@ from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
-from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.effort import FIRST_STEPS, DiagnosisSettings
 from diffsim.identify.linearization import linearization_at, residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import PredictionError, Problem
@@ -316,7 +316,7 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
 def _without_laws(answer: _Answer, *, are_found: bool = False) -> _Answer:
     """The answer of a budget that ended before laws were looked for, or before those that were
     found could be weighed: none of it is certain."""
-    frozen = doubted(answer.frozen, FIRST_ANSWER)
+    frozen = doubted(answer.frozen, ENDED[answer.search.settings.refit_steps > FIRST_STEPS])
     late = law_gate(answer.search.settings.refit_steps + answer.kept, are_found=are_found)
     return replace(answer, frozen=replace(frozen, gates=(*frozen.gates, late)))
 

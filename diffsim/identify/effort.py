@@ -52,6 +52,10 @@ class SearchSettings:
     unknown_steps: int = 3
 
 
+# a first answer fits as a full one does: looser fits named other causes of the arm and the starfish
+FIRST_STEPS = 16e6  # weighted, of a first answer
+
+
 @checked
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisSettings:

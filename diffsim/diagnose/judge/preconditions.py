@@ -42,6 +42,7 @@ from diffsim.diagnose.search.gauss_newton import has_exact_slopes
 from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
+from diffsim.identify.effort import FIRST_STEPS
 
 UNDONE = 3.0  # times as far as all causes together, that one moves the record
 TIMING = "timing"  # family of what is late
@@ -55,6 +56,8 @@ UNCONTRADICTED = "no other recording could contradict it"
 #: Doubts of a cause that what stands beside it shares: a data sheet is known beside the causes.
 SHARED = re.compile(f"{UNCONTRADICTED}$|an unknown .* explains ")
 FIRST_ANSWER = "this is a first answer"
+CUT_SHORT = "the budget ended the search"
+ENDED = (FIRST_ANSWER, CUT_SHORT)  # by whether it might take more than ``FIRST_STEPS``
 NOISE_ALONE = "the plain model's error is noise alone"
 #: Doubts that something else may act in a cause's place, or nothing at all: of three drawn causes
 #: that were likely while unseen runs left noise alone, two were not what was hidden.
@@ -170,7 +173,8 @@ def _settings_are_coarse(g: Grounds) -> str:
 
 
 def _is_first_answer(g: Grounds) -> str:
-    return FIRST_ANSWER if g.search.is_cut_short else ""
+    is_full = g.search.settings.refit_steps > FIRST_STEPS
+    return ENDED[is_full] if g.search.is_cut_short else ""
 
 
 def _parameters_are_far_off(g: Grounds) -> str:

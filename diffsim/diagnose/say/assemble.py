@@ -69,6 +69,7 @@ from diffsim.diagnose.search.search import refit, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Center, Members
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
+from diffsim.identify.effort import FIRST_STEPS
 from diffsim.identify.unknown import UnknownForce
 
 
@@ -173,6 +174,7 @@ def report_of(
         bent=bent,
         plain_twin=_plain_twin(null.fit, best) if members else (),
         drives=case.model.drives,
+        is_full=case.settings.search.refit_steps > FIRST_STEPS,
         left=float(np.sqrt(best.chi2 / best.num_samples)),
         with_unknown=_with_unknown(search, members, best.num_samples),
         chosen_by=chosen_by,

@@ -15,7 +15,7 @@ from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.checks.gates import CONTRADICTED, LAWS
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import words_of
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER, MAY_BE_ANOTHER, why_unconfirmed
+from diffsim.diagnose.judge.preconditions import ENDED, MAY_BE_ANOTHER, why_unconfirmed
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -173,7 +173,8 @@ def _second(
     twin = twin_words(answer) if answer.causes_with(LIKELY) else ""
     said = [*filter(None, [twin]), *_of_gain(gained), *_reasons(answer, first)]
     if any(gate.name == LAWS for gate in answer.gates):
-        said = [*(why for why in said if why != FIRST_ANSWER), f"{FIRST_ANSWER}, without laws"]
+        ended = ENDED[answer.is_full]
+        said = [*(why for why in said if why not in ENDED), f"{ended}, without laws"]
     return [*(f"{NOT_CERTAIN} {why}." for why in said[:1]), *untested]
 
 
@@ -191,9 +192,9 @@ def _reasons(answer: Answer, first: str) -> list[str]:
         rows = named
     doubts = dict.fromkeys(why for row in _by_share(rows) for why in row.doubts)
     said = []
-    for why in sorted(doubts, key=lambda why: why == FIRST_ANSWER):
+    for why in sorted(doubts, key=lambda why: why in ENDED):
         own = [row for row in rows if why in row.doubts]
-        is_of_all = len(own) == len(rows) or why == FIRST_ANSWER or not named
+        is_of_all = len(own) == len(rows) or why in ENDED or not named
         whose = "" if is_of_all else f"{join_words([_brief(row.words) for row in own[:2]])}, as "
         text = f"{whose}{_of_several(why) if whose and len(own) > 1 else why}"
         said.append(text if len(text.split()) <= MAX_WORDS - len(NOT_CERTAIN.split()) else why)
@@ -445,7 +446,7 @@ def _missing(
     how = {row.name: PERHAPS if is_open else _sure(row, answer.named) for row in named}
     sheet = [row for row in named if row.origin == DATA_SHEET]
     effects = _by_share([row for row in named if row.origin == EFFECT], laws)
-    is_surer = sheet and all({*row.doubts} <= {FIRST_ANSWER} for row in sheet)
+    is_surer = sheet and all({*row.doubts} <= {*ENDED} for row in sheet)
     if not effects or (is_surer and all(how[row.name] == PERHAPS for row in effects)):
         return _off_sheet(sheet, answer.drives)
     every = [*effects, *(r for r in effects_of(answer) if r.helps and r not in effects)]

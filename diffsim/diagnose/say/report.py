@@ -141,7 +141,7 @@ class Report(Answer):
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the fits' matrices and the recordings, in types that JSON has."""
-        left_out = {"decision", "floor", "best_names", "beside", "drives"}
+        left_out = {"decision", "floor", "best_names", "beside", "drives", "is_full"}
         left_out |= {"screened", "num_spikes", "num_misread", "bands"}
         own = (name for name in self.__dataclass_fields__ if name not in left_out)
         more = ("chi2_null", "chi2_best", "num_samples", "confounding_names", "confounding")

@@ -31,8 +31,7 @@ from diffsim.diagnose.judge.apart import ALL
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import EXPLAINED, Decision
 from diffsim.diagnose.judge.own_values import words_of
-from diffsim.diagnose.judge.preconditions import FIRST_ANSWER as ONLY_FIRST
-from diffsim.diagnose.judge.preconditions import said_gradient
+from diffsim.diagnose.judge.preconditions import ENDED, said_gradient
 from diffsim.diagnose.judge.records import (
     CERTAIN,
     DATA_SHEET,
@@ -100,6 +99,7 @@ class Answer:
         plain_twin: Base parameters of the plain model, off their data sheets, that explain the
             fitted runs as well as the best set does; empty where they do not.
         drives: Base parameters that are the strengths of all drives; empty where that is unknown.
+        is_full: Whether it might take more steps than a first answer.
     """
 
     verdict: str
@@ -118,6 +118,7 @@ class Answer:
     bent: tuple[BaseRow, ...] = ()
     plain_twin: tuple[BaseRow, ...] = ()
     drives: tuple[str, ...] = ()
+    is_full: bool = False
 
     @property
     def is_taken_back(self) -> bool:
@@ -271,7 +272,8 @@ def sentences(
     told = (CUTS, WINDOWS, CORRECTED)
     out += [f"{g.note[0].upper()}{g.note[1:]}." for g in answer.gates if g.name in told]
     first = (COARSE, PLAIN, SCANS, LATE, LAWS)
-    out += [f"A first answer: {g.note}." for g in answer.gates if g.name in first]
+    what = "The budget ended" if answer.is_full else "A first answer"
+    out += [f"{what}: {g.note}." for g in answer.gates if g.name in first]
     return tuple(out)
 
 
@@ -364,7 +366,7 @@ def _say_doubts(answer: Answer) -> list[str]:
     named: dict[str, list[str]] = {}
     for row in answer.causes:
         if row.status == LIKELY and row.origin != UNKNOWN:
-            why = "; ".join(d for d in row.doubts if d != ONLY_FIRST)
+            why = "; ".join(d for d in row.doubts if d not in ENDED)
             named.setdefault(why, []).append(row.words.partition(",")[0])
     out = []
     for why, words in named.items():

@@ -126,7 +126,7 @@ BROKEN = {
         g, gates=[*g.gates, GateResult("time_step", False, 13.5, 2.0)]
     ),
     "were not checked with it": lambda g: with_settings(g, accept_numerics=True),
-    "first answer": lambda g: with_search(g, num_late=1),
+    "budget ended the search": lambda g: with_search(g, num_late=1),
     "is 4 times the noise": lambda g: replace(g, fit=replace(g.fit, chi2=16.0 * g.fit.num_samples)),
     "24 standard deviations off": lambda g: replace(g, base=[own_value(24.0)]),
     "no gain is confirmed": lambda g: with_judgment(g, gain=gained(-0.1, -0.3, 0.6)),
