@@ -60,7 +60,7 @@ def shapes(place: Place) -> dict[str, Quantity]:
     fades = {sticking(place): Quantity(value=1.0, percent=100.0, lower=0.2, upper=20.0)}
     usual = {
         **({} if place.stick_velocity else fades),
-        f"stop_hardness_at_{place.name}": Quantity(value=0.0, sd=1.5, lower=-3.0, upper=3.0),
+        f"stop_hardness_at_{place.name}": Quantity(value=0.0, sd=1.5, lower=-5.0, upper=3.0),
         f"stop_loss_at_{place.name}": Quantity(value=-1.0, sd=1.5, lower=-5.0, upper=3.0),
         f"stiffening_bend_at_{place.name}": Quantity(value=0.0, sd=0.5),
     }
