@@ -111,8 +111,9 @@ def say_in_unit(effect: Effect, row: Row, group: CommandGroup) -> Effect:
     times = 1.0 if group.shown is None else factor(group.unit, shown)
     if effect.unit == "command" and shown != "-":
         effect = replace(effect, shown_unit=shown, shown_times=times)
-    if effect.unit == "s/command" and shown != "-":
-        effect = replace(effect, shown_unit=f"{shown}/s", shown_times=times, shown_power=-1)
+    for per in ("s", "s^2"):  # a limit is said as what it allows
+        if effect.unit == f"{per}/command" and shown != "-":
+            effect = replace(effect, shown_unit=f"{shown}/{per}", shown_times=times, shown_power=-1)
     words = _WORDS.get(row.name)
     return effect if words is None else replace(effect, words=words(group.unit, times, group.shown))
 

@@ -179,6 +179,8 @@ def test_limits_are_said_in_the_unit_of_the_command():
     limit = said("rate_limit", "rad", "deg")
     assert limit.words(0.5) == "a speed limit near 115 deg/s" and limit.words(0.0) == "none"
     assert (limit.shown_unit, limit.shown_power) == ("deg/s", -1)
+    profile = said("acceleration_limit", "rad", "deg")  # "0.14 to 0.26 s^2/command" nobody reads
+    assert (profile.shown_unit, profile.shown_power) == ("deg/s^2", -1)
     assert said("rate_limit", "N").words(0.5) == "a rate limit near 2 N/s"
     assert said("slack", "m", "mm").words(0.0074) == "7.4 mm of slack"
     assert said("lag", "N").words is None

@@ -249,7 +249,9 @@ def _say_findings(answer: Answer, laws: Collection[str], *, is_denied: bool = Fa
     if answer.verdict == "unknown":
         return _unknown(answer, laws)
     if answer.verdict == "ambiguous":
-        return _open(answer, "may be" if is_denied else "is")
+        # without a cause a data sheet is off, or nothing is
+        may_be_none = () in answer.rivals and not wrong_sheets(answer)
+        return _open(answer, "may be" if is_denied or may_be_none else "is")
     if answer.verdict == "data_sheet":
         return _off_sheet(_sheets_of(answer), answer.drives)
     # what the extended model holds has made the error smaller, whatever singled it out

@@ -302,12 +302,13 @@ def _first(answer: Answer) -> str:
         return "The misfit is noise once a data sheet is mended: no cause is missing."
     if answer.verdict == "named":
         certain = [row for row in sure if row.status == CERTAIN]
-        rest = [row for row in sure if row.status != CERTAIN]
-        if not certain:
-            return f"The model probably lacks {_sizes(sure)}."
-        return (
-            f"The model lacks {_sizes(certain)}{f', and probably {_sizes(rest)}' if rest else ''}."
-        )
+        likely = [row for row in sure if row.status == LIKELY]
+        rest = [row for row in sure if row.status not in (CERTAIN, LIKELY)]
+        groups = (("", certain), ("probably ", likely), ("perhaps ", rest))
+        found = [(how, _sizes(rows)) for how, rows in groups if rows]
+        how, sizes = found[0] if found else ("probably ", "")
+        beside = "".join(f", and {how}{sizes}" for how, sizes in found[1:])
+        return f"The model {how}lacks {sizes}{beside}."
     if answer.verdict == "ambiguous":
         asked = f"The data ask for {_sizes(_members(answer))}"
         if not answer.rivals:

@@ -103,7 +103,7 @@ def _fit_growing(problem: Problem, windows: Sequence[float], until: float) -> En
     except DiffsimError as error:
         if not windows:
             raise
-        found = _through(problem, start, windows, until)
+        found = grown(problem, start, windows, until)
         if found is None:
             raise error
         return found
@@ -113,13 +113,22 @@ def _fit_growing(problem: Problem, windows: Sequence[float], until: float) -> En
         or (whole[0].converged and whole[0].chi2 < HARD_START_CHI2 * whole[0].num_samples)
     ):
         return whole
-    through = _through(problem, start, windows, until)
+    through = grown(problem, start, windows, until)
     ends = [whole] if through is None else [whole, through]
     return min(ends, key=lambda end: end[0].chi2 + end[0].prior)
 
 
-def _through(problem: Problem, x: Array, windows: Sequence[float], until: float) -> Ended | None:
-    """Fits to growing parts of the runs; None where whole runs cannot be fitted from there."""
+def grown(
+    problem: Problem, x: Array, windows: Sequence[float], until: float = math.inf
+) -> Ended | None:
+    """Fits to growing parts of the runs; None where whole runs cannot be fitted from there.
+
+    Args:
+        problem: Problem on whole runs.
+        x: Where the first fit begins, standardized coordinates, (n,).
+        windows: Shares of each run, ascending.
+        until: Count of weighted steps of the model after which fits end where they are.
+    """
     for share in windows:
         part = replace(problem, runs=tuple(cut(run, share) for run in problem.runs))
         if not any(np.isfinite(run.measured).any() for run in part.runs):

@@ -26,7 +26,7 @@ from diffsim.diagnose.search.evidence import (
     Hypothesis,
     families,
 )
-from diffsim.diagnose.search.fit import Null
+from diffsim.diagnose.search.fit import HARD_START_CHI2, Null, grown
 from diffsim.diagnose.search.fitted_sets import Search, weigh_unknowns
 from diffsim.diagnose.search.from_prior import (
     FROM_PRIOR,
@@ -50,12 +50,16 @@ from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.model import has_tangents, slopes_are_simulated
 
 Array = NDArray[np.float64]
+PLACE = re.compile(r"_(of|at)_\w+$")  # where a cause acts, as its name says
 Begin = Callable[[Problem, Linearization], Linearization]
 MAX_OVERTAKING = 2  # refits after the budget for them is spent
 MAX_MENDED = 3  # fits of the best set, each with better slopes along weak directions
 # of the plain model's misfit, that a cause takes by its slopes to be fitted alone
 MOST_OF_PLAIN = 0.5
 MAX_ALONE = 8  # of these
+# shares of the runs that a leading set is fitted to first where whole runs are too hard: of 13
+# profiles inside a drive, whose valley is 1 % wide, 13 so end at the noise, 11 by 1/4 and 1/2
+SHARES = tuple(2.0 ** (-0.5 * k) for k in range(6, 0, -1))
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
 FAR_OFF = 3.0  # the same, from which a value is no usual one, or a data sheet may be wrong
 
@@ -237,6 +241,14 @@ def refit(
             break
     if best is None:
         return search.with_failed(key, message)
+    fit, case = best[0], search.null.case
+    # it leads, and slopes lead nowhere, or promise little of much; a correction is of whole runs
+    is_hard = fit.ended == "stalled" or fit.chi2 > HARD_START_CHI2 * fit.num_samples
+    is_hard &= 0.5 * (fit.chi2 + fit.prior) <= search.best_cost() and leaves_more(fit)
+    if is_hard and case.settings.windows and case.correction is None:
+        grew = grown(narrow, fit.x, SHARES, search.steps + most)
+        if grew is not None and grew[0].chi2 + grew[0].prior < fit.chi2 + fit.prior:
+            best = grew
     made = search.simulations.kept(members, best[1])
     return replace(search, simulations=made).with_fit(members, best[0])
 
@@ -464,7 +476,8 @@ def _refit_promising(
     most = wanted if np.isinf(until) else max(wanted, LEAST_REFITS)
     for k, members in enumerate(ranked[:most]):
         is_within = k == 0 or (k < wanted and search.steps < until)
-        if not is_within and any(_is_near_prior(search, tried) for tried in ranked[:k]):
+        tried = (search.fits[s] for s in ranked[:k] if s in search.fits)
+        if not is_within and not all(map(has_left_prior, tried)):
             break
         search = refit(search, members, center)
     plain, best = search.fit_of(NONE), search.fit_of(_best_of(search))
@@ -479,12 +492,6 @@ def _refit_promising(
         if search.steps < until:
             search = refit(search, members)
     return search
-
-
-def _is_near_prior(search: Search, members: Members) -> bool:
-    """Whether the fit of a set left all base parameters near their priors."""
-    posterior = search.posteriors.get(Hypothesis(members))
-    return posterior is not None and posterior.fit is not None and not has_left_prior(posterior.fit)
 
 
 def _refit_rivals(search: Search, center: Center, until: float) -> Search:
@@ -536,17 +543,12 @@ def _kinked_siblings(effects: Sequence[Effect], members: Members) -> set[Members
     Where others have moved beside the first one, slopes tell nothing of the second: a valve's dead
     band with an offset is slack with another offset.
     """
-    kinked = [i for i, effect in enumerate(effects) if not effect.smooth]
+    kinked = {i: PLACE.search(e.name) for i, e in enumerate(effects) if not e.smooth}
+    place = {i: found and found[0] for i, found in kinked.items()}
     return {
         (members - {i}) | {j}
-        for i in members.intersection(kinked)
-        for j in kinked
+        for i in members.intersection(place)
+        for j in place
         if j not in members and effects[j].family == effects[i].family
-        if _place_of(effects[j]) == _place_of(effects[i])
+        if place[j] == place[i]
     }
-
-
-def _place_of(effect: Effect) -> str:
-    """Where an effect acts, as its name says."""
-    found = re.search(r"_(of|at)_\w+$", effect.name)
-    return "" if found is None else found[0]

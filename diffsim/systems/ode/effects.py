@@ -36,7 +36,13 @@ from diffsim.systems.ode.joint_effects import (
 )
 from diffsim.systems.ode.law_effects import law_effects
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
-from diffsim.systems.ode.place_effects import add_inertia, magnitudes_at, push_at, pushed_by_inputs
+from diffsim.systems.ode.place_effects import (
+    add_inertia,
+    magnitudes_at,
+    push_at,
+    pushed_by_inputs,
+    stop_in_words,
+)
 from diffsim.systems.ode.refresh_effects import refresh_effects
 from diffsim.systems.ode.slack_effects import slack_inside, unit_apart, usual_apart
 from diffsim.systems.ode.store_effects import FLOWS_ON, flow_of
@@ -62,8 +68,13 @@ def ode_effects(library: Library, periods: Mapping[str, float]) -> tuple[Effect,
 
 
 def _say_well(effect: Effect, library: Library) -> Effect:
-    """An elastic coupling with words for its size, a limit and slack as what they are; other causes
-    as they are."""
+    """An elastic coupling and stops with words for their size, a limit and slack as what they are;
+    other causes as they are."""
+    for at, scale in library.places:
+        for name, end, inward in (("stop_above", scale.high, -1.0), ("stop_below", scale.low, 1.0)):
+            if effect.name in (name, f"{name}_at_{at.name}"):
+                words = partial(stop_in_words, name, end, inward, at.position_unit)
+                return replace(effect, words=words)
     if effect.name.startswith(f"{LIMIT}_"):
         of = effect.name.removeprefix(f"{LIMIT}_")
         # of a definition that is no place's force, such as a goal of a speed, nobody states a unit

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from diffsim.causes.row import Row
 from diffsim.core.expression import Expression, parse_expression
+from diffsim.core.figures import figure
 from diffsim.identify.effect import Apply
 from diffsim.systems.description import Quantity
 from diffsim.systems.ode.applying import by_formulas, entering, symbol
@@ -60,7 +61,7 @@ def shapes(place: Place) -> dict[str, Quantity]:
     fades = {sticking(place): Quantity(value=1.0, percent=100.0, lower=0.2, upper=20.0)}
     usual = {
         **({} if place.stick_velocity else fades),
-        f"stop_hardness_at_{place.name}": Quantity(value=0.0, sd=1.5, lower=-3.0, upper=3.0),
+        f"stop_hardness_at_{place.name}": Quantity(value=0.0, sd=1.5, lower=-5.0, upper=3.0),
         f"stop_loss_at_{place.name}": Quantity(value=-1.0, sd=1.5, lower=-5.0, upper=3.0),
         f"stiffening_bend_at_{place.name}": Quantity(value=0.0, sd=0.5),
     }
@@ -102,6 +103,19 @@ def _list_letters(
         "w": filled(parse_expression(width), out),
         "stop": filled(parse_expression(stop), out),
     }
+
+
+def stop_in_words(name: str, end: float, inward: float, unit: str, size: float) -> str:
+    """A stop by where it is: how far it lies inside the plain model's range says nobody.
+
+    Args:
+        name: Name of its row.
+        end: Least or greatest position that the plain model reaches [unit].
+        inward: Sign of the way into that range.
+        unit: Unit of the position.
+        size: How far inside the stop lies [unit].
+    """
+    return f"{name.replace('_', ' ')} {figure(end + inward * size)} {unit}"
 
 
 def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Apply:

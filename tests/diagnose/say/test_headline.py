@@ -85,6 +85,11 @@ def test_what_is_asked_for_without_a_rival_may_be_missing():
         assert said("ambiguous", causes, rivals=rivals).startswith(
             "Table tilt may be missing (-3 to 6.1 mrad in 2 sizes); these runs leave it open"
         )
+    lag = [cause("lag", unit="s")]  # of a fan: "is missing", though none was a rival
+    text = said("ambiguous", lag, rivals=((), ("delay",)))
+    assert text.startswith("Something like lag or delay may be missing"), text
+    text = said("ambiguous", lag, rivals=(("delay",),))
+    assert text.startswith("Something like lag or delay is missing"), text
 
 
 def test_a_relative_size_has_no_unit():

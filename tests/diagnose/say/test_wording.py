@@ -75,6 +75,10 @@ def test_what_is_only_likely_does_not_pass_for_certain():
     text = " ".join(sentences(replace(answer("named", causes), named=names), None, []))
     size = "(0.1 to 0.5 N; 90 % interval)"
     assert text.startswith(f"The model lacks square drag {size}, and probably slack {size}.")
+    left = [causes[1], cause("coupling", "cannot be told from")]  # of a torque that came late
+    named = replace(answer("named", left), named=("slack", "coupling"))
+    text = " ".join(sentences(named, None, []))
+    assert text.startswith(f"The model probably lacks slack {size}, and perhaps coupling {size}.")
 
 
 def test_several_that_help_are_a_plural():

@@ -64,7 +64,7 @@ def test_of_two_ends_the_one_of_less_cost_is_kept(chi2, prior, wins, monkeypatch
     whole = problem()
     stuck, at = gauss_newton(whole, linearization_at(whole, np.zeros(1)))
     other = replace(stuck, chi2=stuck.chi2 + chi2, prior=stuck.prior + prior)
-    monkeypatch.setattr(fit_module, "_through", lambda *_: (other, at))
+    monkeypatch.setattr(fit_module, "grown", lambda *_: (other, at))
     assert (first_fit(whole, (0.5,))[0] is other) == wins
 
 
