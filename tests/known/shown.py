@@ -29,7 +29,7 @@ def pages(folder: Path) -> dict[str, Any]:
     }
     reports["moving"] = example.moving_example()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(diagnosis_series, "held_out_point", lambda fit, run: fit.x)
+        patch.setattr(diagnosis_series, "held_out_point", lambda fit, run: (fit.x, None))
         paths = list(every.pages(folder))
         for name, report in reports.items():
             paths.append(diagnosis_report.write_diagnosis(report, folder / f"{name}.html"))

@@ -69,7 +69,7 @@ VALUES = {"law_1": SIZE, "wave_number_of_law_1": WAVE, "phase_of_law_1": PHASE}
 
 @pytest.fixture(autouse=True)
 def _no_nuisances(monkeypatch):
-    monkeypatch.setattr(series, "held_out_point", lambda fit, run: fit.x)
+    monkeypatch.setattr(series, "held_out_point", lambda fit, run: (fit.x, None))
 
 
 def described(answer=ANSWER, status="certain", values=VALUES, **changes):

@@ -90,7 +90,7 @@ class Predicted:
 
 @pytest.fixture(autouse=True)
 def _no_nuisances(monkeypatch):
-    monkeypatch.setattr(series, "held_out_point", lambda fit, run: fit.x)
+    monkeypatch.setattr(series, "held_out_point", lambda fit, run: (fit.x, None))
 
 
 def row(effect: str, status: str, size: float, sd: float, unit: str, **more) -> EffectRow:

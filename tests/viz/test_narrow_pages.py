@@ -66,7 +66,7 @@ def pages(folder):
 
 
 def test_nothing_is_cut_on_a_laptop_or_a_phone(tmp_path, monkeypatch):
-    monkeypatch.setattr(diagnosis_series, "held_out_point", lambda fit, run: fit.x)
+    monkeypatch.setattr(diagnosis_series, "held_out_point", lambda fit, run: (fit.x, None))
     with Browser(tmp_path / "profile") as browser:
         for path in pages(tmp_path):
             for width in (1280, 390):
