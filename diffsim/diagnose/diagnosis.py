@@ -549,9 +549,10 @@ def _renew_correction(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
 
 def _renew_at_sets(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
     """The same where a correction was made at a set, until one holds at the best one."""
-    size = math.inf
+    size, best = math.inf, NONE
     for round_ in range(MAX_AT_SETS):
-        null, best, before = search.null, decision_of(search).best, size
+        null, last, before = search.null, best, size
+        best = decision_of(search).best
         null.case.progress("search", 0.84, "finer simulations of the answer")
         fit, at = search.fit_of(best), search.simulations.fitted[best]
         try:
@@ -565,7 +566,11 @@ def _renew_at_sets(search: Search) -> tuple[Search, tuple[GateResult, ...]]:
             kept = replace(null.case, beyond=case.beyond)
             search = replace(search, null=replace(null, case=kept))
             break
-        if size > SLOWEST * before or round_ == MAX_AT_SETS - 1:
+        is_slow = best == last and size > SLOWEST * before  # that of another set is another one
+        if round_ and search.steps > null.case.searching + search.settings.refit_steps:
+            search = replace(search, null=replace(null, case=replace(null.case, beyond=None)))
+            break  # as far as the budget goes; what it names is likely at most
+        if is_slow or round_ == MAX_AT_SETS - 1:
             return _search_finely(search), ()  # friction may stick by coarse steps alone
         again = _best_sets(search)
         search = search_rounds(*_under(case, search, "renewed"), again=again)

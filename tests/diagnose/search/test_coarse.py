@@ -158,7 +158,7 @@ def test_a_dear_first_answer_simulates_finely_only_to_be_corrected():
     assert report.best.problem.reference_numerics == Numerics(**report.settings["numerics"])
     gate = next(g for g in report.gates if g.name == "coarse")
     assert gate.passed and "corrected by finer simulations" in gate.note
-    assert any("coarse" in s and s.startswith("A first answer") for s in report.sentences)
+    assert any("coarse" in s and s.startswith("The budget ended") for s in report.sentences)
 
 
 def test_an_answer_that_finer_simulations_cannot_follow_stays_and_says_so(monkeypatch):
@@ -234,7 +234,7 @@ def test_a_plain_fit_cut_short_is_said_and_makes_nothing_certain():
         for settings in (DiagnosisSettings(plain_steps=1.0), DiagnosisSettings())
     )
     assert whole.named == cut.named == ("bias",)
-    assert "this is a first answer" in cut.headline
+    assert "the budget ended the search" in cut.headline
     assert "this is a first answer" not in whole.headline
     assert any("the plain model's fit was cut short" in s for s in cut.sentences)
     assert not any("cut short" in s for s in whole.sentences)
