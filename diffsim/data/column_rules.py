@@ -347,7 +347,10 @@ def _range(values: Sequence[Array]) -> float:
 
 def _is_smooth(values: Sequence[Array]) -> bool:
     """Whether what is left of a motion is rounding: differences, of the last digit."""
-    size, level = _range(values), _level(values)
+    there = np.concatenate([v[np.isfinite(v)] for v in values])
+    # spikes of a sensor aside, which widen its range without end
+    size = float(np.ptp(np.quantile(there, (0.005, 0.995)))) if len(there) else 0.0
+    level = _level(values)
     step = step_of(np.concatenate(values)) or 0.0
     return level < max(_SMOOTH * size, _ROUNDED * step)
 

@@ -54,6 +54,7 @@ _USES = {
     "select": re.compile(r"(val|valid(ation)?|dev)\d*", re.I),
     "test": re.compile(r"(test(ing)?|hold_?out|unseen|eval(uation)?|verif(ication)?)\d*", re.I),
 }
+_UNREAD = "not read: "
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
 _OTHER_UNIT = 2.0  # powers of ten between steps: units are three apart, and loggers' steps less
 _MIXED = 0.01  # of the rows, that are out of order
@@ -66,7 +67,8 @@ def search(guess: Guess) -> Iterable[str]:
     not_read: list[str] = []
     found = list(find_tables(guess.folder, not_read))
     sheets = tuple(f"not read: {p}: holds no" for p in files_below(guess.folder) if facts_of(p))
-    yield from (said for said in not_read if not said.startswith(sheets))
+    told = [said.removeprefix(_UNREAD) for said in not_read if not said.startswith(sheets)]
+    yield from (f"{_UNREAD}{said}" for said in fold_alike(told))
     packed = [path for path in files_below(guess.folder) if path.suffix.lower() in _PACKED]
     names = sorted(path.relative_to(guess.folder).as_posix() for path in packed)
     yield from listed("packed files, not looked into; unpack them first", names)

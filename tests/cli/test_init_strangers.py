@@ -338,3 +338,23 @@ def test_noise_of_a_sensor_that_rests_is_that_of_its_last_digit(tmp_path):
     stated = yaml.safe_load((tmp_path / "study.yaml").read_text())
     (sd,) = (c["sd"] for c in stated["channels"] if c["name"] == "travel")
     assert sd == pytest.approx(0.001 / np.sqrt(12.0), rel=0.05)
+
+
+def test_files_that_cannot_be_read_for_one_reason_are_one_sentence(tmp_path, capsys):
+    three(tmp_path)
+    for name in ("d", "e", "f", "g"):
+        np.savez(tmp_path / f"{name}.npz", text=np.array("no table"))
+    assert init(tmp_path) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if "not read: " in line]
+    assert len(said) == 1 and "e.npz and 2 more: holds no table" in said[0]
+
+
+def test_a_spike_makes_no_reading_smooth(tmp_path, capsys):
+    """A load cell that lost its amplifier for a moment was the command, by its lack of noise."""
+    for k, name in enumerate(("a", "b")):
+        weight = noisy(k, 0.001, 1000)
+        weight[[300, 301]] = -384.3
+        t, header = 0.1 * np.arange(1000), "time [s],weight [N],way [mm]"
+        write(tmp_path / f"{name}.csv", header, [t, weight, noisy(9, num=1000)])
+    init(tmp_path)
+    assert "by its lack of noise" not in capsys.readouterr().out
