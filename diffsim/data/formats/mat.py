@@ -180,7 +180,7 @@ def _sorted_out(members: Mapping[str, Any]) -> tuple[dict[str, NDArray[Any]], li
         elif isinstance(values, scipy.io.matlab.MatlabOpaque):
             others.append(_OBJECTS)
         elif np.ndim(values) == 0 and not hasattr(values, "_fieldnames"):
-            single.append(f"{name} {_shown(values)}")
+            single.append(f"{name} {_words_of(values)}")
         elif not hasattr(values, "_fieldnames"):
             others.append(f"variable {name}: no table")
     if single:
@@ -190,7 +190,7 @@ def _sorted_out(members: Mapping[str, Any]) -> tuple[dict[str, NDArray[Any]], li
     return {name: arrays[name] for name in used}, [*left, *others]
 
 
-def _shown(value: Any) -> str:
+def _words_of(value: Any) -> str:
     """A single value in messages: most are facts of the rig, and no column has them."""
     number = np.asarray(value)
     return f"{number.item():.6g}" if number.dtype.kind in "iuf" else f"{value!s:.40}"
