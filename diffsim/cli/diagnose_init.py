@@ -239,7 +239,7 @@ def _runs(guess: Guess) -> Iterator[str]:
 def _pattern(guess: Guess) -> dict[str, Any]:
     """Many runs that differ in a word of their files' names, as one entry; empty: in more."""
     files = {tuple(file.replace(run.name, "{run}", 1) for file in run.files) for run in guess.runs}
-    is_plain = not any(run.setup or run.repeat_of for run in guess.runs)
+    is_plain = not any(run.setup or run.repeat_of or run.time for run in guess.runs)
     if len(guess.runs) < MANY or len(files) > 1 or not is_plain:
         return {}
     patterns = list(files.pop())
@@ -271,6 +271,8 @@ def _entry(run: GuessedRun) -> dict[str, Any]:
         entry["use"] = run.use
     if run.repeat_of is not None:
         entry["repeat_of"] = run.repeat_of
+    if run.time is not None:
+        entry["time"] = run.time
     return {**entry, "setup": run.setup} if run.setup else entry
 
 

@@ -45,6 +45,10 @@ _DASHED_TORQUE = re.compile(
     r"(?<![A-Za-z0-9-])(?:(k?gf?|oz|lbf?|[kmucM]?N)-(in|ft|cm|mm|m)|(in|ft)-(oz|lbf?)s?)"
     r"(?![A-Za-z0-9^-])(?!\s*/\s*s)"
 )
+#: A temperature in two words, deg C and degrees Celsius: no angle times a charge
+_TEMPERATURE = re.compile(
+    r"(?<![A-Za-z])(?:deg(?:ree)?s?\.?|°)\s+(c|f)(?:elsius|ahrenheit)?(?![A-Za-z])", re.I
+)
 _WEIGHTS = {"g": "gf", "kg": "kgf", "oz": "ozf", "lb": "lbf"}  # of such a product
 #: Powers without a mark, as in "m s-1" and "kg m-3"; alone, "A-1" is a label
 _BARE_POWER = re.compile(r"(?<=[A-Za-z])-(?=\d(?!\d))")
@@ -181,6 +185,7 @@ def powers_of(text: str) -> Mapping[str, float]:
     text = _RAISED.sub(lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text)
     if " " in text.strip() or text.strip() in _ALONE:
         text = _BARE_POWER.sub("^-", text)
+    text = _TEMPERATURE.sub(lambda m: f"deg{m[1].upper()}", text)
     text = _DASHED_TORQUE.sub(_torque, text)
     reader = _Reader(_GLUED_NAMES.sub(_product, text))
     powers = reader.product()

@@ -10,6 +10,7 @@ import numpy as np
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.units import to_si
 from diffsim.data.names import CLOCK, COUNTER, PERIOD, RATE, TIME, TRIAL, may_be_time, unit_of_clock
+from diffsim.data.stamps import filled
 from diffsim.data.study_check import LATE
 from diffsim.data.table import Table
 from diffsim.data.table_guess import Column
@@ -126,7 +127,8 @@ def guess_split(
     """Columns whose values are runs: they change where the clock starts again, or name trials."""
     table = tables[0]
     if clock is not None and table.is_number[clock.name]:
-        step = np.diff(table.numbers(clock.name))
+        now = table.numbers(clock.name)
+        step = np.diff(now[: filled(now)])
         is_jump = step < 0.0
         if COUNTER.match(clock.base):
             is_jump |= step > _JUMP * np.median(step)
@@ -163,8 +165,7 @@ def _numeric_time(
         if (since := _unit_since_1970(now, step)) is not None:
             unit, how = since, " since 1970 by its values"
         else:
-            # recordings step by 0.1 ms to some seconds, and nobody counts seconds in thousands
-            unit = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
+            unit = unit_by_step(step)
             last = float(now[-1] - now[0]) if len(now) else 0.0
             todo = [
                 f"time.unit: column {column.name} states none; {unit} is a guess by its steps: "
@@ -172,6 +173,12 @@ def _numeric_time(
             ]
     said.append(f"clock: column {column.name} in {unit}{how}, steps of {step:.4g} {unit}")
     return {"column": column.name, "unit": unit}, column, todo
+
+
+def unit_by_step(step: float) -> str:
+    """Unit of a clock that states none, by its usual step: recordings step by 0.1 ms to some
+    seconds, and nobody counts seconds in thousands."""
+    return "s" if step < 0.5 else "ms" if step < 500.0 else "us"
 
 
 def _unit_since_1970(now: Array, step: float) -> str | None:

@@ -30,7 +30,7 @@ from diffsim.data.names import (
     spelled,
     without_role,
 )
-from diffsim.data.signal import rest_and_jump, scatter, step_of
+from diffsim.data.signal import ROUND, rest_and_jump, scatter, step_of
 from diffsim.data.table import GROUPED_DIGITS, is_number
 from diffsim.data.table_guess import Column
 
@@ -321,6 +321,7 @@ def _constants(guess: Guess, c: GuessedColumn) -> list[str]:
         table = run.tables[c.place]
         if table.is_number[c.column.name]:
             values = run.numbers(c)
+            values = values[np.isfinite(values)]  # some state a fact in their first row alone
             if not len(values) or not (values == values[0]).all():
                 return []
             found.append(repr(float(values[0])))
@@ -346,7 +347,10 @@ def _range(values: Sequence[Array]) -> float:
 
 def _is_smooth(values: Sequence[Array]) -> bool:
     """Whether what is left of a motion is rounding: differences, of the last digit."""
-    size, level = _range(values), _level(values)
+    there = np.concatenate([v[np.isfinite(v)] for v in values])
+    # spikes of a sensor aside, which widen its range without end
+    size = float(np.ptp(np.quantile(there, (0.005, 0.995)))) if len(there) else 0.0
+    level = _level(values)
     step = step_of(np.concatenate(values)) or 0.0
     return level < max(_SMOOTH * size, _ROUNDED * step)
 
@@ -422,6 +426,8 @@ def _noise(values: Sequence[Array]) -> float | None:
             less = 1.0 - 2.0 / np.sqrt(len(here))
             levels.append(reduce(lambda low, high: high if high < less * low else low, told))
     there = np.unique(np.concatenate([v[np.isfinite(v)] for v in values]))
-    step = float(np.min(np.diff(there))) if 1 < len(there) < 2000 else 0.0
+    gaps = np.diff(there)
+    # a range of doubles has no gap that is one: what is left adds nothing
+    step = float(gaps[gaps > ROUND * np.ptp(there)].min(initial=np.inf)) if len(gaps) else 0.0
     level = max(float(np.median(levels)) if levels else 0.0, step / np.sqrt(12.0))
     return float(f"{level:.2g}") if level > 0.0 else None

@@ -19,7 +19,7 @@ import numpy as np
 from diffsim.core.arrays import Array
 from diffsim.core.check import did_you_mean
 from diffsim.core.figures import fold_alike
-from diffsim.data.clock_guess import guess_clock, guess_split, is_late, seconds_of
+from diffsim.data.clock_guess import guess_clock, guess_split, is_late, seconds_of, unit_by_step
 from diffsim.data.column_rules import COLUMN_RULES
 from diffsim.data.facts_beside import facts_beside, facts_of
 from diffsim.data.folder_tables import FoundTable, files_below, find_tables
@@ -27,7 +27,7 @@ from diffsim.data.formats import SUFFIXES
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
 from diffsim.data.joined_files import Kind, join_files
 from diffsim.data.names import BESIDE, DRIVES, STATE, is_asked, log_column, px4_topic
-from diffsim.data.stamps import JUMP, stamp_fault
+from diffsim.data.stamps import JUMP, filled, stamp_fault, usual_step
 from diffsim.data.table import MAKER, Table
 from diffsim.data.table_guess import TABLES, last_line
 
@@ -54,7 +54,9 @@ _USES = {
     "select": re.compile(r"(val|valid(ation)?|dev)\d*", re.I),
     "test": re.compile(r"(test(ing)?|hold_?out|unseen|eval(uation)?|verif(ication)?)\d*", re.I),
 }
+_UNREAD = "not read: "
 _PACKED = (".zip", ".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")
+_OTHER_UNIT = 2.0  # powers of ten between steps: units are three apart, and loggers' steps less
 _MIXED = 0.01  # of the rows, that are out of order
 _TURNS = 0.3  # of the rows have another name than the one before, where readings take turns
 _SAME = 0.02  # rms over range: commands of repeats agree to this
@@ -65,7 +67,8 @@ def search(guess: Guess) -> Iterable[str]:
     not_read: list[str] = []
     found = list(find_tables(guess.folder, not_read))
     sheets = tuple(f"not read: {p}: holds no" for p in files_below(guess.folder) if facts_of(p))
-    yield from (said for said in not_read if not said.startswith(sheets))
+    told = [said.removeprefix(_UNREAD) for said in not_read if not said.startswith(sheets)]
+    yield from (f"{_UNREAD}{said}" for said in fold_alike(told))
     packed = [path for path in files_below(guess.folder) if path.suffix.lower() in _PACKED]
     names = sorted(path.relative_to(guess.folder).as_posix() for path in packed)
     yield from listed("packed files, not looked into; unpack them first", names)
@@ -127,6 +130,20 @@ def families(guess: Guess) -> Iterable[str]:
     )
     is_apart = any("not joined" in said for said in guess.said)  # of one run, with their own clocks
     other_rig = "; recordings of another rig need a folder, and a study, of their own"
+    names = [c.name for c in guess.kinds[0].columns]
+    moved = {
+        path: one.layout
+        for one in guess.found
+        if (path := one.path.relative_to(guess.folder).as_posix()) in others
+        and [c.name for c in one.layout.columns] == names
+    }
+    line = guess.kinds[0].files[0].layout.header_line
+    yield from listed(
+        f"files with the same columns, but not with their names in line {line}, not used; take "
+        "out or add lines above the names there",
+        [f"{path} (line {layout.header_line})" for path, layout in moved.items()],
+    )
+    others = {path: None for path in others if path not in moved}
     for sentence in listed("files with other columns, not used", others):
         yield sentence if is_apart else f"{sentence}{other_rig}"
     used = {one.reference for kind in guess.kinds for one in kind.files}
@@ -200,7 +217,9 @@ def headers(guess: Guess) -> Iterable[str]:
     bare = [kind for kind in guess.kinds if not kind.files[0].layout.has_names]
     if bare:
         names = ", ".join(c.name for kind in bare for c in kind.columns)
-        yield f"header: {bare[0].files[0].reference} and the like have none; columns are {names}"
+        is_part = any(c.base != f"column_{k}" for k, c in enumerate(bare[0].columns, 1))
+        what = "have fewer names than columns" if is_part else "have none"
+        yield f"header: {bare[0].files[0].reference} and the like {what}; columns are {names}"
         guess.todo.append(
             "columns of `table`: the files name none, these are by their place; rename them there, "
             "and in channels and commands"
@@ -291,6 +310,27 @@ def runs(guess: Guess) -> Iterable[str]:
         yield f"runs: one for each of {count} {what}" if count > 1 else "runs: one"
 
 
+def other_clocks(guess: Guess) -> Iterable[str]:
+    """Runs whose clock counts in another unit, such as seconds after milliseconds; the header
+    states none."""
+    clocks = guess.those("clock")
+    if guess.split or len(guess.kinds) != 1 or not clocks:
+        return
+    time, column = guess.time[0], clocks[0].column
+    is_number = all(run.tables[0].is_number[column.name] for run in guess.runs)
+    if column.unit or "step" in time or not is_number:
+        return
+    steps = [usual_step(run.numbers(clocks[0])) for run in guess.runs]
+    by: dict[str, list[str]] = {}
+    for run, step in zip(guess.runs, steps, strict=True):
+        unit = unit_by_step(step)
+        if unit != time["unit"] and step > 0.0 and abs(np.log10(step / steps[0])) > _OTHER_UNIT:
+            run.time = {**time, "unit": unit}
+            by.setdefault(unit, []).append(run.name)
+    for unit, names in by.items():
+        yield from listed(f"clocks in {unit}, by steps far from those in {time['unit']}", names)
+
+
 def order(guess: Guess) -> Iterable[str]:
     """Rows that a logger wrote out of order or twice, a few in each file: they are sorted, and one
     is kept."""
@@ -300,9 +340,12 @@ def order(guess: Guess) -> Iterable[str]:
         guess.stamps = {"jumps": "close"}
         yield from listed(f"clocks that wrap at {wrapped[0]} go on by the usual step", wrapped[1])
         return
-    mixed, equal, coarse = [], [], []
+    mixed, equal, coarse, unfilled = [], [], [], []
     for run in guess.runs:
         now = seconds_of(run.tables[0], guess.time[0])
+        if (rest := len(now) - filled(now)) > 0:
+            unfilled += [f"{run.name} ({rest})"]
+            now = now[:-rest]
         latest, least = np.maximum.accumulate(now), np.minimum.accumulate(now[::-1])[::-1]
         # rows out of place, not steps back: of recordings one after another these are few
         back = min(int((now < latest).sum()), int((now > least).sum()))
@@ -318,11 +361,14 @@ def order(guess: Guess) -> Iterable[str]:
         mixed += [f"{run.name} ({back})"] if back else []
         equal += [f"{run.name} ({again})"] if again else []
     if coarse:
-        if not mixed and (said := _many_equal(guess, coarse)):
+        if not mixed and not unfilled and (said := _many_equal(guess, coarse)):
             guess.duplicates = said[0]
             yield from listed(said[1], [run.name for run in coarse])
         return
-    guess.stamps = {"backward": "sort"} if mixed else {}
+    if mixed and unfilled:
+        return
+    guess.stamps = {"backward": "sort"} if mixed else {"backward": "drop"} if unfilled else {}
+    yield from listed("rows at the end that were not filled, left out", unfilled)
     guess.duplicates = "first" if equal else None
     yield from listed("rows with the stamp of another, of which the first is kept", equal)
     yield from listed("rows out of order, sorted by their stamps", mixed)
@@ -521,6 +567,7 @@ RULES: tuple[Rule, ...] = (
     long_form,
     splits,
     runs,
+    other_clocks,
     order,
     *COLUMN_RULES,
     lists_of_runs,

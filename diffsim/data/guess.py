@@ -66,6 +66,7 @@ class GuessedRun:
     use: str = "fit"
     repeat_of: str | None = None
     setup: dict[str, Any] = field(default_factory=dict)
+    time: dict[str, Any] | None = None  # its clock, if another than that of the first run
 
     def numbers(self, of: GuessedColumn) -> Array:
         """Samples of a column on its own file's clock, (num_samples,)."""

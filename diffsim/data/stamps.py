@@ -161,6 +161,18 @@ def spread(clock: Array) -> Array:
     return start + share * (np.repeat(ends, counts) - start)
 
 
+def filled(now: Array) -> int:
+    """Rows before the last ones that a program did not fill: their stamps are all back at zero.
+
+    Args:
+        now: Stamps of the rows, (num_rows,), in any unit.
+    """
+    if len(now) < 2 or now[-1] != 0.0 or not now[0] >= 0.0:
+        return len(now)
+    written = np.flatnonzero(now)
+    return int(written[-1]) + 1 if len(written) else len(now)
+
+
 def stamp_fault(now: Array) -> tuple[int, str, str] | None:
     """The first row whose stamp does not follow the one before it, why, and what mends it.
 
@@ -174,6 +186,11 @@ def stamp_fault(now: Array) -> tuple[int, str, str] | None:
     wrong = steps <= 0.0
     if not wrong.any():
         return None
+    num = filled(now)
+    if num < len(now) and not wrong[: num - 1].any():
+        said = f"the clock is 0 from here to the end, {counted(len(now) - num, 'row')}"
+        remedy = "`stamps: {backward: drop}` leaves them out"
+        return num, f"{said}: they were not filled", remedy
     at = int(np.argmax(wrong)) + 1
     usual, back = usual_step(now), np.flatnonzero(steps < 0.0)
     said = f"time must increase, got {now[at]:g} s after {now[at - 1]:g} s"

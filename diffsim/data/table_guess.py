@@ -247,9 +247,19 @@ def _without_header(rows: list[list[str]]) -> TableLayout | None:
     first = above[-1] + 1 if above else 0
     if len(rows) - first < FEWEST_ROWS:
         return None
-    names = (_PLACE.format(k) for k in range(1, 1 + width))
-    columns = tuple(Column(name, name, None, False) for name in names)
-    return TableLayout(0, first + 1, columns, has_names=False)
+    names = [_PLACE.format(k) for k in range(1, 1 + width)]
+    columns = [Column(name, name, None, False) for name in names]
+    head = _drop_empty_end(rows[first - 1]) if first else []
+    if 1 < len(head) < width and _are_names(head, len(head)) and not _names_twice(head):
+        # R leaves out the name of its numbers of rows, which come first; others name no last one
+        at = width - len(head) if _count_rows([row[0] for row in rows[first:]]) else 0
+        columns[at : at + len(head)] = [column_of(name) for name in head]
+    return TableLayout(0, first + 1, tuple(columns), has_names=False)
+
+
+def _count_rows(cells: list[str]) -> bool:
+    """Whether cells are 1, 2, 3 and on."""
+    return cells == [str(k) for k in range(1, 1 + len(cells))]
 
 
 def column_of(name: str, unit_cell: str = "") -> Column:

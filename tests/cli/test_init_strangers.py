@@ -256,3 +256,105 @@ def test_a_first_column_without_a_name_is_the_clock_though_rows_are_lost(tmp_pat
     said = capsys.readouterr().out
     assert "clock: column column_1, the first that only grows" in said
     assert "runs: one for each of 2 files" in said and "not used: 4_17_1.dat" in said
+
+
+def test_rows_that_were_never_filled_are_left_out(tmp_path, capsys):
+    """Zeros at the end of an array ended the command, or were a sample at a made-up stamp."""
+    for k, name in enumerate(("a", "b", "c")):
+        rows = np.stack([1e3 * T + 3.0, np.sin(T), 0.1 * np.cos(T + k) + noisy(k)], axis=1)
+        if name == "b":
+            rows[-4:] = 0.0
+        header = "time,u_V,x_mm"
+        np.savetxt(tmp_path / f"{name}.csv", rows, "%.6g", ",", header=header, comments="")
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "rows at the end that were not filled, left out: b (4)" in said
+    a, b, _ = load_study(tmp_path).runs
+    assert len(b.time_s) == len(a.time_s) - 4 and (np.diff(b.time_s) > 0.0).all()
+    text = (tmp_path / "study.yaml").read_text()
+    (tmp_path / "study.yaml").write_text(text.replace("stamps: {backward: drop}", "every: 1"))
+    with pytest.raises(ValueError, match=r"0 from here to the end, 4 rows.*\{backward: drop\}"):
+        load_study(tmp_path)
+
+
+def test_clocks_of_milliseconds_and_of_seconds_in_one_folder(tmp_path, capsys):
+    """Runs in seconds were read as milliseconds, a thousand times too quick, and nothing said."""
+    for k, (name, unit) in enumerate((("a", 1e3), ("b", 1.0), ("c", 1e3))):
+        stamps = [f"{0.01 * unit * t:.6g}" for t in T]
+        write(tmp_path / f"{name}.csv", "time,command,speed", [stamps, np.sin(T), noisy(k)])
+    assert init(tmp_path) == 0
+    assert "clocks in s, by steps far from those in ms: b\n" in capsys.readouterr().out
+    for run in load_study(tmp_path).runs:
+        assert run.time_s[-1] == pytest.approx(0.01 * T[-1], rel=1e-4)
+
+
+def test_a_fact_in_the_first_row_alone_is_no_channel(tmp_path):
+    """As a test report has the length of its specimen beside the rows."""
+    for k, name in enumerate(("a", "b", "c")):
+        length = [f"{25.0 + k}", *[""] * (len(T) - 1)]
+        columns = [T, np.sin(T), noisy(k), length]
+        write(tmp_path / f"{name}.csv", "t (s),force (N),x (mm),length (mm)", columns)
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in (*study.channels, *study.commands)] == ["x", "force"]
+    assert [run.setup["length"] for run in study.runs] == pytest.approx([0.025, 0.026, 0.027])
+
+
+@pytest.mark.parametrize(
+    ("first", "names"),
+    [
+        (T, ["t_s", "u", "x", "column_4"]),  # the last was added later
+        (np.arange(1, len(T) + 1), ["column_1", "t_s", "u", "x"]),  # rows of R
+    ],
+)
+def test_a_header_of_fewer_names_than_columns_keeps_them(tmp_path, capsys, first, names):
+    """They were lost, and the clock with them."""
+    columns = [first, *([T] if first is not T else []), np.sin(T), noisy(1)]
+    columns += [noisy(2)] if first is T else []
+    write(tmp_path / "a.csv", "t_s,u,x", columns)
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    known = ", ".join(names)
+    assert f"a.csv and the like have fewer names than columns; columns are {known}\n" in said
+    assert "clock: column t_s in s" in said
+
+
+def test_the_same_columns_below_more_remarks_are_no_other_rig(tmp_path, capsys):
+    for name, remarks in (("a", 1), ("b", 1), ("c", 2)):
+        header = "# a remark\n" * remarks + "time_s,force_N,position_m"
+        write(tmp_path / f"{name}.csv", header, [T, np.sin(T), noisy(1)])
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    assert "the same columns, but not with their names in line 2, not used" in said
+    assert "c.csv (line 3)" in said and "another rig" not in said
+
+
+def test_noise_of_a_sensor_that_rests_is_that_of_its_last_digit(tmp_path):
+    """Of more than 2000 readings it was 1e-16: nothing but that of doubles."""
+    t = 0.01 * np.arange(9000)
+    travel = np.round(np.cumsum((np.arange(9000) % 4 == 0) * 0.001) + 0.001 * (t // 10), 3)
+    write(tmp_path / "a.csv", "t (s),force (N),travel (mm)", [t, np.sin(t), travel])
+    init(tmp_path)
+    stated = yaml.safe_load((tmp_path / "study.yaml").read_text())
+    (sd,) = (c["sd"] for c in stated["channels"] if c["name"] == "travel")
+    assert sd == pytest.approx(0.001 / np.sqrt(12.0), rel=0.05)
+
+
+def test_files_that_cannot_be_read_for_one_reason_are_one_sentence(tmp_path, capsys):
+    three(tmp_path)
+    for name in ("d", "e", "f", "g"):
+        np.savez(tmp_path / f"{name}.npz", text=np.array("no table"))
+    assert init(tmp_path) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if "not read: " in line]
+    assert len(said) == 1 and "e.npz and 2 more: holds no table" in said[0]
+
+
+def test_a_spike_makes_no_reading_smooth(tmp_path, capsys):
+    """A load cell that lost its amplifier for a moment was the command, by its lack of noise."""
+    for k, name in enumerate(("a", "b")):
+        weight = noisy(k, 0.001, 1000)
+        weight[[300, 301]] = -384.3
+        t, header = 0.1 * np.arange(1000), "time [s],weight [N],way [mm]"
+        write(tmp_path / f"{name}.csv", header, [t, weight, noisy(9, num=1000)])
+    init(tmp_path)
+    assert "by its lack of noise" not in capsys.readouterr().out

@@ -75,8 +75,15 @@ def test_si_of_a_unit(unit, si, size):
     assert found.factor == pytest.approx(size, rel=1e-14)
 
 
-def test_degrees_celsius_have_an_offset():
-    assert to_si("degC") == ("K", 1.0, 273.15)
+@pytest.mark.parametrize("unit", ["degC", "deg C", "Deg C", "deg. C", "degrees Celsius", "° C"])
+def test_degrees_celsius_have_an_offset(unit):
+    """In two words they were an angle times a charge."""
+    assert to_si(unit) == ("K", 1.0, 273.15)
+
+
+def test_degrees_in_two_words_stand_in_a_product_too():
+    assert to_si("W/deg C") == to_si("W/degC")
+    assert to_si("deg F") == to_si("degF")
 
 
 def test_a_coherent_unit_means_the_same_in_any_spelling():

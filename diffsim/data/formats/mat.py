@@ -180,7 +180,7 @@ def _sorted_out(members: Mapping[str, Any]) -> tuple[dict[str, NDArray[Any]], li
         elif isinstance(values, scipy.io.matlab.MatlabOpaque):
             others.append(_OBJECTS)
         elif np.ndim(values) == 0 and not hasattr(values, "_fieldnames"):
-            single.append(name)
+            single.append(f"{name} {_words_of(values)}")
         elif not hasattr(values, "_fieldnames"):
             others.append(f"variable {name}: no table")
     if single:
@@ -188,6 +188,12 @@ def _sorted_out(members: Mapping[str, Any]) -> tuple[dict[str, NDArray[Any]], li
         others.append(what.format(", ".join(single)))
     used, left = arrays_of_a_table({n: v.shape for n, v in arrays.items()}, "variable")
     return {name: arrays[name] for name in used}, [*left, *others]
+
+
+def _words_of(value: Any) -> str:
+    """A single value in messages: most are facts of the rig, and no column has them."""
+    number = np.asarray(value)
+    return f"{number.item():.6g}" if number.dtype.kind in "iuf" else f"{value!s:.40}"
 
 
 def word(name: str) -> str:

@@ -403,6 +403,9 @@ def _change_of(record: Record, channel: Signal, samples: Samples) -> tuple[int, 
         if abs(near - np.log(factor[0])) > 0.8 or abs(drive) > 1.0:
             continue
         times = factor[0]
+        # speeds of few counts scatter by these, and all the more near zero
+        if _level_change(x, k) / np.log(times) < 0.5:
+            continue
         if _others_differ(noise, [_off_at(c, samples, k) for c in _beside(record, channel)]):
             continue
         before = float(np.abs(samples.changes[max(k - 6, 0) : k - 1]).max(initial=0.0))
@@ -416,6 +419,12 @@ def _change_of(record: Record, channel: Signal, samples: Samples) -> tuple[int, 
             # what is not driven comes to rest, and its noise with it
             return k, times, factor[1].words
     return None
+
+
+def _level_change(x: Array, k: int) -> float:
+    """Logarithm of how much farther from zero a channel gets from a sample on."""
+    before, after = (max(float(np.quantile(np.abs(part), 0.9)), 1e-300) for part in (x[:k], x[k:]))
+    return float(np.log(after / before))
 
 
 def _off_at(channel: Signal, samples: Samples, k: int) -> float:

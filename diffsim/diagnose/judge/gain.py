@@ -70,8 +70,8 @@ class Gain:
         do runs whose own values had to be fitted far off."""
         if self.high < 0.0 and self.num_blocks > 1:
             return "withdrawn" if self._can_be_judged else "cannot be judged"
-        if self.excess <= 0.0:  # a color of slow scatter leaves less than 1 of what goes on
-            return "nothing to gain" if self.fall <= 0.0 else "cannot be judged"
+        if self.excess <= 0.0:
+            return "nothing to gain"
         is_sure = self.is_above_zero and self.farthest[0] <= FAR_OFF
         return "confirmed" if is_sure else "not confirmed"
 
