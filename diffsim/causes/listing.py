@@ -264,10 +264,12 @@ def _say_unit(pattern: str, force: str, length: str) -> str:
         return "kg"
     if length == "-":
         pattern = pattern.split("/X")[0].replace("X", "-")
-    said = pattern.replace("F", force).replace("X", length)
     if force != f"{length}/s^2":
-        return said
-    return NO_UNIT if pattern == _INERTIA else to_si(said).unit  # an acceleration divides to less
+        return pattern.replace("F", force).replace("X", length)
+    if pattern == _INERTIA:
+        return NO_UNIT
+    said = pattern.replace("/F", " s^2/X").replace("F", "X/s^2").replace("X", length)
+    return to_si(said).unit  # an acceleration divides to less
 
 
 def _list_of_stores(found: Sequence[Row], plant: Plant) -> Iterator[Effect]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,10 +14,11 @@ from diffsim.data.names import CLOCK, COUNTER, PERIOD, RATE, TIME, TRIAL, may_be
 from diffsim.data.stamps import filled
 from diffsim.data.study_check import LATE
 from diffsim.data.table import Table
-from diffsim.data.table_guess import Column
+from diffsim.data.table_guess import PLACE, Column
 
 _FEWEST_ROWS = 5  # of a run, on average
 _NUMBERED = 20  # rows from which on whole steps of one are no command
+_T_OF = re.compile(r"[_ .]t$", re.I)
 _MOST_EVEN = 0.9  # of the steps of a clock
 _JUMP = 10.0  # times the usual step of a counter: another recording
 _SINCE_1970 = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # counts in a second
@@ -55,7 +57,7 @@ def guess_clock(
         if column.unit is None and is_number and _numbers_rows(column, tables):
             continue  # whole steps of one count frames: no unit follows from these
         # a speed that a bench sweeps only grows, too
-        if is_number and may_be_time(column) and _is_even(tables[0].numbers(column.name)):
+        if is_number and may_be_time(column) and _is_even(column, tables[0]):
             said.append(f"clock: column {column.name}, the first that only grows")
             return _numeric_time(column, tables, said)
     for column in columns:
@@ -193,16 +195,21 @@ def _unit_since_1970(now: Array, step: float) -> str | None:
 def _grows(column: Column, tables: Sequence[Table]) -> bool:
     """Whether a clock by its name goes on; some of its stamps may be equal."""
     step = np.diff(tables[0].numbers(column.name))
-    return bool((step >= 0.0).all() and np.mean(step > 0.0) > 0.5)
+    enough = max(min(_FEWEST_ROWS, len(step)), 0.1 * len(step))
+    return bool((step >= 0.0).all() and (step > 0.0).sum() >= enough)
 
 
-def _is_even(now: Array) -> bool:
-    """Whether a column goes on, and nearly always by the same: loggers lose rows."""
-    step = np.diff(now)
+def _is_even(column: Column, table: Table) -> bool:
+    """Whether a column goes on by the same from row to row; but for a few rows where it has no
+    name, and where it is called plate_t, of which some stamps may be equal, too."""
+    step, is_t = np.diff(table.numbers(column.name)), bool(_T_OF.search(column.name))
+    step = step[step != 0.0] if is_t else step
     if not len(step) or not (step > 0.0).all():
         return False
-    off = np.abs(step - np.median(step))
-    return bool(np.mean(off < 0.5 * np.median(step)) > _MOST_EVEN)
+    usual = float(np.median(step))
+    is_loose = is_t or column.name == PLACE.format(1)
+    off = np.abs(step - usual) if is_loose else np.array([np.ptp(step)])
+    return bool(np.mean(off < 0.5 * usual) > _MOST_EVEN)
 
 
 def _counts(column: Column, tables: Sequence[Table]) -> bool:

@@ -26,7 +26,7 @@ from diffsim.data.folder_tables import FoundTable, files_below, find_tables
 from diffsim.data.formats import SUFFIXES
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
 from diffsim.data.joined_files import Kind, join_files
-from diffsim.data.names import BESIDE, DRIVES, STATE, is_asked, log_column, px4_topic
+from diffsim.data.names import BESIDE, COUNTER, DRIVES, STATE, is_asked, log_column, px4_topic
 from diffsim.data.stamps import JUMP, filled, stamp_fault, usual_step
 from diffsim.data.table import MAKER, Table
 from diffsim.data.table_guess import TABLES, last_line
@@ -355,7 +355,7 @@ def order(guess: Guess) -> Iterable[str]:
         is_other = fault is not None and not any(word in fault[2] for word in known)
         # one row that the next one overtook is mended in a short table, too
         moved = np.abs(np.argsort(np.argsort(now, kind="stable")) - np.arange(len(now))).max()
-        if back > (_MIXED * len(now) if moved > 1 else 1) or is_other:
+        if back > max(_MIXED * len(now), moved <= 1) or is_other:
             return
         coarse += [run] if again > max(_MIXED * len(now), 1) else []
         mixed += [f"{run.name} ({back})"] if back else []
@@ -379,7 +379,8 @@ def _many_equal(guess: Guess, runs: Sequence[GuessedRun]) -> tuple[str, str] | N
     same = []
     for run in runs:
         table, now = run.tables[0], seconds_of(run.tables[0], guess.time[0])
-        cells = [table.values(name) for name in table.header if name]
+        counts = {c.column.name for c in guess.columns if COUNTER.match(c.column.base)}
+        cells = [np.array(table.texts(n)) for n in table.header if n and n not in counts]
         is_equal = np.diff(now) == 0.0
         same.append(np.all([c[1:] == c[:-1] for c in cells], axis=0)[is_equal])
     share = float(np.mean(np.concatenate(same)))

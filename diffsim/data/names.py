@@ -35,8 +35,7 @@ _UNITS = {
     **dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), "min"),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "stunden"), "h"),
 }
-#: A clock if it only grows, as systime and plate_t; settling_time does not.
-CLOCK = re.compile(r"time$|[_ .]t$", re.I)
+CLOCK = re.compile(r"time$", re.I)  # a clock if it only grows, as systime; settling_time does not
 COUNTER = re.compile(
     r"^((\w+_header_)?(frame|sample|index|idx|row|count|counter|seq|pose|image|bild|zeile|schritt|messpunkt"
     r"|loop_?iteration|iteration)"

@@ -23,7 +23,7 @@ from diffsim.data.table import (
 FIRST_LINES = 60  # in which the header must be
 FEWEST_ROWS = 5  # of numbers, that a file without a header must have
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".log", ".asc", ".lvm")
-_PLACE = "column_{}"  # name of a column without any
+PLACE = "column_{}"  # name of a column without any
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*")
 _DATE = re.compile(r"\s*\d{4}-?\d\d-?\d\d[T_ ]\d\d.*")  # a clock, as numbers are
 _ENTRY = re.compile(r"^(.*[^\]])((?:\[\d+\])+)$")
@@ -213,7 +213,7 @@ def _lines_as_names(above: list[list[str]], last: int, first: int) -> TableLayou
     telling = [row for row in parts if len({row[k] for k in at}) > 1]
     for k in at:
         names[k] = " ".join([*(row[k] for row in telling if row[k]), names[k]])
-    named = (name or _PLACE.format(k) for k, name in enumerate(names, 1))
+    named = (name or PLACE.format(k) for k, name in enumerate(names, 1))
     columns = (column_of(name, unit) for name, unit in zip(named, units, strict=True))
     return TableLayout(0, first, tuple(columns))
 
@@ -247,7 +247,7 @@ def _without_header(rows: list[list[str]]) -> TableLayout | None:
     first = above[-1] + 1 if above else 0
     if len(rows) - first < FEWEST_ROWS:
         return None
-    names = [_PLACE.format(k) for k in range(1, 1 + width)]
+    names = [PLACE.format(k) for k in range(1, 1 + width)]
     columns = [Column(name, name, None, False) for name in names]
     head = _drop_empty_end(rows[first - 1]) if first else []
     if 1 < len(head) < width and _are_names(head, len(head)) and not _names_twice(head):

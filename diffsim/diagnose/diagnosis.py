@@ -316,7 +316,8 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
 def _without_laws(answer: _Answer, *, are_found: bool = False) -> _Answer:
     """The answer of a budget that ended before laws were looked for, or before those that were
     found could be weighed: none of it is certain."""
-    frozen = doubted(answer.frozen, ENDED[answer.search.settings.refit_steps > FIRST_STEPS])
+    is_full = answer.search.null.case.settings.plain_steps > FIRST_STEPS
+    frozen = doubted(answer.frozen, ENDED[is_full])
     late = law_gate(answer.search.settings.refit_steps + answer.kept, are_found=are_found)
     return replace(answer, frozen=replace(frozen, gates=(*frozen.gates, late)))
 

@@ -78,15 +78,21 @@ def _tables(path: Path) -> dict[str, dict[str, Any]]:
         if hasattr(value, "_fieldnames")
     }
     many = _structs_in_arrays(variables)
-    cells = _runs_in_cells(variables)
     used = {*structs, *(name.partition("(")[0] for name in many)}
     rest = {k: v for k, v in variables.items() if k not in used}
+    cells = {} if _columns(rest) else _runs_in_cells(variables)  # a few beside a table are none
     return {"": rest, **structs, **many, **cells}
 
 
 def _members(path: Path, part: str) -> dict[str, Any]:
-    """What a part holds."""
-    return _of_one_clock(_tables(path))[part]
+    """What a part holds; structs that are one table with others are parts by their names, too."""
+    tables = _tables(path)
+    return _of_one_clock(tables).get(part) or tables[part]
+
+
+def has_part(path: Path, part: str) -> bool:
+    """Whether a file has a part that it does not list: a struct that is in its table."""
+    return not _is_hdf5(path) and bool(_columns(_tables(path).get(part, {})))
 
 
 def _structs_in_arrays(variables: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -122,13 +128,15 @@ def _is_sampled(cell: Any) -> bool:
 
 
 def _of_one_clock(tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Structs of the same stamps and other columns are one table: signals that Simulink saved."""
+    """Structs of the same stamps and other columns are one table: signals that Simulink saved.
+    Names that count, run1 and run2, are those of runs."""
     if any(_columns(own) for name, own in tables.items() if "time" not in own):
         return tables
     timed = {name: own for name, own in tables.items() if np.ndim(own.get("time", 0.0)) == 1}
     names = [key for own in timed.values() for key in own if key != "time"]
     stamps = [own["time"] for own in timed.values()]
-    if len(timed) < 2 or len(set(names)) < len(names):
+    stems = {name.rstrip("0123456789") for name in timed}
+    if len(timed) < 2 or len(set(names)) < len(names) or len(stems) == 1:
         return tables
     if not all(np.array_equal(stamps[0], other) for other in stamps):
         return tables

@@ -166,7 +166,8 @@ def _part_of(path: str | Path) -> tuple[Path, str]:
     if not part and len(parts) == 1:
         part = parts[0]
     is_whole = not part and _READERS[file.suffix.lower()][1] is json_records.read
-    if part not in parts and not (is_whole and json_records.is_log(file)):
+    is_known = part in parts or (is_whole and json_records.is_log(file))
+    if not is_known and not (file.suffix.lower() == ".mat" and mat.has_part(file, part)):
         shown = ", ".join(f"{file.name}#{p}".removesuffix("#") for p in parts[:30])
         what = f"has no part {part!r}{did_you_mean(part, parts)}" if part else "holds several parts"
         raise ValueError(f"{file}: {what}; name one as FILE#PART: {shown}")

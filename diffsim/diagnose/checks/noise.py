@@ -220,7 +220,8 @@ def _repeats_differ(runs: Sequence[Run]) -> bool:
         seen = deviations[np.isfinite(deviations)]
         noise = [scatter(np.diff(run.columns[name], n=2), 2) for run in runs]
         is_off = len(seen) and np.sqrt(np.mean(seen**2)) > UNREPEATABLE * np.nanmedian(noise)
-        begins = [np.nanmean(d[: max(len(d) // MIN_DEVIATIONS, 1)]) for d in parts]
+        read = [d[np.isfinite(d)] for d in parts if np.isfinite(d).any()]
+        begins = [np.mean(d[: max(len(d) // MIN_DEVIATIONS, 1)]) for d in read]
         if is_off and np.mean(np.square(begins)) > 0.5 * np.mean(seen**2):
             return True
     return False

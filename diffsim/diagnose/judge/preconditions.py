@@ -57,7 +57,7 @@ UNCONTRADICTED = "no other recording could contradict it"
 SHARED = re.compile(f"{UNCONTRADICTED}$|an unknown .* explains ")
 FIRST_ANSWER = "this is a first answer"
 CUT_SHORT = "the budget ended the search"
-ENDED = (FIRST_ANSWER, CUT_SHORT)  # by whether it might take more than ``FIRST_STEPS``
+ENDED = (FIRST_ANSWER, CUT_SHORT)  # by whether the plain fit alone may take ``FIRST_STEPS``
 NOISE_ALONE = "the plain model's error is noise alone"
 #: Doubts that something else may act in a cause's place, or nothing at all: of three drawn causes
 #: that were likely while unseen runs left noise alone, two were not what was hidden.
@@ -173,7 +173,7 @@ def _settings_are_coarse(g: Grounds) -> str:
 
 
 def _is_first_answer(g: Grounds) -> str:
-    is_full = g.search.settings.refit_steps > FIRST_STEPS
+    is_full = g.search.null.case.settings.plain_steps > FIRST_STEPS
     return ENDED[is_full] if g.search.is_cut_short else ""
 
 

@@ -174,7 +174,7 @@ def report_of(
         bent=bent,
         plain_twin=_plain_twin(null.fit, best) if members else (),
         drives=case.model.drives,
-        is_full=case.settings.search.refit_steps > FIRST_STEPS,
+        is_full=case.settings.plain_steps > FIRST_STEPS,
         left=float(np.sqrt(best.chi2 / best.num_samples)),
         with_unknown=_with_unknown(search, members, best.num_samples),
         chosen_by=chosen_by,

@@ -133,6 +133,8 @@ def grown(
         part = replace(problem, runs=tuple(cut(run, share) for run in problem.runs))
         if not any(np.isfinite(run.measured).any() for run in part.runs):
             continue  # a run-up, of which nothing was measured
+        if problem.model.simulations.steps >= until:
+            return None
         try:
             short, _ = gauss_newton(part, linearization_at(part, x), until=until)
         except (DiffsimError, ValueError):  # too hard still, or a model of whole runs only

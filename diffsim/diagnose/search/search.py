@@ -244,7 +244,8 @@ def refit(
     fit, case = best[0], search.null.case
     # it leads, and slopes lead nowhere, or promise little of much; a correction is of whole runs
     is_hard = fit.ended == "stalled" or fit.chi2 > HARD_START_CHI2 * fit.num_samples
-    is_hard &= 0.5 * (fit.chi2 + fit.prior) <= search.best_cost() and leaves_more(fit)
+    is_hard &= fit.ended != "budget" and leaves_more(fit)
+    is_hard &= 0.5 * (fit.chi2 + fit.prior) <= search.best_cost()
     if is_hard and case.settings.windows and case.correction is None:
         grew = grown(narrow, fit.x, SHARES, search.steps + most)
         if grew is not None and grew[0].chi2 + grew[0].prior < fit.chi2 + fit.prior:

@@ -60,16 +60,20 @@ class DescribedMotion:
         for place in description.places:
             position, velocity = read_as.get(place.position), read_as.get(place.velocity)
             turns = position in ("rad", "rad/s")
-            if position is None:
+            if place.position_unit:
+                turns = place.position_unit in ("rad", "deg")
+            elif position is None:
                 angle = re.compile(rf"\b(sin|cos|tan)\(\s*{re.escape(place.position)}\s*\)")
-                texts = (*description.rates.values(), *description.readings.values())
+                every = (description.rates, description.readings, description.define)
+                texts = [text for of in every for text in of.values()]
                 turns = velocity == "rad/s" or any(angle.search(text) for text in texts)
             # a speed may stand as the position: of a motor of which no more was measured
             usual = "m" if not turns else "rad/s" if position == "rad/s" else "rad"
+            usual = place.position_unit or usual
             force = place.unit or ("N m" if turns else "N")
             if not place.unit and place.force is None and place.inertia == "1":
-                force = "rad/s^2" if turns else "m/s^2"
-            units = {"unit": force, "position_unit": place.position_unit or usual}
+                force = f"{usual}/s^2"
+            units = {"unit": force, "position_unit": usual}
             places.append(place.model_copy(update=units))
         given["places"] = tuple(places)
         return cls(**given)

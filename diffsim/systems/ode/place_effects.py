@@ -106,7 +106,7 @@ def _list_letters(
 
 
 def stop_in_words(name: str, end: float, inward: float, unit: str, size: float) -> str:
-    """A stop by where it is: how far it lies inside the plain model's range says nobody.
+    """A stop by where it is, of which its interval is the way into the plain model's range.
 
     Args:
         name: Name of its row.
@@ -115,7 +115,8 @@ def stop_in_words(name: str, end: float, inward: float, unit: str, size: float) 
         unit: Unit of the position.
         size: How far inside the stop lies [unit].
     """
-    return f"{name.replace('_', ' ')} {figure(end + inward * size)} {unit}"
+    place = f"{name.replace('_', ' ')} {figure(end + inward * size)} {unit}"
+    return f"{place}, so far inside what the plain model reaches"
 
 
 def push_at(library: Library, place: Place, scale: PlaceScale, row: Row) -> Apply:

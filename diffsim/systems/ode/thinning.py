@@ -84,9 +84,11 @@ def simulated(
     before, after = (sum(len(run.time_s) for run in of) for of in (study.runs, runs))
     if after == before:
         return inputs, study
+    longest = max(runs, key=lambda run: len(run.time_s))
+    apart = float(np.median(np.diff(longest.time_s)))
     said = (
         f"of {before} rows {after} are simulated and compared, those of test runs too: one each "
-        f"{interval:.3g} s, and wherever a line between them is off (most_rows)"
+        f"{apart:.3g} s, and wherever a line between them is off (most_rows)"
     )
     frame = {**study.frame, HELD: {**kept, **dict.fromkeys(moving, False)}}
     used = tuple(i.model_copy(update={"held": False}) if i in stated else i for i in inputs)

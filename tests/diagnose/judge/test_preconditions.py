@@ -488,7 +488,7 @@ def test_errors_of_all_unseen_runs_are_taken_together():
 def test_a_first_answer_says_its_reason_once():
     runs = [recorded(f"r{k}", k, {PUSH: 1.0}) for k in range(6)]
     study = Study("first", "copter", linear.CHANNELS, tuple(runs))
-    settings = DiagnosisSettings(search=replace(QUICK.search, refit_steps=1.0))
+    settings = DiagnosisSettings(search=replace(QUICK.search, refit_steps=1.0), plain_steps=1e6)
     report = diagnose(study, linear.model(), (PUSH,), seed=0, settings=settings)
     assert causes(report)["push"].status == "likely"
     assert not any("not certain" in s for s in report.sentences)
