@@ -226,11 +226,11 @@ def own_point(
 
     low, high = (bound[own] for bound in problem.bounds)
     first = np.clip(np.zeros(len(own)), low, high)
-    found, left = _fitted(lambda p: problem.residual(full(p)), linearized, first, low, high)
+    found, left = _fit_own(lambda p: problem.residual(full(p)), linearized, first, low, high)
     return full(found), left
 
 
-def _fitted(
+def _fit_own(
     residual: Callable[[Array], Array],
     linearized: Callable[[Array, Array | None], tuple[Array, Array]],
     at: Array,
@@ -254,7 +254,7 @@ def _fitted(
         end = quadratic_optimum(gram, right, *box)
         cost, least = _cost(left, at), max(2.0 * FIT_NATS, FIT_RTOL * _cost(left, at))
         promised = cost - _cost(left - slopes @ (end - at), end)
-        there, longest = _tried(residual, end), float(np.abs(end - at).max())
+        there, longest = _try_at(residual, end), float(np.abs(end - at).max())
         gained = -math.inf if there is None else cost - _cost(there, end)
         if there is not None and gained > 0.0:
             at, left = end, there
@@ -274,7 +274,7 @@ def _cost(left: Array, at: Array) -> float:
     return float(left @ left + at @ at)
 
 
-def _tried(residual: Callable[[Array], Array], at: Array) -> Array | None:
+def _try_at(residual: Callable[[Array], Array], at: Array) -> Array | None:
     """The residual at some values; None where they are too far to be simulated."""
     try:
         left = residual(at)
