@@ -89,7 +89,7 @@ from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
-from diffsim.identify.effort import FIRST_STEPS, DiagnosisSettings
+from diffsim.identify.effort import DiagnosisSettings
 from diffsim.identify.linearization import linearization_at, residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import PredictionError, Problem
@@ -316,8 +316,7 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
 def _without_laws(answer: _Answer, *, are_found: bool = False) -> _Answer:
     """The answer of a budget that ended before laws were looked for, or before those that were
     found could be weighed: none of it is certain."""
-    is_full = answer.search.null.case.settings.plain_steps > FIRST_STEPS
-    frozen = doubted(answer.frozen, ENDED[is_full])
+    frozen = doubted(answer.frozen, ENDED[answer.frozen.is_full])
     late = law_gate(answer.search.settings.refit_steps + answer.kept, are_found=are_found)
     return replace(answer, frozen=replace(frozen, gates=(*frozen.gates, late)))
 

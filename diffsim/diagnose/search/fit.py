@@ -119,7 +119,11 @@ def _fit_growing(problem: Problem, windows: Sequence[float], until: float) -> En
 
 
 def grown(
-    problem: Problem, x: Array, windows: Sequence[float], until: float = math.inf
+    problem: Problem,
+    x: Array,
+    windows: Sequence[float],
+    until: float = math.inf,
+    most: float = math.inf,
 ) -> Ended | None:
     """Fits to growing parts of the runs; None where whole runs cannot be fitted from there.
 
@@ -128,6 +132,7 @@ def grown(
         x: Where the first fit begins, standardized coordinates, (n,).
         windows: Shares of each run, ascending.
         until: Count of weighted steps of the model after which fits end where they are.
+        most: Chi-squared of a sample that a part may leave: more, and there is no easier start.
     """
     for share in windows:
         part = replace(problem, runs=tuple(cut(run, share) for run in problem.runs))
@@ -139,6 +144,8 @@ def grown(
             short, _ = gauss_newton(part, linearization_at(part, x), until=until)
         except (DiffsimError, ValueError):  # too hard still, or a model of whole runs only
             continue
+        if short.chi2 > most * max(short.num_samples, 1):
+            return None
         x = short.x
     try:
         return gauss_newton(problem, linearization_at(problem, x), until=until)

@@ -247,7 +247,7 @@ def refit(
     is_hard &= fit.ended != "budget" and leaves_more(fit)
     is_hard &= 0.5 * (fit.chi2 + fit.prior) <= search.best_cost()
     if is_hard and case.settings.windows and case.correction is None:
-        grew = grown(narrow, fit.x, SHARES, search.steps + most)
+        grew = grown(narrow, fit.x, SHARES, search.steps + most, HARD_START_CHI2)
         if grew is not None and grew[0].chi2 + grew[0].prior < fit.chi2 + fit.prior:
             best = grew
     made = search.simulations.kept(members, best[1])

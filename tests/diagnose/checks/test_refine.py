@@ -138,7 +138,8 @@ def test_a_diagnosis_goes_on_with_refined_settings():
 def test_what_a_budget_cut_short_is_likely_and_a_full_answer_makes_certain():
     study = noisy({"bias": 0.6})
     for steps, status, word in ((1.0, LIKELY, " probably "), (np.inf, CERTAIN, "")):
-        settings = replace(QUICK, search=replace(QUICK.search, refit_steps=steps))
+        search = replace(QUICK.search, refit_steps=steps)
+        settings = replace(QUICK, search=search, plain_steps=max(8e6, steps))
         report = diagnose(study, toy.model(study.runs), (toy.BIAS,), seed=0, settings=settings)
         assert (report.verdict, report.named) == ("named", ("bias",))
         assert [c.status for c in report.causes if c.name == "bias"] == [status]

@@ -102,6 +102,7 @@ def test_what_a_search_with_laws_found_is_held_against_the_best_set_before(
 class Gated:
     verdict: str
     gates: tuple = ()
+    is_full: bool = False
 
 
 @pytest.mark.parametrize(
