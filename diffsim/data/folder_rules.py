@@ -66,7 +66,7 @@ def search(guess: Guess) -> Iterable[str]:
     """Tables of the folder and of those in it; where there are some on top, these alone."""
     not_read: list[str] = []
     found = list(find_tables(guess.folder, not_read))
-    sheets = tuple(f"not read: {p}: holds no" for p in files_below(guess.folder) if facts_of(p))
+    sheets = tuple(f"{_UNREAD}{p}: holds no" for p in files_below(guess.folder) if facts_of(p))
     told = [said.removeprefix(_UNREAD) for said in not_read if not said.startswith(sheets)]
     yield from (f"{_UNREAD}{said}" for said in fold_alike(told))
     packed = [path for path in files_below(guess.folder) if path.suffix.lower() in _PACKED]
@@ -353,9 +353,7 @@ def order(guess: Guess) -> Iterable[str]:
         fault = stamp_fault(now)
         known = ("sort", "duplicates")
         is_other = fault is not None and not any(word in fault[2] for word in known)
-        # one row that the next one overtook is mended in a short table, too
-        moved = np.abs(np.argsort(np.argsort(now, kind="stable")) - np.arange(len(now))).max()
-        if back > max(_MIXED * len(now), moved <= 1) or is_other:
+        if is_other or (back > _MIXED * len(now) and not (back == 1 and _is_swap(now))):
             return
         coarse += [run] if again > max(_MIXED * len(now), 1) else []
         mixed += [f"{run.name} ({back})"] if back else []
@@ -374,12 +372,18 @@ def order(guess: Guess) -> Iterable[str]:
     yield from listed("rows out of order, sorted by their stamps", mixed)
 
 
+def _is_swap(now: Array) -> bool:
+    """Whether rows are out of order by one alone: the next ones overtook them."""
+    places = np.argsort(np.argsort(now, kind="stable"))
+    return bool(np.abs(places - np.arange(len(now))).max() <= 1)
+
+
 def _many_equal(guess: Guess, runs: Sequence[GuessedRun]) -> tuple[str, str] | None:
     """What is done where many stamps are equal, and why; None: some rows are new, some are not."""
+    counts = {c.column.name for c in guess.columns if COUNTER.match(c.column.base)}
     same = []
     for run in runs:
         table, now = run.tables[0], seconds_of(run.tables[0], guess.time[0])
-        counts = {c.column.name for c in guess.columns if COUNTER.match(c.column.base)}
         cells = [np.array(table.texts(n)) for n in table.header if n and n not in counts]
         is_equal = np.diff(now) == 0.0
         same.append(np.all([c[1:] == c[:-1] for c in cells], axis=0)[is_equal])

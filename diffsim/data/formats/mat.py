@@ -73,7 +73,7 @@ def _tables(path: Path) -> dict[str, dict[str, Any]]:
         content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
     variables = {k: v for k, v in content.items() if not k.startswith("__")}
     structs = {
-        name: _with_signals(name, {field: getattr(value, field) for field in value._fieldnames})
+        name: _with_signals(name, value)
         for name, value in variables.items()
         if hasattr(value, "_fieldnames")
     }
@@ -99,20 +99,23 @@ def _structs_in_arrays(variables: Mapping[str, Any]) -> dict[str, dict[str, Any]
     """Each struct of an array of structs, ``runs(3)``, as MATLAB writes it."""
     out = {}
     for name, value in variables.items():
-        is_list = isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1
-        if is_list and len(value) and all(hasattr(one, "_fieldnames") for one in value):
+        if _is_cells(value) and all(hasattr(one, "_fieldnames") for one in value):
             for k, one in enumerate(value, 1):
-                fields = {field: getattr(one, field) for field in one._fieldnames}
-                out[f"{name}({k})"] = _with_signals(name, fields)
+                out[f"{name}({k})"] = _with_signals(name, one)
     return out
+
+
+def _is_cells(value: Any) -> bool:
+    """Whether a variable is a row of things, as cells and arrays of structs come."""
+    is_array = isinstance(value, np.ndarray) and value.dtype == object
+    return is_array and value.ndim == 1 and len(value) > 0
 
 
 def _runs_in_cells(variables: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Runs of cells: the k-th cells of arrays with as many samples in each are columns of run k."""
     groups: dict[tuple[int, ...], dict[str, NDArray[Any]]] = {}
     for name, value in variables.items():
-        is_list = isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 1
-        if is_list and all(_is_sampled(cell) for cell in value):
+        if _is_cells(value) and all(_is_sampled(cell) for cell in value):
             groups.setdefault(tuple(max(cell.shape) for cell in value), {})[name] = value
     return {
         f"{next(iter(group))}({k + 1})": {name: cells[k] for name, cells in group.items()}
@@ -143,20 +146,21 @@ def _of_one_clock(tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]
     return {"": {key: values for own in timed.values() for key, values in own.items()}}
 
 
-def _with_signals(struct: str, members: dict[str, Any]) -> dict[str, Any]:
-    """A struct with time of Simulink, each of its signals by its label, else by its block; one
-    that has neither by the struct."""
+def _with_signals(name: str, struct: Any) -> dict[str, Any]:
+    """Fields of a struct; with time of Simulink each of its signals by its label, else by its
+    block; one that has neither by the struct's name."""
+    members = {field: getattr(struct, field) for field in struct._fieldnames}
     if {"X", "Y"} <= members.keys():
         return _of_dspace(members)
     signals = np.atleast_1d(members.get("signals", np.empty(0, dtype=object)))
     if "time" not in members or not all(hasattr(one, "values") for one in signals):
         return members
-    out = {name: value for name, value in members.items() if name not in ("signals", "blockName")}
+    out = {key: value for key, value in members.items() if key not in ("signals", "blockName")}
     for k, one in enumerate(signals, 1):
         texts = (getattr(one, field, "") for field in ("label", "blockName"))
         label, block = (t.strip() if isinstance(t, str) else "" for t in texts)  # empty: an array
-        name = label or block.rpartition("/")[2] or (f"signal_{k}" if k > 1 else struct)
-        out[f"{name}_{k}" if name in out else name] = one.values
+        own = label or block.rpartition("/")[2] or (f"signal_{k}" if k > 1 else name)
+        out[f"{own}_{k}" if own in out else own] = one.values
     return out
 
 

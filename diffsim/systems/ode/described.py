@@ -59,14 +59,13 @@ class DescribedMotion:
         places = []
         for place in description.places:
             position, velocity = read_as.get(place.position), read_as.get(place.velocity)
-            turns = position in ("rad", "rad/s")
-            if place.position_unit:
-                turns = place.position_unit in ("rad", "deg")
-            elif position is None:
+            turns = position in ("rad", "rad/s") or place.position_unit in ("rad", "deg")
+            turns |= position is None and velocity == "rad/s"
+            if not turns and position is None and not place.position_unit:
                 angle = re.compile(rf"\b(sin|cos|tan)\(\s*{re.escape(place.position)}\s*\)")
                 every = (description.rates, description.readings, description.define)
                 texts = [text for of in every for text in of.values()]
-                turns = velocity == "rad/s" or any(angle.search(text) for text in texts)
+                turns = any(angle.search(text) for text in texts)
             # a speed may stand as the position: of a motor of which no more was measured
             usual = "m" if not turns else "rad/s" if position == "rad/s" else "rad"
             usual = place.position_unit or usual

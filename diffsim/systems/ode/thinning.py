@@ -84,8 +84,7 @@ def simulated(
     before, after = (sum(len(run.time_s) for run in of) for of in (study.runs, runs))
     if after == before:
         return inputs, study
-    longest = max(runs, key=lambda run: len(run.time_s))
-    apart = float(np.median(np.diff(longest.time_s)))
+    apart = max(float(np.median(np.diff(run.time_s))) for run in runs if len(run.time_s) > 1)
     said = (
         f"of {before} rows {after} are simulated and compared, those of test runs too: one each "
         f"{apart:.3g} s, and wherever a line between them is off (most_rows)"
