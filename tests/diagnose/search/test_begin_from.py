@@ -72,7 +72,7 @@ def test_a_cause_that_finer_settings_do_not_ask_for_is_left(coarse):
     assert decision_of(again).best == both
 
 
-def rounds(monkeypatch, step, holds):
+def rounds(monkeypatch, step, holds, budget=float("inf")):
     """A search by long steps, and the sets at which another one by shorter steps begins."""
     begun = []
 
@@ -93,6 +93,9 @@ def rounds(monkeypatch, step, holds):
     null = replace(null, case=replace(null.case, model=toy.model(null.case.study.runs, step)))
     made = diagnosis.search_rounds(null, Simulations(null.wide).under(null))
     assert made.null.case.correction is not None and made.null.case.beyond is not None
+    case = made.null.case
+    ended = replace(case.settings, search=replace(case.settings.search, refit_steps=budget))
+    made = replace(made, null=replace(made.null, case=replace(case, settings=ended)))
     return begun, *diagnosis._renew_correction(made)
 
 
@@ -114,6 +117,13 @@ def test_where_corrections_do_not_hold_short_steps_are_taken_from_what_was_found
     assert begun[0] == BOTH  # then without each of its causes: long steps may have put one behind
     assert len(begun) > 1 and not any(less >= BOTH for less in begun[1:])
     assert search.null.case.correction is None and search.wide.numerics.time_step < 1.0
+
+
+def test_corrections_are_made_again_once_where_the_budget_is_spent(monkeypatch):
+    """A servo's were six times, and then all was searched anew: 400 CPU s in place of 120."""
+    begun, search, gates = rounds(monkeypatch, 0.02, holds=False, budget=1.0)
+    assert not begun and search.null.case.correction is not None
+    assert search.is_cut_short and not gates[0].passed and gates[0].value == 4.0
 
 
 def test_gates_of_a_correction_are_those_of_the_answer(monkeypatch):
