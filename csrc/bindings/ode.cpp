@@ -11,7 +11,7 @@ namespace {
 struct OdeAddresses {
   Address code, ends, rate_out, reading_out, constants, times, lower, upper, held;
   std::int64_t num_code, num_states, num_inputs, num_parameters, num_constants, num_channels,
-      num_samples, num_steps, batch, input_stride;
+      num_samples, num_steps, batch, input_stride, time_stride;
 
   OdeProblem problem() const {
     const std::int64_t num_given = 1 + num_states + num_inputs + num_parameters + num_constants;
@@ -33,6 +33,7 @@ struct OdeAddresses {
     p.num_steps = num_steps;
     p.batch = batch;
     p.input_stride = input_stride;
+    p.time_stride = time_stride;
     return p;
   }
 };
@@ -60,7 +61,8 @@ void bind_ode(nb::module_& m) {
       .def_rw("num_samples", &OdeAddresses::num_samples)
       .def_rw("num_steps", &OdeAddresses::num_steps)
       .def_rw("batch", &OdeAddresses::batch)
-      .def_rw("input_stride", &OdeAddresses::input_stride);
+      .def_rw("input_stride", &OdeAddresses::input_stride)
+      .def_rw("time_stride", &OdeAddresses::time_stride);
   m.def(
       "ode_integrate",
       [](const OdeAddresses& problem, Address start, Address inputs, Address parameters,

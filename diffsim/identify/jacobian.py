@@ -115,13 +115,36 @@ class Jacobian:
 def _differences(
     many: PredictMany, at: Tensor, stencils: Mapping[int, Stencil]
 ) -> tuple[Array, Array]:
-    """Differences of simulations, all in one call; that at ``at`` serves every coordinate."""
+    """Differences of simulations, all in one call."""
+    with torch.no_grad():
+        rows = many(difference_points(at, stencils).unbind()).detach().numpy()
+    return differences(rows.reshape(len(rows), -1), stencils)
+
+
+def difference_points(at: Tensor, stencils: Mapping[int, Stencil]) -> Tensor:
+    """Points of difference formulas, (K, n); the first one, ``at``, serves every coordinate.
+
+    Args:
+        at: Point to differentiate at, (n,).
+        stencils: Difference formulas by coordinate.
+    """
     moved = [(i, o) for i, stencil in stencils.items() for o in stencil.offsets if o != 0.0]
     points = np.repeat(at.detach().numpy()[None], 1 + len(moved), axis=0)
     for k, (i, offset) in enumerate(moved, 1):
         points[k, i] += offset
-    with torch.no_grad():
-        rows = many(torch.from_numpy(points).unbind()).detach().numpy().reshape(len(points), -1)
+    return torch.from_numpy(points)
+
+
+def differences(rows: Array, stencils: Mapping[int, Stencil]) -> tuple[Array, Array]:
+    """Prediction and its derivatives by difference formulas.
+
+    Args:
+        rows: Predictions at ``difference_points``, (K, num_outputs).
+        stencils: Difference formulas by coordinate.
+
+    Returns:
+        (num_outputs,) and (num_outputs, len(stencils)).
+    """
     out, k = np.zeros((len(stencils), rows[0].size)), 1
     with np.errstate(invalid="ignore", over="ignore"):  # whoever asks refuses infinities
         for j, stencil in enumerate(stencils.values()):

@@ -212,6 +212,20 @@ class Tally:
         return Work(now.simulations - before.simulations, now.steps - before.steps)
 
 
+class Asked(NamedTuple):
+    """A run that is to be predicted at one point, or at K.
+
+    Attributes:
+        run: Recorded run whose commands and times are simulated.
+        q: Standardized base parameters, (num_base,) or (K, num_base).
+        sizes: Size of each effect there in its unit, (num_components,) or (K, num_components).
+    """
+
+    run: Run
+    q: Tensor
+    sizes: Mapping[Effect, Tensor]
+
+
 TOGETHER = 0.25  # of a simulation, that one more point or direction of a batch costs
 
 Build = Callable[[Mapping[str, Tensor], "Run", Numerics], Scene]
@@ -252,6 +266,8 @@ class SimModel:
 
     #: Whether effects at size zero need not act: nothing else changes, such as how it is stepped
     leaves_zeros = False
+    #: Whether several runs are predicted quicker at once than one after the other
+    joins_runs = False
     #: Whether something moves: what turns with a speed, as dry friction, makes edges of records
     moves = True
     #: Base parameters that are the strengths of all drives: times these, every mass, inertia and
@@ -429,20 +445,51 @@ class SimModel:
                     acting[k][effect] = size[k]
             scenes = [self.scene(run, *at, numerics) for at in zip(q, acting, strict=True)]
             return torch.stack(self.simulate_scenes(scenes))
-        # at once where the same effects act: each is as if no other effect were known, and a table
-        # costs as much as it has points
+        rows, scenes = self.grouped_scenes(run, q, sizes, numerics)
+        return joined(rows, [scene.simulate() for scene in scenes])
+
+    @checked(kinds_only=True)
+    def grouped_scenes(
+        self,
+        run: Run,
+        q: Tensor,
+        sizes: Mapping[Effect, Tensor],
+        numerics: Numerics | None = None,
+    ) -> tuple[list[list[int]], list[Any]]:
+        """Points at once where the same effects act: each is as if no other effect were known, and
+        a table costs as much as it has points. Arguments as for ``simulate_many``.
+
+        Returns:
+            The points of each scene by index, and the scenes.
+        """
         groups: dict[tuple[Effect, ...], list[int]] = {}
         acts = {e: (s != 0.0).any(-1).tolist() for e, s in sizes.items()}
         for k in range(len(q)):
             groups.setdefault(tuple(e for e, there in acts.items() if there[k]), []).append(k)
-        parts = []
-        for effects, rows in groups.items():
-            own = {e: sizes[e][rows] for e in effects}
-            found = self.scene(run, q[rows], own, numerics).simulate()
-            # readings that nothing of these points enters are alike at all of them
-            parts.append(found.expand(len(rows), *found.shape[-2:]))
-        order = [k for rows in groups.values() for k in rows]
-        return torch.cat(parts)[np.argsort(order)]
+        scenes = [
+            self.scene(run, q[rows], {e: sizes[e][rows] for e in effects}, numerics)
+            for effects, rows in groups.items()
+        ]
+        return list(groups.values()), scenes
+
+    @checked(kinds_only=True)
+    def predict_each(
+        self, asked: Sequence[Asked], numerics: Numerics | None = None
+    ) -> list[Tensor]:
+        """Predictions of several runs, each at its own points; models that have a faster way
+        override this, and say so by ``joins_runs``.
+
+        Args:
+            asked: Runs with their points.
+            numerics: Factors on time step, mesh and tolerance; None: the model's own.
+
+        Returns:
+            As of ``predict`` where a run is asked at one point, else as of ``predict_many``.
+        """
+        return [
+            (self.predict if a.q.ndim == 1 else self.predict_many)(a.run, a.q, a.sizes, numerics)
+            for a in asked
+        ]
 
     @checked(kinds_only=True)
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
@@ -541,6 +588,18 @@ def _split_effects(
     given = sizes or {}
     numerical = {e: s for e, s in given.items() if isinstance(e, NumericalEffect)}
     return {e: s for e, s in given.items() if e not in numerical}, numerical
+
+
+def joined(rows: Sequence[Sequence[int]], parts: Sequence[Tensor]) -> Tensor:
+    """Predictions of scenes in the order of their points, (K, num_samples, num_channels).
+
+    Args:
+        rows: Points of each scene by index.
+        parts: Its predictions; readings that nothing of these points enters are alike at all.
+    """
+    given = zip(rows, parts, strict=True)
+    found = torch.cat([part.expand(len(own), *part.shape[-2:]) for own, part in given])
+    return found[np.argsort([k for own in rows for k in own])]
 
 
 def has_tangents(model: SimModel) -> bool:

@@ -36,9 +36,9 @@ from diffsim.identify.effect import (
     stretch_at,
     touches,
 )
-from diffsim.identify.jacobian import Jacobian, Stencil
+from diffsim.identify.jacobian import Jacobian, Stencil, difference_points, differences
 from diffsim.identify.line import DifferenceLine, ModelPoint
-from diffsim.identify.model import TOGETHER, SimModel, has_tangents
+from diffsim.identify.model import TOGETHER, Asked, SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.identify.whitening import WhitenedRuns, Whitener
@@ -206,9 +206,11 @@ class Problem(Coordinates, WhitenedRuns):
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points."""
         x = torch.stack(list(points))
-        return self._predict_many(run, self._simulated_at(x), self.sizes_at(x))
+        return self._predict_many(Asked(run, self._simulated_at(x), self.sizes_at(x)))
 
-    def _predict_many(self, run: Run, q: Tensor, sizes: Mapping[Effect, Tensor]) -> Tensor:
+    def _predict_many(self, asked: Asked) -> Tensor:
+        """Predictions of a run at many points, as many at once as room allows."""
+        run, q, sizes = asked
         self._require_finite(run, q, sizes)
         parts = max(AT_ONCE // (LANES * max(run.measured.size, 1)), 1)
         at_once = LANES * parts
@@ -223,6 +225,26 @@ class Problem(Coordinates, WhitenedRuns):
         ]
         out = each[0] if len(each) == 1 else torch.cat(each)
         return self._add_correction(run, self._of_shape(run, out, (len(q), *run.measured.shape)))
+
+    def _predict_each(self, asked: Sequence[Asked]) -> list[Tensor]:
+        """Predictions of several runs at many points each, as many at once as room allows."""
+        needed = [a.run.measured.size * len(a.q) for a in asked]
+        if not self.model.joins_runs or len(asked) == 1 or sum(needed) > AT_ONCE:
+            middle = len(asked) // 2
+            if not self.model.joins_runs or middle == 0:
+                return [self._predict_many(a) for a in asked]
+            return self._predict_each(asked[:middle]) + self._predict_each(asked[middle:])
+        for a in asked:
+            self._require_finite(*a)
+        return self._of_runs(asked, self.model.predict_each(asked, self.numerics))
+
+    def _of_runs(self, asked: Sequence[Asked], found: Sequence[Tensor]) -> list[Tensor]:
+        """Predictions of the model as those of the problem."""
+        shapes = ((*a.q.shape[:-1], *a.run.measured.shape) for a in asked)
+        return [
+            self._add_correction(a.run, self._of_shape(a.run, out, shape))
+            for a, out, shape in zip(asked, found, shapes, strict=True)
+        ]
 
     def _of_shape(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
         if tuple(out.shape) != shape:
@@ -245,13 +267,13 @@ class Problem(Coordinates, WhitenedRuns):
             for first in self.runs[:1]:
                 self._require_finite(first, point[: self.num_base], sizes)
 
-        def one(run: Run) -> Array:
+        def each(runs: Sequence[Run]) -> list[Array]:
+            asked = [Asked(run, q, sizes) for run in runs]
             with torch.no_grad():
-                out = self.model.predict(run, q, sizes, self.numerics)
-                out = self._add_correction(run, self._of_shape(run, out, run.measured.shape))
-                return _finite(run, out.numpy())
+                found = self._of_runs(asked, self.model.predict_each(asked, self.numerics))
+            return [_finite(run, out.numpy()) for run, out in zip(runs, found, strict=True)]
 
-        return np.concatenate(self._compute_each(one))
+        return np.concatenate(self._compute_parts(each))
 
     @checked(kinds_only=True)
     def residual(self, x: Array) -> Array:
@@ -345,23 +367,44 @@ class Problem(Coordinates, WhitenedRuns):
         parts = zip(self.runs, np.split(slopes, edges[:-1]), strict=True)
         of_run = {run.name: part for run, part in parts}
 
-        def one(run: Run) -> Array:
-            own = {i: s for i, s in stencils.items() if touches(names[i], run)}
-            here, columns = self.jacobian.columns(
-                lambda points: self._predict_many(
-                    run,
-                    self._simulated_at(u := torch.stack(list(points))),
-                    self.sizes_of(u[:, self.num_base :]),
-                ),
+        own = {
+            run.name: {i: s for i, s in stencils.items() if touches(names[i], run)}
+            for run in self.runs
+        }
+
+        def many(runs: Sequence[Run], points: Sequence[Tensor]) -> list[Tensor]:
+            return self._predict_each(
+                [
+                    Asked(run, self._simulated_at(u), self.sizes_of(u[:, self.num_base :]))
+                    for run, u in zip(runs, points, strict=True)
+                ]
+            )
+
+        def one(run: Run) -> tuple[Array, Array]:
+            return self.jacobian.columns(
+                lambda points: many([run], [torch.stack(list(points))])[0],
                 point,
-                own,
-                quick=quick.intersection(own),
+                own[run.name],
+                quick=quick.intersection(own[run.name]),
                 tangents=lambda stencils: self._tangents(run, point, stencils),
             )
-            of_run[run.name][:, [place[i] for i in own]] = columns
-            return _finite(run, here)
 
-        return np.concatenate(self._compute_each(one)), slopes
+        def each(runs: Sequence[Run]) -> list[Array]:
+            if self.model.joins_runs and self.jacobian.method != "forward_mode":
+                points = [difference_points(point, own[run.name]) for run in runs]
+                with torch.no_grad():
+                    found = many(runs, points)
+                parts = [
+                    differences(rows.numpy().reshape(len(rows), -1), own[run.name])
+                    for run, rows in zip(runs, found, strict=True)
+                ]
+            else:
+                parts = [one(run) for run in runs]
+            for run, (_, columns) in zip(runs, parts, strict=True):
+                of_run[run.name][:, [place[i] for i in own[run.name]]] = columns
+            return [_finite(run, here) for run, (here, _) in zip(runs, parts, strict=True)]
+
+        return np.concatenate(self._compute_parts(each)), slopes
 
     def _choose_stencils(self, x: Array, idx: Sequence[int], screen: bool) -> dict[int, Stencil]:
         """Difference formulas along scaled coordinates, inward at bounds."""
@@ -468,11 +511,25 @@ class Problem(Coordinates, WhitenedRuns):
         return sum(p[0] for p in parts), np.asarray(np.sum([p[1] for p in parts], axis=0))
 
     def _compute_each(self, job: Callable[[Run], Any]) -> list[Any]:
-        if self.workers > 1:
-            with ThreadPoolExecutor(self.workers) as pool:
-                contexts = [copy_context() for _ in self.runs]  # records of solves go along
-                return list(pool.map(lambda c, run: c.run(job, run), contexts, self.runs))
-        return [job(run) for run in self.runs]
+        return self._compute_parts(lambda runs: [job(run) for run in runs], most=1)
+
+    def _compute_parts(
+        self, job: Callable[[Sequence[Run]], list[Any]], most: int | None = None
+    ) -> list[Any]:
+        """What a job makes of each run; of all at once, or of as many parts as there are workers.
+
+        Args:
+            job: Runs -> one value each.
+            most: Runs of a part; None: as many as workers leave.
+        """
+        if self.workers <= 1:
+            return job(self.runs)
+        size = most or -(-len(self.runs) // self.workers)
+        parts = [self.runs[k : k + size] for k in range(0, len(self.runs), size)]
+        with ThreadPoolExecutor(self.workers) as pool:
+            contexts = [copy_context() for _ in parts]  # records of solves go along
+            found = pool.map(lambda c, part: c.run(job, part), contexts, parts)
+            return [value for part in found for value in part]
 
 
 def _finite(run: Run, predicted: Array) -> Array:

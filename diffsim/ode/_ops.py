@@ -24,7 +24,7 @@ PROBLEM = {
     "rate_out": array("num_states", **CONSTANT),
     "reading_out": array("num_channels", **CONSTANT),
     "constants": array("num_constants", smooth=False),
-    "times": array("num_samples", smooth=False),
+    "times": array("batch?", "num_samples", smooth=False),
     "lower": array("num_states", smooth=False),
     "upper": array("num_states", smooth=False),
     "held": array("num_inputs", **CONSTANT),
@@ -40,8 +40,9 @@ def _problem(call: Call) -> Any:
     p = core.OdeAddresses()
     for name, value in (call.addresses(*PROBLEM) | {n: call.sizes[n] for n in SIZES}).items():
         setattr(p, name, value)
-    inputs = call["inputs"]
-    p.input_stride = 0 if len(inputs) == 1 else inputs[0].numel()
+    for name in ("input", "time"):  # what all members share has one row
+        rows = call[f"{name}s"]
+        setattr(p, f"{name}_stride", 0 if len(rows) == 1 else rows[0].numel())
     return p
 
 
@@ -76,8 +77,8 @@ def _in_torch(given: Given) -> tuple[Tensor, Tensor]:
 ode_integrate = Op(
     "ode_integrate",
     inputs={
-        **PROBLEM,
         "start": array("batch", "num_states"),
+        **PROBLEM,
         "inputs": array("batch?", "num_samples", "num_inputs"),
         "parameters": array("batch", "num_parameters"),
     },
@@ -86,7 +87,7 @@ ode_integrate = Op(
         "states": array("batch", "num_samples", "num_states"),
     },
     options="int num_steps, int num_threads",
-    reads=(*PROBLEM, "start", "inputs", "parameters", "states"),
+    reads=("start", *PROBLEM, "inputs", "parameters", "states"),
     kernel=_integrate,
     adjoint=_adjoint,
     tangent=_tangent,
@@ -122,21 +123,22 @@ def solve(
         return torch.stack(rows, -1) if rows else x[:, :0]
 
     def advance(k: int, j: int, x: Tensor) -> Tensor:
-        width = (times[k + 1] - times[k]) / num_steps
+        width = ((times[:, k + 1] - times[:, k]) / num_steps)[:, None]
         rates: list[Tensor] = []
         for share in _SHARES:
             at = (j + share) / num_steps
             u = inputs[:, k] + at * moves * (inputs[:, k + 1] - inputs[:, k])
             stage = x + share * width * rates[-1] if rates else x
-            time = times[k] + at * (times[k + 1] - times[k])
+            time = times[:, k] + at * (times[:, k + 1] - times[:, k])
             rates.append(evaluate("rate", time, stage, u.expand(len(x), -1)))
         end = x + width / 6.0 * sum(w * rate for w, rate in zip(_WEIGHTS, rates, strict=True))
         return torch.where(end < lower, lower, torch.where(end > upper, upper, end))
 
     readings, states, x = [], [], start
-    for k in range(len(times)):
+    num_samples = times.shape[1]
+    for k in range(num_samples):
         states.append(x)
-        readings.append(evaluate("reading", times[k], x, inputs[:, k].expand(len(x), -1)))
-        for j in range(num_steps if k + 1 < len(times) else 0):
+        readings.append(evaluate("reading", times[:, k], x, inputs[:, k].expand(len(x), -1)))
+        for j in range(num_steps if k + 1 < num_samples else 0):
             x = advance(k, j, x)
     return torch.stack(readings, 1), torch.stack(states, 1)

@@ -101,7 +101,7 @@ class Ode:
         """Integrate by the classical Runge-Kutta method, fixed steps between samples.
 
         Args:
-            times: Sample times, (num_samples,) float64, increasing [s].
+            times: Sample times, (num_samples,) or (batch, num_samples) float64, increasing [s].
             start: States at the first sample, (num_states,) or (batch, num_states).
             inputs: At the samples, (num_samples, num_inputs), or with a leading batch axis.
             parameters: (num_parameters,) or (batch, num_parameters).
@@ -123,19 +123,25 @@ class Ode:
         num_threads = require_threads(num_threads)
         n, m, q = len(self.rates), len(self.inputs), len(self.parameters)
         require_constant("times", times, "a time that is sought can scale all rates")
-        times = require("times", times, ("num_samples",))
+        times = require("times", times, ("...", "num_samples"))
         if not bool((times.diff() > 0).all()):
             raise ValueError("times must increase from sample to sample")
         if num_steps < 1:
             raise ValueError(f"num_steps must be 1 or more, got {num_steps}")
-        inputs = times.new_zeros((len(times), 0)) if inputs is None else inputs
+        num_samples = times.shape[-1]
+        inputs = times.new_zeros((num_samples, 0)) if inputs is None else inputs
         parameters = times.new_zeros(0) if parameters is None else parameters
         start = require("start", start, ("...", n))
-        inputs = require("inputs", inputs, ("...", len(times), m))
+        if times.ndim == 2 and start.ndim == 1:
+            start = start.expand(len(times), n)
+        inputs = require("inputs", inputs, ("...", num_samples, m))
         parameters = require("parameters", parameters, ("...", q))
-        sizes = {len(a) for a, d in ((start, 2), (inputs, 3), (parameters, 2)) if a.ndim == d}
-        if len(sizes - {1}) > 1 or start.ndim > 2 or inputs.ndim > 3 or parameters.ndim > 2:
-            raise ValueError(f"batch axes of start, inputs, parameters disagree: {sorted(sizes)}")
+        given = ((times, 2), (start, 2), (inputs, 3), (parameters, 2))
+        sizes = {len(a) for a, d in given if a.ndim == d}
+        if len(sizes - {1}) > 1 or any(a.ndim > d for a, d in given):
+            raise ValueError(
+                f"batch axes of times, start, inputs, parameters disagree: {sorted(sizes)}"
+            )
         problem = self.problem(times, num_steps, num_threads)
         readings, states = integrated(self, problem, start, inputs, parameters)
         if finite:
@@ -164,7 +170,7 @@ class Ode:
     def problem(self, times: Tensor, num_steps: int, num_threads: int) -> dict[str, Any]:
         """Arguments of the ops that do not depend on values."""
         return self._arrays | {
-            "times": times,
+            "times": times if times.ndim == 2 else times[None],
             "num_steps": num_steps,
             "num_threads": num_threads,
         }
@@ -207,6 +213,7 @@ def integrated(
         Readings and states as ``Ode.solve`` returns them; NaN and infinity stay in them.
     """
     sizes = {len(a) for a, d in ((start, 2), (inputs, 3), (parameters, 2)) if a.ndim == d}
+    sizes |= {len(problem["times"])} - {1}
     batch = max(sizes, default=1)
     readings, states = _ops.ode_integrate(
         **problem,

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from diffsim import IntegrationError
 from diffsim.ode import Ode
+from diffsim.ode.integrate import integrated
 from tests.gradients import check_directions
 
 OSCILLATOR = Ode(
@@ -172,6 +173,45 @@ def test_members_of_a_batch_do_not_see_each_other_nor_threads():
     for k in (0, 8, 18):
         alone = EVERY_OPERATION.solve(t, start[k], u[k], p[k], num_steps=3)
         assert torch.equal(alone[0], y[k]) and torch.equal(alone[1], x[k])
+
+
+@pytest.mark.property
+def test_members_with_times_of_their_own_are_as_alone():
+    t, (start, u, p) = given(11, shared=False)
+    times = t * torch.linspace(0.5, 1.5, 11, dtype=torch.float64)[:, None]
+    times[3, 4:] = times[3, 3]  # a shorter run stays where it ends
+    problem = EVERY_OPERATION.problem(times, 3, 1)
+    y, x = integrated(EVERY_OPERATION, problem, start, u, p)
+    for k in (0, 3, 10):
+        last = 4 if k == 3 else 6
+        alone = EVERY_OPERATION.solve(times[k, :last], start[k], u[k, :last], p[k], num_steps=3)
+        assert torch.equal(alone[0], y[k, :last]) and torch.equal(alone[1], x[k, :last])
+    assert torch.equal(x[3, 4:], x[3, 3:4].expand(2, -1))
+
+
+@pytest.mark.grad
+def test_gradient_with_times_of_their_own():
+    t, inputs = given(3, shared=False)
+    times = t * torch.tensor([[0.7], [1.0], [1.2]], dtype=torch.float64)
+    check_directions(
+        lambda *a: EVERY_OPERATION.solve(times, *a, num_steps=2),
+        inputs,
+        seeds=(0,),
+        rtol=1e-6,
+        atol=1e-8,
+        check_forward_ad=True,
+    )
+    one, (start, u, p) = EVERY_OPERATION, inputs
+    both = [torch.autograd.grad(one.solve(times, start, u, p)[0].sum(), start, create_graph=True)]
+    both += [
+        torch.autograd.grad(
+            sum(one.solve(times[k], start[k], u[k], p[k])[0].sum() for k in range(3)),
+            start,
+            create_graph=True,
+        )
+    ]
+    second = [torch.autograd.grad(g[0].square().sum(), p)[0] for g in both]
+    torch.testing.assert_close(*second)
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,7 @@ from diffsim.core.units import factor
 from diffsim.data import load_study, save_study
 from diffsim.data.study import Run, Study
 from diffsim.identify import Effect, Numerics, Problem, WhiteNoise, coarse, fit
+from diffsim.identify.model import Asked, SimModel
 from diffsim.identify.model_file import read_extended, rebuilt, save_extended
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.ode.description import OdeDescription
@@ -686,6 +687,22 @@ def many_points_are_as_one_by_one(ready: Ready) -> None:
         )  # fmt: skip
 
 
+def many_runs_are_as_one_by_one(ready: Ready) -> None:
+    """Several runs at once, at one point or several, have the bits that each has alone."""
+    model = ready.setup.model
+    q = torch.tensor([[0.0], [0.2]], dtype=torch.float64).expand(2, len(model.base))
+    (names, *_) = [*few_at_once(ready.setup.effects), []]
+    sizes = [sized(ready, names, share) for share in (0.0, SHARE)]
+    both = {e: torch.stack([own[e] for own in sizes]) for e in sizes[0]}
+    runs = ready.cut.runs
+    asked = [*(Asked(run, q[1], sizes[1]) for run in runs), *(Asked(r, q, both) for r in runs)]
+    with torch.no_grad():
+        found = model.predict_each(asked)
+        alone = [SimModel.predict_each(model, [a])[0] for a in asked]
+    for a, several, one in zip(asked, found, alone, strict=True):
+        assert torch.equal(several.nan_to_num(), one.nan_to_num()), a.run.name
+
+
 def numerical_causes_are_shares_of_finer_settings(ready: Ready) -> None:
     """A coarse setting, as a cause, moves channels by its share of what the finer one does."""
     model, q, finer = ready.setup.model, ready.setup.model.at_prior(), Numerics(time_step=0.5)
@@ -814,6 +831,7 @@ STATEMENTS = (
     slopes_are_those_of_differences,
     slopes_at_zero_are_those_of_differences,
     many_points_are_as_one_by_one,
+    many_runs_are_as_one_by_one,
     answers_do_not_depend_on_what_was_asked_before,
     clocks_may_begin_at_any_second,
     stated_clocks_are_fitted,

@@ -27,7 +27,9 @@ class Sweep {
         carries_(std::none_of(p_.held, p_.held + p_.num_inputs, [](auto held) { return held; })),
         inputs_(inputs),
         registers_(p_.tape.num_registers() * Lanes),
-        rates_(4 * p_.num_states * Lanes) {
+        rates_(4 * p_.num_states * Lanes),
+        widths_(p_.num_states * Lanes),
+        sixths_(p_.num_states * Lanes) {
     gather(parameters, p_.num_parameters, given(1 + p_.num_states + p_.num_inputs));
     double* at = given(1 + p_.num_states + p_.num_inputs + p_.num_parameters);
     for (std::int64_t i = 0; i < p_.num_constants; ++i, at += Lanes)
@@ -67,21 +69,21 @@ class Sweep {
       hand_out(k, dx.data(), tangents_.data(), d_states, d_readings);
       for (std::int64_t j = 0; j < num_steps_from(k); ++j) {
         if (stop_.asked()) return;
-        const double h = width(k);
+        const double* h = widths(k);
         for (int r = 0; r < 4; ++r) {
           rate(k, j, r, x.data());
           for (std::int64_t i = 0; i < size; ++i)
-            d_stage[i] = dx[i] + (r > 0 ? kShare[r] * h * d_rates[(r - 1) * size + i] : 0.0);
+            d_stage[i] = dx[i] + (r > 0 ? kShare[r] * h[i] * d_rates[(r - 1) * size + i] : 0.0);
           move(d_stage.data());
           for (std::int64_t s = 0; s < n; ++s)
             std::copy_n(&tangents_.data()[p_.rate_out[s] * Lanes], Lanes,
                         &d_rates[r * size + s * Lanes]);
         }
         for (std::int64_t i = 0; i < size; ++i) {
-          const double end = x[i] + advance(h, i);
+          const double end = x[i] + advance(i);
           const bool inside = end >= p_.lower[i / Lanes] && end <= p_.upper[i / Lanes];
           double moved = dx[i];
-          for (int r = 0; r < 4; ++r) moved += h / 6.0 * kWeight[r] * d_rates[r * size + i];
+          for (int r = 0; r < 4; ++r) moved += sixths_[i] * kWeight[r] * d_rates[r * size + i];
           dx[i] = inside ? moved : 0.0;
           x[i] = std::clamp(end, p_.lower[i / Lanes], p_.upper[i / Lanes]);
         }
@@ -162,7 +164,11 @@ class Sweep {
     if (k == driven_from_ && share == driven_share_) return;
     driven_from_ = k, driven_share_ = share;
     const std::int64_t next = std::min(k + 1, p_.num_samples - 1);
-    std::fill_n(given(0), Lanes, p_.times[k] + share * (p_.times[next] - p_.times[k]));
+    const auto now = [&](int l) { return time(k, l) + share * (time(next, l) - time(k, l)); };
+    if (p_.time_stride == 0)
+      std::fill_n(given(0), Lanes, now(0));
+    else
+      for (int l = 0; l < Lanes; ++l) given(0)[l] = now(l);
     place_inputs(inputs_, k, share, given(1 + p_.num_states));
     run_tape<Lanes>(p_.tape, kDriven, registers_.data());
     if (tangents_.data() == nullptr) return;
@@ -210,8 +216,8 @@ class Sweep {
       std::copy_n(x, size, at);
     } else {
       const double* before = &rates_[(r - 1) * size];
-      const double way = kShare[r] * width(k);
-      for (std::int64_t i = 0; i < size; ++i) at[i] = x[i] + way * before[i];
+      const double* h = widths(k);
+      for (std::int64_t i = 0; i < size; ++i) at[i] = x[i] + kShare[r] * h[i] * before[i];
     }
     run_tape<Lanes>(p_.tape, kMoving, registers_.data());
     keep_rates(r);
@@ -221,44 +227,60 @@ class Sweep {
       std::copy_n(given(p_.rate_out[s]), Lanes, &rates_[(r * p_.num_states + s) * Lanes]);
   }
 
-  double width(std::int64_t k) const {
-    return (p_.times[k + 1] - p_.times[k]) / static_cast<double>(p_.num_steps);
+  double time(std::int64_t k, int l) const { return p_.times[member(l) * p_.time_stride + k]; }
+
+  /// Lengths of the steps between sample k and the next, for each state of each lane.
+  const double* widths(std::int64_t k) {
+    if (k == wide_from_) return widths_.data();
+    wide_from_ = k;
+    double h = 0.0, sixth = 0.0;
+    for (int l = 0; l < Lanes; ++l) {
+      if (l == 0 || p_.time_stride > 0) {
+        h = (time(k + 1, l) - time(k, l)) / static_cast<double>(p_.num_steps);
+        sixth = h / 6.0;
+      }
+      for (std::int64_t i = l; i < p_.num_states * Lanes; i += Lanes)
+        widths_[i] = h, sixths_[i] = sixth;
+    }
+    return widths_.data();
   }
 
   /// @param is_read  whether `read` has just evaluated the start of the step
   void step(std::int64_t k, std::int64_t j, double* x, bool is_read = false) {
-    const double h = width(k);
+    widths(k);
     if (is_read)
       keep_rates(0);
     else
       rate(k, j, 0, x);
     for (int r = 1; r < 4; ++r) rate(k, j, r, x);
     for (std::int64_t s = 0; s < p_.num_states; ++s)
-      for (std::int64_t i = s * Lanes; i < (s + 1) * Lanes; ++i) {
-        const double end = x[i] + advance(h, i);
+      for (int l = 0; l < Lanes; ++l) {
+        const std::int64_t i = s * Lanes + l;
+        const double end = x[i] + advance(i);
         x[i] = std::clamp(end, p_.lower[s], p_.upper[s]);
       }
   }
 
-  double advance(double h, std::int64_t i) const {
+  double advance(std::int64_t i) const {
     const std::int64_t size = p_.num_states * Lanes;
-    return h / 6.0 *
+    return sixths_[i] *
            (rates_[i] + 2.0 * rates_[size + i] + 2.0 * rates_[2 * size + i] + rates_[3 * size + i]);
   }
 
   /// dL/d(state after step j) -> dL/d(state before it), in place.
   void reverse_step(std::int64_t k, std::int64_t j, const double* x, double* g) {
-    const double h = width(k);
+    const double* h = widths(k);
     const std::int64_t size = p_.num_states * Lanes;
     for (int r = 0; r < 4; ++r) rate(k, j, r, x);
     for (std::int64_t i = 0; i < size; ++i) {
-      const double end = x[i] + advance(h, i);
+      const double end = x[i] + advance(i);
       if (end < p_.lower[i / Lanes] || end > p_.upper[i / Lanes]) g[i] = 0.0;
     }
     // dL/d(rates of stage r), stages from the last one back: x_r = x + share_r h rate_(r-1)
     std::vector<double> of_rate(4 * size), before(size);
     for (int r = 0; r < 4; ++r)
-      for (std::int64_t i = 0; i < size; ++i) of_rate[r * size + i] = h / 6.0 * kWeight[r] * g[i];
+      for (std::int64_t i = 0; i < size; ++i)
+        of_rate[r * size + i] = sixths_[i] * kWeight[r] * g[i];
     for (int r = 3; r >= 0; --r) {
       if (r < 3) rate(k, j, r, x);
       for (std::int64_t s = 0; s < p_.num_states; ++s)
@@ -273,7 +295,7 @@ class Sweep {
       }
       for (std::int64_t i = 0; i < size; ++i) {
         g[i] += before[i];
-        if (r > 0) of_rate[(r - 1) * size + i] += kShare[r] * h * before[i];
+        if (r > 0) of_rate[(r - 1) * size + i] += kShare[r] * h[i] * before[i];
       }
     }
   }
@@ -323,8 +345,9 @@ class Sweep {
   const double* d_inputs_ = nullptr;
   std::int64_t driven_from_ = -1;  // sample and share that `drive` was called for
   double driven_share_ = 0.0;
+  std::int64_t wide_from_ = -1;  // sample that `widths_` were made for
   AlignedBuffer<double> registers_, adjoints_, tangents_;
-  std::vector<double> rates_;
+  std::vector<double> rates_, widths_, sixths_;
 };
 
 /// Calls f with the width and first member of every group; groups do not depend on the threads.

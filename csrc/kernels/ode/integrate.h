@@ -19,13 +19,14 @@ struct OdeProblem {
   const std::int64_t* rate_out;     ///< (num_states) registers of f
   const std::int64_t* reading_out;  ///< (num_channels) registers of g
   const double* constants;          ///< (num_constants)
-  const double* times;              ///< (num_samples) increasing [s]
+  const double* times;              ///< (batch or 1, num_samples), none before the last [s]
   const double* lower;              ///< (num_states) limits, -inf: none
   const double* upper;              ///< (num_states)
   const std::int64_t* held;         ///< (num_inputs) 1: constant until the next sample, 0: linear
   std::int64_t num_states, num_inputs, num_parameters, num_constants, num_channels;
   std::int64_t num_samples, num_steps, batch;  ///< num_steps between two samples
   std::int64_t input_stride;  ///< from one member's inputs to the next one's; 0: shared
+  std::int64_t time_stride;   ///< from one member's times to the next one's; 0: shared
 };
 
 /// @param[in]  start      (batch, num_states)

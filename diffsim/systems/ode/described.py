@@ -27,6 +27,7 @@ from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.first_commands import FEWEST_READINGS, LATE, is_heard_at_once
 from diffsim.systems.ode.gaps import Gap
 from diffsim.systems.ode.keys import Events, FormulaKeys, Place, Store, Swing
+from diffsim.systems.ode.model import OdeModel
 from diffsim.systems.ode.names import data_values, facts_of, scalars
 from diffsim.systems.ode.network import TIME, Network
 from diffsim.systems.ode.pieces import Piece, start_name
@@ -173,8 +174,7 @@ class FormulaSystem:
 def model_of(system: FormulaSystem) -> SimModel:
     """The model of a system without effects."""
     build = partial(_build_scene, system)
-    made = SimModel(build, system.base.base, system.study.name, batched=True)
-    made.leaves_zeros = True
+    made = OdeModel(build, system.base.base, system.study.name, batched=True)
     made.moves = bool(system.motion.states and system.motion.places)
     stated = system.motion.time_step
     num_steps = max(system.usual_interval / stated, 1.0) if stated else system.parts

@@ -79,7 +79,15 @@ class OdeScene(Scene):
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels) or (K, num_samples, num_channels)."""
-        readings = self._order_channels(self.solved()[0])
+        return self.read(self.solved()[0])
+
+    def read(self, readings: Tensor) -> Tensor:
+        """Predicted channels as of ``simulate``.
+
+        Args:
+            readings: Of the network at all times of the grid, (..., num_times, num_channels).
+        """
+        readings = self._order_channels(readings)
         if not self.instruments.is_empty:
             readings = self.instruments.read_in_order(readings, self.grid).contiguous()
         readings = self._end_sensors(readings)
@@ -93,7 +101,7 @@ class OdeScene(Scene):
         Args:
             network: The same system, read otherwise; None: the scene's own.
         """
-        flow = self._prepare_flow(network or self.network)
+        flow = self.flow(network)
         begins = self._list_restarts()
         start, parts = flow.start, list[tuple[Tensor, Tensor]]()
         for first, last, values in begins:
@@ -119,12 +127,12 @@ class OdeScene(Scene):
         Returns:
             (K, last - first + 1, num_channels) and (K, last - first + 1, num_states).
         """
-        readings, states = self._prepare_flow(self.network).solve(starts, first, last)
+        readings, states = self.flow().solve(starts, first, last)
         return self._end_sensors(self._order_channels(readings)), states
 
     def begin(self) -> tuple[tuple[str, ...], Tensor]:
         """Names of the states and their start, (num_states,) or (K, num_states)."""
-        flow = self._prepare_flow(self.network)
+        flow = self.flow()
         return tuple(flow.states), flow.start
 
     def each_start_moved(self, step: float) -> list[OdeScene]:
@@ -140,7 +148,7 @@ class OdeScene(Scene):
     def rests_without_inputs(self) -> bool:
         """Whether the start is a state of rest with inputs of zero, and none with their first
         values."""
-        flow = self._prepare_flow(self.network)
+        flow = self.flow()
         if not flow.ode.inputs:
             return False
         first = flow.inputs[..., 0, :]
@@ -148,8 +156,9 @@ class OdeScene(Scene):
         # rounding of sums that cancel
         return bool(without <= 1e-9 * with_first and with_first > 0.0)
 
-    def _prepare_flow(self, network: Network) -> _Flow:
-        solver = network.solver(self.changes)
+    def flow(self, network: Network | None = None) -> Flow:
+        """The run as the integrator takes it; ``network`` as of ``solved``."""
+        solver = (network or self.network).solver(self.changes)
         states = list(solver.ode.rates)
         starts = self._stack_starts(states, solver.starts)
         parameters = [self.numbers[n] for n in solver.parameters]
@@ -161,7 +170,7 @@ class OdeScene(Scene):
         steps = len(self.grid.times)
         # inputs that no point changes are stored once
         own = np.broadcast_shapes(*(u.shape[:-1] for u in inputs))
-        return _Flow(
+        return Flow(
             solver.ode,
             states,
             lead,
@@ -212,7 +221,7 @@ class OdeScene(Scene):
 
 
 @dataclass(frozen=True, eq=False)
-class _Flow:
+class Flow:
     """A scene as the integrator takes it.
 
     Attributes:
