@@ -43,6 +43,10 @@ struct LaneDual {
     const double inverse = 1.0 / b.value, value = a.value * inverse;
     return {value, (a.along - value * b.along) * inverse};
   }
+  DIFFSIM_INLINE friend LaneDual operator/(const LaneDual& a, double b) {
+    const double inverse = 1.0 / b;
+    return {a.value * inverse, a.along * inverse};
+  }
   DIFFSIM_INLINE friend LaneDual operator/(double a, const LaneDual& b) {
     const double inverse = 1.0 / b.value, value = a * inverse;
     return {value, (-value * inverse) * b.along};

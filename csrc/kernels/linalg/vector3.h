@@ -15,8 +15,8 @@ DIFFSIM_INLINE void add(const S& scale, const T* x, T* y) {
   for (int k = 0; k < 3; ++k) y[k] += scale * x[k];
 }
 /// y += a x b
-template <class T>
-DIFFSIM_INLINE void add_cross(const T* a, const T* b, T* y) {
+template <class S, class T, class U>
+DIFFSIM_INLINE void add_cross(const S* a, const T* b, U* y) {
   y[0] += a[1] * b[2] - a[2] * b[1];
   y[1] += a[2] * b[0] - a[0] * b[2];
   y[2] += a[0] * b[1] - a[1] * b[0];

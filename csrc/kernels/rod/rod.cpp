@@ -59,7 +59,6 @@ class Solver {
       std::copy_n(part(batch_.fields[f], size, m), size, &plain.numbers[begin]);
     });
     std::copy_n(strains, size_, plain.u.begin());
-    slopes_.load(plain.numbers);
   }
 
   /// Slopes of the residual by the strains, or their transpose, where `plain` was run.

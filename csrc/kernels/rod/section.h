@@ -28,9 +28,19 @@ struct Pressed {
   T width, secant, twist, flexural;
 };
 
+/// The larger of both; a number that is not one becomes `least`.
 template <class T>
-DIFFSIM_INLINE Pressed<T> pressed(const T& stretch, const T& rubber) {
-  const T y = value_of(stretch) > kMostPressed ? stretch : T(kMostPressed);
+DIFFSIM_INLINE T at_least(double least, const T& x) {
+  return value_of(x) > least ? x : T(least);
+}
+DIFFSIM_INLINE Native at_least(double least, const Native& x) {
+  const Native bound = broadcast<Native>(least);
+  return select(greater(x, bound), x, bound);
+}
+
+template <class T, class Number>
+DIFFSIM_INLINE Pressed<T> pressed(const T& stretch, const Number& rubber) {
+  const T y = at_least(kMostPressed, stretch);
   const T i = 1.0 / y, square = i * i;
   return {1.0 + rubber * (sqrt(i) - 1.0),
           1.0 + rubber * ((1.0 + i + square) * (1.0 / 3.0) - 1.0),  // P / (E (y - 1))
@@ -51,19 +61,20 @@ inline void pressed_vjp(double stretch, double rubber, const Pressed<double>& gr
                              grad.flexural * (square + 8.0 * square * square * i) / 3.0);
 }
 
-template <class T>
+/// One section; its numbers may be of a type without derivatives.
+template <class T, class Number = T>
 struct Section {
   std::int64_t num_tendons, stride;  ///< from one tendon's offset to the next one's
-  double radius;
+  Number radius;
   const T* u;        ///< (3)
   const T* force;    ///< (3) beyond, in the frame of the section
   const T* tension;  ///< (num_tendons)
-  SectionNumbers<const T*> of;
+  SectionNumbers<const Number*> of;
 
   /// t and |t| of a tendon, and its lever without the width.
   DIFFSIM_INLINE T tangent(std::int64_t tendon, const T* v, const T& width, T* t) const {
     T lever[3];
-    const T *r = of.offset + tendon * stride, *slope = of.slope + tendon * stride;
+    const Number *r = of.offset + tendon * stride, *slope = of.slope + tendon * stride;
     for (int k = 0; k < 3; ++k) lever[k] = width * r[k], t[k] = v[k] + slope[k];
     add_cross(u, lever, t);
     return sqrt(dot(t, t));
@@ -79,7 +90,7 @@ struct Section {
       T* next = rounds + 3 * (round + 1);
       const Pressed<T> now = pressed(v[0], *of.rubber);
       T left[3] = {force[0], force[1], force[2]};
-      for (int k = 0; k < 3; ++k) levers[k] = T(0.0);
+      for (int k = 0; k < 3; ++k) levers[k] = T{};
       for (std::int64_t i = 0; i < num_tendons; ++i) {
         T t[3];
         const T norm = tangent(i, v, now.width, t);

@@ -11,8 +11,6 @@
 // are those of Q, and w is in the frame of the base: Q' (B' F x w) and B (w x Q v).
 #pragma once
 
-#include <utility>
-
 #include "kernels/rod/sweep.h"
 
 namespace diffsim::rod {
@@ -20,8 +18,7 @@ namespace diffsim::rod {
 class Slopes {
  public:
   explicit Slopes(const Body& body)
-      : numbers_(field_places(body)[kNumFields]),
-        tension_(body.num_tendons),
+      : tension_(body.num_tendons),
         middles_(9 * body.num_elements),
         edges_(9 * (body.num_elements + 1)),
         parts_(body.num_elements),
@@ -29,11 +26,6 @@ class Slopes {
         of_center_(body.num_elements),
         of_moment_(body.num_elements),
         of_loads_(body.num_loads) {}
-
-  /// Takes the numbers of a rod.
-  void load(const std::vector<double>& numbers) {
-    std::copy(numbers.begin(), numbers.end(), numbers_.begin());
-  }
 
   /// @param[out] to  (3 N, 3 N) d residual_r / du_c at to[r row + c column]
   void find(const Sweep<double>& s, std::int64_t row, std::int64_t column, double* to) {
@@ -100,13 +92,13 @@ class Slopes {
     constexpr int kDirections = 7;
     const std::int64_t num = s.body.num_tendons;
     LaneDual u[3], force[3], rounds[3 * (kRounds + 1)], moment[3];
-    const Section<LaneDual> section{num,
-                                    3 * s.n,
-                                    s.body.radius[i],
-                                    u,
-                                    force,
-                                    tension_.data(),
-                                    s.section_numbers(std::as_const(numbers_).data(), i)};
+    const Section<LaneDual, double> section{num,
+                                            3 * s.n,
+                                            s.body.radius[i],
+                                            u,
+                                            force,
+                                            tension_.data(),
+                                            s.section_numbers(s.numbers.data(), i)};
     for (int first = 0; first < kDirections; first += kNativeLanes) {
       for (int k = 0; k < 3; ++k) u[k] = s.u[3 * i + k], force[k] = s.local[3 * i + k];
       for (std::int64_t t = 0; t < num; ++t) tension_[t] = s.tension[i * num + t];
@@ -303,7 +295,7 @@ class Slopes {
     double past, turned[9], there[9], axis[3] = {}, arm[3] = {};
   };
 
-  std::vector<LaneDual> numbers_, tension_;
+  std::vector<LaneDual> tension_;
   std::vector<double> middles_, edges_;  ///< Q in the middles and at the edges
   std::vector<Part> parts_;
   std::vector<Three> of_along_, of_center_, of_moment_, of_loads_;

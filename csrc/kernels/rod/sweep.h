@@ -7,10 +7,11 @@
 #pragma once
 
 #include <algorithm>
+#include <type_traits>
 #include <vector>
 
 #include "kernels/rod/rod.h"
-#include "kernels/rod/section.h"
+#include "kernels/rod/section_lanes.h"
 
 namespace diffsim::rod {
 
@@ -39,7 +40,8 @@ struct Sweep {
         centers(3 * n),
         places(3 * of.num_points),
         outer(3 * n),
-        residual(3 * n) {}
+        residual(3 * n),
+        lanes_(of.num_tendons) {}
 
   /// The numbers and strains of another one, which do not move.
   void copy(const Sweep<double>& from) {
@@ -82,7 +84,9 @@ struct Sweep {
       turned = pull(i, turned);
       for (int k = 0; k < 3; ++k) local[3 * i + k] = T(0.0), along[3 * i + k] = T(0.0);
       add_transposed(&middles[9 * i], &force[3 * i], &local[3 * i]);
-      section(i).solve(&rounds[3 * (kRounds + 1) * i], &moment[3 * i]);
+    }
+    solve_sections();
+    for (std::int64_t i = 0; i < n; ++i) {
       add_product(&middles[9 * i], stretch(i), &along[3 * i]);
       for (int k = 0; k < 3; ++k) {
         const T step = length(i) * along[3 * i + k];
@@ -121,6 +125,15 @@ struct Sweep {
   std::vector<T> rounds, moment, along, nodes, centers, places, outer, residual;
 
  private:
+  void solve_sections() {
+    if constexpr (std::is_same_v<T, double>) {
+      lanes_.solve(section(0), body.radius, n, rounds.data(), moment.data());
+    } else {
+      for (std::int64_t i = 0; i < n; ++i)
+        section(i).solve(&rounds[3 * (kRounds + 1) * i], &moment[3 * i]);
+    }
+  }
+
   void sum_forces() {
     const T* weight = field(kWeight);
     T beyond[3] = {T(0.0), T(0.0), T(0.0)};
@@ -191,6 +204,8 @@ struct Sweep {
       for (int k = 0; k < 3; ++k) residual[3 * i + k] = moment[3 * i + k] - turned[k];
     }
   }
+
+  SectionLanes lanes_;
 };
 
 /// Adds dL/d(numbers, u) of a sweep that was run, from dL/d(residual, places).

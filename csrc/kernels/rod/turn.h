@@ -9,7 +9,8 @@
 
 namespace diffsim::rod {
 
-using std::sqrt;  // of numbers; of lanes it is another
+using diffsim::sqrt;  // of lanes
+using std::sqrt;      // of numbers
 
 /// a and b, and their slopes by x^2.
 struct TurnTerms {

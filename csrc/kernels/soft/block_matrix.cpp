@@ -20,8 +20,9 @@ void for_rows(const SoftModel& model, ThreadPool& pool, F&& f) {
 }  // namespace
 
 void block_multiply(const SoftModel& model, const double* values, const double* inertia,
-                    const double* x, double* y, ThreadPool& pool) {
+                    const double* x, double* y, ThreadPool& pool, const std::uint8_t* wanted) {
   for_rows(model, pool, [&](Index i) {
+    if (wanted && !(wanted[3 * i] | wanted[3 * i + 1] | wanted[3 * i + 2])) return;
     double out[3];
     block3_row(values, model.column.data(), model.row_start[at(i)], model.row_start[at(i + 1)], x,
                out);

@@ -7,8 +7,10 @@
 namespace diffsim {
 
 /// y = (K + diag(inertia)) x over nodes; inertia (num_nodes,) acts on all three axes.
+/// @param[in] wanted  (num_nodes, 3): of nodes without any y is left as it is; null: all are wanted
 void block_multiply(const SoftModel& model, const double* values, const double* inertia,
-                    const double* x, double* y, ThreadPool& pool);
+                    const double* x, double* y, ThreadPool& pool,
+                    const std::uint8_t* wanted = nullptr);
 
 /// (num_blocks, 3, 3) row-major blocks of K + diag(inertia), with the rows and columns of fixed
 /// unknowns replaced by those of the identity times `fixed_diagonal`.

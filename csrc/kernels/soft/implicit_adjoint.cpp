@@ -18,7 +18,7 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
   const Vector x(x_in, x_in + size);
   problem.assemble(x, false);
 
-  Vector b(grad_x, grad_x + size), z, reaction;
+  Vector b(grad_x, grad_x + size), z;
   problem.zero_fixed(b);
   StepStats stats;
   stats.scale = problem.ops().norm(b);
@@ -32,11 +32,7 @@ StepStats implicit_step_adjoint(const ConstantSystem& system, const StepInputs& 
   stats.num_solves = problem.num_solves;
   stats.num_factorizations = problem.num_factorizations;
 
-  // What is left at fixed unknowns: dL/dx - H z.
-  problem.multiply_all(z, reaction);
-  Vector e(grad_x, grad_x + size);
-  problem.ops().add(-1.0, reaction, e);
-  problem.input_gradients(x, z, e, out);
+  problem.input_gradients(x, z, problem.left_at_fixed(grad_x, z), out);
   return stats;
 }
 

@@ -77,15 +77,13 @@ StepStats linear_step_adjoint(const ConstantSystem& system, const StepInputs& in
   const std::size_t size = problem.size();
   const Vector x(x_in, x_in + size), q(inputs.guess, inputs.guess + size);
   problem.assemble(q, false);
-  Vector b(grad_x, grad_x + size), z, product, rest(grad_x, grad_x + size);
+  Vector b(grad_x, grad_x + size), z;
   problem.zero_fixed(b);
   StepStats stats;
   stats.scale = problem.ops().norm(b);
   stats.tolerance = options.rtol * stats.scale + options.atol;
   note(solve(system, problem, options, q, b, stats.tolerance, z), problem, stats);
-  problem.multiply_all(z, product);
-  problem.ops().add(-1.0, product, rest);
-  problem.linear_input_gradients(x, z, rest, out);
+  problem.linear_input_gradients(x, z, problem.left_at_fixed(grad_x, z), out);
   return stats;
 }
 

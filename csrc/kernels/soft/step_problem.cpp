@@ -128,6 +128,14 @@ void StepProblem::multiply_all(const Vector& in, Vector& out) {
   block_multiply(system_.model(), memory_->values.data(), inertia(), in.data(), out.data(), pool_);
 }
 
+Vector StepProblem::left_at_fixed(const double* grad_x, const Vector& z) {
+  Vector left(size_, 0.0);
+  block_multiply(system_.model(), memory_->values.data(), inertia(), z.data(), left.data(), pool_,
+                 system_.fixed());
+  for (std::size_t i = 0; i < size_; ++i) left[i] = system_.fixed()[i] ? grad_x[i] - left[i] : 0.0;
+  return left;
+}
+
 void StepProblem::multiply(const Vector& in, Vector& out) {
   multiply_all(in, out);
   zero_fixed(out);

@@ -49,6 +49,8 @@ class StepProblem {
   void multiply(const Vector& in, Vector& out);
   /// The same without zeroing: forces that fixed unknowns feel.
   void multiply_all(const Vector& in, Vector& out);
+  /// dL/dx - H z at fixed unknowns, of which it is the gradient that is left; zero elsewhere.
+  Vector left_at_fixed(const double* grad_x, const Vector& z);
   void zero_fixed(Vector& v) const;
   /// -z . d(grad g)/dp for every input p, overwritten (eq. 4.10), and the targets' gradient.
   /// @param[in] rest  dL/dx - H z, read at fixed unknowns
