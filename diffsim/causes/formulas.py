@@ -117,16 +117,11 @@ def _is_signal(run: Run, name: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What a formula remembers.
-
-    Attributes:
-        lasts: Name of a shape, or a number [s].
-        from_zero: Whether it begins at zero, else as what it follows.
-    """
+    """What a formula remembers."""
 
     of: Expression
-    lasts: str
-    from_zero: bool
+    lasts: str  # name of a shape, or a number [s]
+    from_zero: bool  # whether it begins at zero, else as what it follows
 
 
 @dataclass(frozen=True, eq=False)

@@ -282,17 +282,11 @@ def _memories_of(variable: Variable) -> dict[str, MemoryKeys]:
 
 @dataclass(frozen=True, eq=False)
 class _WatchedRun:
-    """What a simulation did.
+    """What a simulation did."""
 
-    Attributes:
-        record: Channels, (num_samples, num_channels).
-        commands: Each command on its way, (num_samples,).
-        forces: What each place did.
-    """
-
-    record: Tensor
-    commands: Mapping[str, Tensor]
-    forces: Mapping[str, WatchedForce]
+    record: Tensor  # channels, (num_samples, num_channels)
+    commands: Mapping[str, Tensor]  # each command on its way, (num_samples,)
+    forces: Mapping[str, WatchedForce]  # what each place did
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,16 +23,12 @@ _NO_RANGE = 1e-12  # of a command that is the same throughout
 
 @dataclass(frozen=True)
 class CommandScale:
-    """What a command does in the runs to fit.
+    """What a command does in the runs to fit."""
 
-    Attributes:
-        low, high: Least and greatest value.
-        rate: What its rate of change mostly stays below [1/s].
-    """
-
+    # low, high: least and greatest value
     low: float
     high: float
-    rate: float
+    rate: float  # what its rate of change mostly stays below [1/s]
 
 
 @checked(kinds_only=True)

@@ -56,16 +56,11 @@ class LawFormula(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ForceLaw:
-    """A force of position, speed and usual speed, at a size.
-
-    Attributes:
-        size: () or (K,).
-        shapes: Further numbers, likewise.
-    """
+    """A force of position, speed and usual speed, at a size."""
 
     formula: LawFormula
-    size: Tensor
-    shapes: tuple[Tensor, ...] = ()
+    size: Tensor  # () or (K,)
+    shapes: tuple[Tensor, ...] = ()  # further numbers, likewise
 
 
 @dataclass(frozen=True, eq=False)

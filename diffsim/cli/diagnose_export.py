@@ -31,19 +31,12 @@ ALL = "all"  # component of a cause that has a size for all runs, and what group
 
 @dataclass(frozen=True)
 class ProgramConstants:
-    """Constants for one program, of one device where the study has several.
+    """Constants for one program, of one device where the study has several."""
 
-    Attributes:
-        program: Name of the program in the study's `export`.
-        group: Facts of the device, by name; empty: one for all runs.
-        constants: Values with 90 % intervals, by name.
-        texts: What the program reads beside them, such as the name of its model.
-    """
-
-    program: str
-    group: Mapping[str, str]
-    constants: Mapping[str, Range]
-    texts: Mapping[str, str]
+    program: str  # name of the program in the study's `export`
+    group: Mapping[str, str]  # facts of the device, by name; empty: one for all runs
+    constants: Mapping[str, Range]  # values with 90 % intervals, by name
+    texts: Mapping[str, str]  # what the program reads beside them, such as the name of its model
 
     @property
     def title(self) -> str:
@@ -183,21 +176,14 @@ def _is_of_runs(name: str, saved: Sequence[str]) -> bool:
 
 @dataclass(frozen=True)
 class _ModelNumbers:
-    """What formulas may ask for.
+    """What formulas may ask for."""
 
-    Attributes:
-        saved: The answer.
-        stated: Values that are known, and stated ones of those that are not fitted.
-        absent: Causes that the study may have and the answer may lack.
-        of_run: Facts that are numbers in each run, and no numbers of the model.
-        made: What names stand for that are formulas of others.
-    """
-
-    saved: SavedModel
+    saved: SavedModel  # the answer
+    # values that are known, and stated ones of those that are not fitted
     stated: Mapping[str, float]
-    absent: frozenset[str]
-    of_run: frozenset[str]
-    made: Mapping[str, Expression]
+    absent: frozenset[str]  # causes that the study may have and the answer may lack
+    of_run: frozenset[str]  # facts that are numbers in each run, and no numbers of the model
+    made: Mapping[str, Expression]  # what names stand for that are formulas of others
 
     @classmethod
     def of(cls, study: Study, saved: SavedModel) -> _ModelNumbers:

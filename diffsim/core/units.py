@@ -293,17 +293,11 @@ def factor(unit: str, into: str) -> float:
 
 
 class SI(NamedTuple):
-    """SI unit of a quantity, and the way to it: value_SI = factor value + offset.
+    """SI unit of a quantity, and the way to it: value_SI = factor value + offset."""
 
-    Attributes:
-        unit: Coherent SI unit, radians for angles, pixels for places in pictures.
-        factor: Number of ``unit`` in one of the unit that was asked for.
-        offset: Value in ``unit`` of a zero; not 0 for degrees Celsius only.
-    """
-
-    unit: str
-    factor: float
-    offset: float
+    unit: str  # coherent SI unit, radians for angles, pixels for places in pictures
+    factor: float  # number of ``unit`` in one of the unit that was asked for
+    offset: float  # value in ``unit`` of a zero; not 0 for degrees Celsius only
 
 
 @lru_cache(maxsize=512)

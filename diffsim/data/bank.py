@@ -30,24 +30,15 @@ _FLOWN = ("multicopter", "copter")
 
 @dataclass(frozen=True)
 class _Drive:
-    """What one command can do.
-
-    Attributes:
-        low: Least value [unit].
-        high: Largest value [unit].
-        rest: Value before anything happens [unit].
-        rate: Fastest change [unit/s].
-        unit: Unit in which people read it.
-        scale: Number of that unit in one of the command's.
-    """
+    """What one command can do."""
 
     name: str
-    low: float
-    high: float
-    rest: float
-    rate: float
-    unit: str
-    scale: float
+    low: float  # least value [unit]
+    high: float  # largest value [unit]
+    rest: float  # value before anything happens [unit]
+    rate: float  # fastest change [unit/s]
+    unit: str  # unit in which people read it
+    scale: float  # number of that unit in one of the command's
 
     def level(self, value: float) -> str:
         """A value in words, such as "2 N"."""

@@ -22,36 +22,22 @@ PIECES = 6  # that one long run is cut into
 
 @dataclass(eq=False)
 class GuessedColumn:
-    """A column of the runs' files and what it seems to be.
+    """A column of the runs' files and what it seems to be."""
 
-    Attributes:
-        column: As its header states it.
-        place: Which of a run's files has it, from 0.
-        tag: Word by which the names of these files differ from those of others.
-        role: clock, split, text, fact, idle, command or channel; empty: not yet known.
-        why: Why it looks commanded.
-        name: Name of the channel or command.
-        unit: Unit, - where none is stated.
-        sd: Noise of a channel; None: none was seen.
-        lower, upper: Ends of what was seen of a command.
-        is_measured: Whether a controller gave it out.
-        before: What was commanded before runs begin; None: nothing tells it.
-        fill: How a command goes on between samples of its own file.
-    """
-
-    column: Column
-    place: int = 0
-    tag: str = ""
-    role: str = ""
-    why: str = ""
-    name: str = ""
-    unit: str = "-"
-    sd: float | None = None
+    column: Column  # as its header states it
+    place: int = 0  # which of a run's files has it, from 0
+    tag: str = ""  # word by which the names of these files differ from those of others
+    role: str = ""  # clock, split, text, fact, idle, command or channel; empty: not yet known
+    why: str = ""  # why it looks commanded
+    name: str = ""  # name of the channel or command
+    unit: str = "-"  # unit, - where none is stated
+    sd: float | None = None  # noise of a channel; None: none was seen
+    # lower, upper: ends of what was seen of a command
     lower: float | None = None
     upper: float | None = None
-    is_measured: bool = False
-    before: float | None = None
-    fill: str = ""
+    is_measured: bool = False  # whether a controller gave it out
+    before: float | None = None  # what was commanded before runs begin; None: nothing tells it
+    fill: str = ""  # how a command goes on between samples of its own file
 
 
 @dataclass(eq=False)

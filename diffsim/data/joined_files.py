@@ -32,18 +32,12 @@ Way: TypeAlias = Callable[[FoundTable], tuple[Group, str]]
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """Files of one kind.
+    """Files of one kind."""
 
-    Attributes:
-        tag: Word by which their names differ from those of other kinds; empty: there are none.
-        files: One of each run.
-        time: Keys of ``time``; empty: rows are those of the first kind.
-    """
-
-    tag: str
-    files: tuple[FoundTable, ...]
+    tag: str  # word by which their names differ from those of other kinds; empty: there are none
+    files: tuple[FoundTable, ...]  # one of each run
     columns: tuple[Column, ...]
-    time: Mapping[str, Any]
+    time: Mapping[str, Any]  # keys of ``time``; empty: rows are those of the first kind
 
     @property
     def num_rows(self) -> int:

@@ -39,13 +39,10 @@ class TrackingError(DiffsimError):
 
 @dataclass(frozen=True)
 class ColorBounds:
-    """Which pixels belong to a ball, in OpenCV's HSV.
+    """Which pixels belong to a ball, in OpenCV's HSV."""
 
-    Attributes:
-        low, high: (hue, saturation, value), hue in 0..179, the others in 0..255; a low hue above
-            the high one means that hues wrap around red.
-    """
-
+    # low, high: (hue, saturation, value), hue in 0..179, the others in 0..255; a low hue above the
+    # high one means that hues wrap around red
     low: tuple[int, int, int]
     high: tuple[int, int, int]
 
@@ -81,20 +78,13 @@ TENNIS_BALL = ColorBounds((25, 60, 70), (50, 255, 255))
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Centers of balls over the frames of a video.
+    """Centers of balls over the frames of a video."""
 
-    Attributes:
-        frames: (num_frames,) numbers of the video's frames.
-        time_s: (num_frames,) since the first of them [s].
-        centers: (num_frames, num_balls, 2) u to the right, v down [px]; NaN where a ball was not
-            seen.
-        merged: (num_frames,) whether balls touched in the picture: centers are then less sure.
-    """
-
-    frames: IntArray
-    time_s: Array
+    frames: IntArray  # (num_frames,) numbers of the video's frames
+    time_s: Array  # (num_frames,) since the first of them [s]
+    # (num_frames, num_balls, 2) u to the right, v down [px]; NaN where a ball was not seen
     centers: Array
-    merged: Mask
+    merged: Mask  # (num_frames,) whether balls touched in the picture: centers are then less sure
 
     def save(self, path: str | Path) -> Path:
         """Write CSV with the columns of the tennis balls' data set; empty cells are missing."""

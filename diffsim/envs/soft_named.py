@@ -22,14 +22,10 @@ class NamedSoftTask(SoftTask):
     Args:
         robot: Arguments of the function that makes it; None: its defaults.
         **options: Options of the reward and of every soft task, in place of the usual ones.
-
-    Attributes:
-        make: Function that makes the robot.
-        usual: Options where nothing else is asked for.
     """
 
-    make: ClassVar[Callable[..., SoftRobot]]
-    usual: ClassVar[Mapping[str, Any]]
+    make: ClassVar[Callable[..., SoftRobot]]  # function that makes the robot
+    usual: ClassVar[Mapping[str, Any]]  # options where nothing else is asked for
 
     def __init__(self, *, robot: Mapping[str, Any] | None = None, **options: Any):
         given = dict(robot or {})

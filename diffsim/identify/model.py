@@ -174,15 +174,10 @@ class Scene(Protocol):
 
 
 class Work(NamedTuple):
-    """What was simulated, in counts: the same on every machine.
+    """What was simulated, in counts: the same on every machine."""
 
-    Attributes:
-        simulations: Predictions of one run at one point.
-        steps: Their weighted steps (``SimModel.cost``), derivatives included.
-    """
-
-    simulations: int
-    steps: int
+    simulations: int  # predictions of one run at one point
+    steps: int  # their weighted steps (``SimModel.cost``), derivatives included
 
 
 NOTHING = Work(0, 0)

@@ -27,16 +27,11 @@ class LostProcessError(ConnectionError):
 
 @dataclass(frozen=True)
 class Batch:
-    """What a differentiated batch of episodes leaves besides its gradient.
+    """What a differentiated batch of episodes leaves besides its gradient."""
 
-    Attributes:
-        reward: Mean over steps and episodes, without gradient.
-        seen: (n, num_observations) before failures.
-        scalars: Numbers for the log, beside those of all batches.
-    """
-
-    reward: Tensor
-    seen: Tensor
+    reward: Tensor  # mean over steps and episodes, without gradient
+    seen: Tensor  # (n, num_observations) before failures
+    # numbers for the log, beside those of all batches
     scalars: dict[str, float] = field(default_factory=dict)
 
 

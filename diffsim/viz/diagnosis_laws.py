@@ -283,15 +283,10 @@ _CALLED = {"abs": "Abs", "min": "Min", "max": "Max"}  # where sympy has another 
 
 @dataclass(frozen=True)
 class WrittenFormula:
-    """A formula with its numbers put in.
+    """A formula with its numbers put in."""
 
-    Attributes:
-        text: As text.
-        latex: As LaTeX.
-    """
-
-    text: str
-    latex: str
+    text: str  # as text
+    latex: str  # as LaTeX
 
 
 def write_formula(

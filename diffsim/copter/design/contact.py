@@ -51,14 +51,10 @@ class ContactEnd:
 
 @dataclass
 class Contact:
-    """What a contact adds to a design.
+    """What a contact adds to a design."""
 
-    Attributes:
-        constraints: Coincidence and bounds of sliding.
-        explicit, defaults: Starting values of sliding, given by the author or assumed.
-    """
-
-    constraints: list[Constraint] = field(default_factory=list)
+    constraints: list[Constraint] = field(default_factory=list)  # coincidence and bounds of sliding
+    # explicit, defaults: starting values of sliding, given by the author or assumed
     explicit: list[Target] = field(default_factory=list)
     defaults: list[Target] = field(default_factory=list)
 

@@ -237,13 +237,9 @@ _NEW_ORIGIN = "placement_frame"
 
 @dataclass
 class Frames:
-    """Links of a model and of the models in it, by names such as ``arm::motor``.
+    """Links of a model and of the models in it, by names such as ``arm::motor``."""
 
-    Attributes:
-        links: The elements of the links.
-    """
-
-    links: dict[str, Node] = field(default_factory=dict)
+    links: dict[str, Node] = field(default_factory=dict)  # the elements of the links
     _stated: dict[str, tuple[str, Pose, Node]] = field(default_factory=dict)
 
     @staticmethod

@@ -28,21 +28,14 @@ MIN_ROWS = 6
 
 @dataclass(frozen=True, eq=False)
 class CurveFit:
-    """One least-squares fit.
+    """One least-squares fit."""
 
-    Attributes:
-        values: Parameters by name.
-        standard_errors: Standard errors of the values, from the residuals; same names.
-        x: Abscissa of the rows, (num_rows,).
-        y: Measured, (num_rows,).
-        residuals: Measured less fitted, (num_rows,).
-    """
-
-    values: dict[str, float]
+    values: dict[str, float]  # parameters by name
+    # standard errors of the values, from the residuals; same names
     standard_errors: dict[str, float]
-    x: Array
-    y: Array
-    residuals: Array
+    x: Array  # abscissa of the rows, (num_rows,)
+    y: Array  # measured, (num_rows,)
+    residuals: Array  # measured less fitted, (num_rows,)
 
     @property
     def rms(self) -> float:

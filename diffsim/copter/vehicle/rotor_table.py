@@ -28,35 +28,20 @@ _SMALL_PROPELLERS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RotorTable:
-    """Rows of one motor and propeller.
+    """Rows of one motor and propeller."""
 
-    Attributes:
-        name: Short name.
-        title: Motor and propeller in words.
-        radius: Radius of the propeller [m].
-        nominal_voltage: Nominal voltage [V].
-        signal: Pulse width, (num_rows,) [us].
-        speed: Speed of the rotor, (num_rows,) [rad/s].
-        thrust: Thrust, (num_rows,) [N].
-        current: Current, (num_rows,) [A].
-        torque: (num_rows,) [N m], or None.
-        voltage: (num_rows,) [V], or None where it was not recorded.
-        down: Rows of the sweep down, (num_rows,) bool.
-        source: Reference of the rows.
-    """
-
-    name: str
-    title: str
-    radius: float
-    nominal_voltage: float
-    signal: Array
-    speed: Array
-    thrust: Array
-    current: Array
-    torque: Array | None
-    voltage: Array | None
-    down: Mask
-    source: str
+    name: str  # short name
+    title: str  # motor and propeller in words
+    radius: float  # radius of the propeller [m]
+    nominal_voltage: float  # nominal voltage [V]
+    signal: Array  # pulse width, (num_rows,) [us]
+    speed: Array  # speed of the rotor, (num_rows,) [rad/s]
+    thrust: Array  # thrust, (num_rows,) [N]
+    current: Array  # current, (num_rows,) [A]
+    torque: Array | None  # (num_rows,) [N m], or None
+    voltage: Array | None  # (num_rows,) [V], or None where it was not recorded
+    down: Mask  # rows of the sweep down, (num_rows,) bool
+    source: str  # reference of the rows
 
     def __post_init__(self) -> None:
         columns = [self.signal, self.speed, self.thrust, self.current, self.down]

@@ -64,14 +64,10 @@ MOST_LISTED = 3  # sizes, rival sets or names in a sentence; the page lists all
 
 @dataclass(frozen=True)
 class BeforeTest:
-    """What an answer was before the test runs took something back.
-
-    Attributes:
-        statuses: Status of the causes that have another one now, by name.
-    """
+    """What an answer was before the test runs took something back."""
 
     verdict: str
-    statuses: Mapping[str, str]
+    statuses: Mapping[str, str]  # status of the causes that have another one now, by name
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,25 +27,17 @@ _SINGLE = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LumpedNetwork:
-    """Makes the scene of a run at values of the base parameters.
+    """Makes the scene of a run at values of the base parameters."""
 
-    Attributes:
-        tubes, sources, meters: As described; meters in the order of the study's channels.
-        layout: What joins what.
-        parameters: Quantities by name.
-        density: Of the fluid [kg/m^3].
-        shear_rate: Beyond which the fluid thins [1/s].
-        is_in_time: Whether samples of a run follow each other in time.
-    """
-
+    # tubes, sources, meters: as described; meters in the order of the study's channels
     tubes: tuple[TubeKeys, ...]
     sources: tuple[SourceKeys, ...]
     meters: tuple[MeterKeys, ...]
-    layout: TubeLayout
-    parameters: BaseParameters
-    density: float
-    shear_rate: float
-    is_in_time: bool
+    layout: TubeLayout  # what joins what
+    parameters: BaseParameters  # quantities by name
+    density: float  # of the fluid [kg/m^3]
+    shear_rate: float  # beyond which the fluid thins [1/s]
+    is_in_time: bool  # whether samples of a run follow each other in time
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> LumpedScene:
         v = self.parameters.in_run(values, run)

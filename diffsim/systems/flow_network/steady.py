@@ -73,16 +73,12 @@ class SteadyScene(Scene):
 
     Commands are what each pump gives, or each regulator holds [m^3/s, m^2/s or Pa], then what is
     held at other ends [Pa]. Numbers that only causes change are absent until one does.
-
-    Attributes:
-        num_drives: Number of commands that are of pumps or regulators; they come first.
-        rtol: Relative tolerance of the flow [-].
-        is_in_time: Whether samples follow each other in time: where commands are changed on their
-            way, samples at the same level may be changed otherwise by a slope.
     """
 
-    num_drives: int
-    rtol: float
+    num_drives: int  # number of commands that are of pumps or regulators; they come first
+    rtol: float  # relative tolerance of the flow [-]
+    # whether samples follow each other in time: where commands are changed on their way, samples at
+    # the same level may be changed otherwise by a slope
     is_in_time: bool = False
 
     def several(self, name: str, count: int) -> Tensor:

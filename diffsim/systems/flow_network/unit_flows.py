@@ -54,21 +54,13 @@ class UnitFlows:
 
 
 class CellGroups(NamedTuple):
-    """Cells of one channel with about the same shear, and what they share.
+    """Cells of one channel with about the same shear, and what they share."""
 
-    Attributes:
-        of_cell: Group of every kept cell, (cells,).
-        owner: Index of the channel of each group, (groups,).
-        height: Mean y of the cells of each group, (groups,) [m].
-        before_tap: Between the two pressure sensors, (groups,) bool.
-        after_pump: Beyond the first of them, (groups,) bool.
-    """
-
-    of_cell: Tensor
-    owner: Tensor
-    height: Tensor
-    before_tap: Tensor
-    after_pump: Tensor
+    of_cell: Tensor  # group of every kept cell, (cells,)
+    owner: Tensor  # index of the channel of each group, (groups,)
+    height: Tensor  # mean y of the cells of each group, (groups,) [m]
+    before_tap: Tensor  # between the two pressure sensors, (groups,) bool
+    after_pump: Tensor  # beyond the first of them, (groups,) bool
 
 
 class UnitFlowTable:

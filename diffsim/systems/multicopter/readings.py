@@ -136,22 +136,16 @@ def _look_back(values: Tensor, delay: Tensor, dt: float) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class _ShownStates:
-    """What sensors see at the end of every step, (points, num_windows, length, ...).
+    """What sensors see at the end of every step, (points, num_windows, length, ...)."""
 
-    Attributes:
-        scene: Run that was flown.
-        record: How it was flown.
-        position, velocity, rotation, quaternion: As cameras show them, late where they are.
-        turn: Error of the shown attitude as a quaternion, (points, num_windows, length + 1, 4);
-            None: none.
-    """
-
-    scene: RecordedScene
-    record: SensedRecord
+    scene: RecordedScene  # run that was flown
+    record: SensedRecord  # how it was flown
+    # position, velocity, rotation, quaternion: as cameras show them, late where they are
     position: Tensor
     velocity: Tensor
     rotation: Tensor
     quaternion: Tensor
+    # error of the shown attitude as a quaternion, (points, num_windows, length + 1, 4); None: none
     turn: Tensor | None = None
 
     @classmethod
@@ -304,13 +298,9 @@ _GROUPS: dict[str, Callable[[_ShownStates], Tensor]] = {
 
 @dataclass(frozen=True, eq=False)
 class WindowGrid(Grid):
-    """Times in windows of one length: what has a memory knows one window, a formula the run's time.
+    """Times in windows of one length: a memory knows one window, a formula the run's time."""
 
-    Attributes:
-        starts: Time of each window's first sample in the run, (num_windows, 1, 1, 1) [s].
-    """
-
-    starts: Tensor
+    starts: Tensor  # time of each window's first sample in the run, (num_windows, 1, 1, 1) [s]
 
     @classmethod
     def of_flight(cls, scene: RecordedScene) -> WindowGrid:

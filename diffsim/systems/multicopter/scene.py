@@ -399,12 +399,9 @@ def windowed(values: Tensor, windows: int, length: int) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """The accelerating frame in which forces in the world are absent.
+    """The accelerating frame in which forces in the world are absent."""
 
-    Attributes:
-        way, velocity: Since the window began, (..., length + 1, 3) [m], [m/s].
-    """
-
+    # way, velocity: since the window began, (..., length + 1, 3) [m], [m/s]
     way: Tensor
     velocity: Tensor
 

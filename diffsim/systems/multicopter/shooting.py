@@ -332,22 +332,14 @@ class FlightShooting:
     Departures d from the guess minimize |W (measured - predicted(d))|^2 + |d / spread|^2, here by
     Gauss-Newton with the tangents of one model: the prediction is the profile over d. Misfit that
     an initial state can explain is no evidence for anything.
-
-    Attributes:
-        windows: Record of the run, cut into windows.
-        measured: (num_windows, length * num_channels, 1), zero where nothing was recorded.
-        change: d of that model, (num_windows, 12 + n_rotors, 1).
-        tangent: d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors).
-        gain: Misfit to states, (num_windows, 12 + n_rotors, length * num_channels).
-        here: Prediction of that model at d, (num_windows, length * num_channels, 1).
     """
 
-    windows: Windows
-    measured: Tensor
-    change: Tensor
-    tangent: Tensor
-    gain: Tensor
-    here: Tensor
+    windows: Windows  # record of the run, cut into windows
+    measured: Tensor  # (num_windows, length * num_channels, 1), zero where nothing was recorded
+    change: Tensor  # d of that model, (num_windows, 12 + n_rotors, 1)
+    tangent: Tensor  # d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors)
+    gain: Tensor  # misfit to states, (num_windows, 12 + n_rotors, length * num_channels)
+    here: Tensor  # prediction of that model at d, (num_windows, length * num_channels, 1)
 
     @classmethod
     def unfitted(cls, windows: Windows, predict: Predict) -> FlightShooting:

@@ -90,18 +90,12 @@ READING, RATE = "reading before", "rate before"
 
 @dataclass(frozen=True, eq=False)
 class Solver:
-    """Formulas as the integrator takes them.
-
-    Attributes:
-        inputs: Names whose values it takes as inputs.
-        parameters: Names whose values it takes as parameters.
-        starts: Start values of states that changes have added, by name.
-    """
+    """Formulas as the integrator takes them."""
 
     ode: Ode
-    inputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    starts: Mapping[str, Expression]
+    inputs: tuple[str, ...]  # names whose values it takes as inputs
+    parameters: tuple[str, ...]  # names whose values it takes as parameters
+    starts: Mapping[str, Expression]  # start values of states that changes have added, by name
 
 
 class Network:

@@ -43,19 +43,12 @@ class Term:
 
 @dataclass(frozen=True)
 class ForceKnots:
-    """A force at one place that follows straight lines between knots in time.
+    """A force at one place that follows straight lines between knots in time."""
 
-    Attributes:
-        place: Name of the place.
-        start: Time of the first knot [s].
-        spacing: Time between two knots [s].
-        values: Force at the knots, (num_knots,).
-    """
-
-    place: str
-    start: float
-    spacing: float
-    values: tuple[float, ...]
+    place: str  # name of the place
+    start: float  # time of the first knot [s]
+    spacing: float  # time between two knots [s]
+    values: tuple[float, ...]  # force at the knots, (num_knots,)
 
     def at(self, time: float) -> float:
         """Force at a time [s], held beyond the ends."""

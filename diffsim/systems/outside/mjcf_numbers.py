@@ -109,19 +109,14 @@ def several_axes(joint: str, count: int) -> str:
 
 @dataclass(frozen=True)
 class Path:
-    """A parameter, taken apart.
+    """A parameter, taken apart."""
 
-    Attributes:
-        text: The whole path.
-        kind, name, what: Such as joint, elbow and damping.
-        entry: Entry of a vector; None: the number itself.
-    """
-
-    text: str
+    text: str  # the whole path
+    # kind, name, what: such as joint, elbow and damping
     kind: str
     name: str
     what: str
-    entry: int | None
+    entry: int | None  # entry of a vector; None: the number itself
 
     @classmethod
     def of(cls, text: str) -> Path:

@@ -19,15 +19,10 @@ MAX_CARRIERS = 8  # bodies of a model; where more may carry something, nobody ca
 
 
 class Carrier(NamedTuple):
-    """A body that may carry a payload.
+    """A body that may carry a payload."""
 
-    Attributes:
-        mass: Its own [kg].
-        length: From its joint to its far end [m].
-    """
-
-    mass: float
-    length: float
+    mass: float  # its own [kg]
+    length: float  # from its joint to its far end [m]
 
 
 def carriers_of(mujoco: Any, model: Any) -> dict[str, Carrier]:

@@ -44,27 +44,18 @@ class SimulatorError(PredictionError):
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One call of a simulator, ready to be sent to another process.
+    """One call of a simulator, ready to be sent to another process."""
 
-    Attributes:
-        run: Run with the commands as the actuators hear them.
-        values: Value of every parameter, by name.
-        forces: Forces that the simulator is asked to add; None: it takes none.
-        numerics: Factors on its own settings.
-        channels: Names of the channels.
-        delays: Time by which the simulator hears a command late, by name [s].
-        before: Values of such commands before the run; without a word their first ones.
-        rows: Those of the run's rows that were recorded; None: all were.
-    """
-
-    run: Run
-    values: Mapping[str, float]
-    forces: PlaceForces | None
-    numerics: Numerics
-    channels: tuple[str, ...]
+    run: Run  # run with the commands as the actuators hear them
+    values: Mapping[str, float]  # value of every parameter, by name
+    forces: PlaceForces | None  # forces that the simulator is asked to add; None: it takes none
+    numerics: Numerics  # factors on its own settings
+    channels: tuple[str, ...]  # names of the channels
+    # time by which the simulator hears a command late, by name [s]
     delays: Mapping[str, float] = field(default_factory=dict)
+    # values of such commands before the run; without a word their first ones
     before: Mapping[str, float] = field(default_factory=dict)
-    rows: IntArray | None = None
+    rows: IntArray | None = None  # those of the run's rows that were recorded; None: all were
 
 
 def call(predict: Predict, label: str, job: Job) -> Array:
@@ -178,19 +169,12 @@ class Records:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OutsideScene(Scene):
-    """One run of an outside simulator.
+    """One run of an outside simulator."""
 
-    Attributes:
-        model: Model that the scene belongs to.
-        run: Run as recorded.
-        numerics: Factors on the simulator's own settings.
-        knots: Forces over time.
-    """
-
-    model: OutsideModel
-    run: Run
-    numerics: Numerics
-    knots: tuple[ForceKnots, ...] = ()
+    model: OutsideModel  # model that the scene belongs to
+    run: Run  # run as recorded
+    numerics: Numerics  # factors on the simulator's own settings
+    knots: tuple[ForceKnots, ...] = ()  # forces over time
 
     def simulate(self) -> Tensor:
         """(num_samples, num_channels) predicted channels."""

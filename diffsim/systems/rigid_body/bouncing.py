@@ -16,25 +16,15 @@ SETTLES = 0.03  # [m/s] of the rebound: a bounce of 0.05 mm
 
 @dataclass(frozen=True, eq=False)
 class Bounces:
-    """What a ball meets in the air and where it lands, (K,) each unless said otherwise.
+    """What a ball meets in the air and where it lands, (K,) each unless said otherwise."""
 
-    Attributes:
-        laws: Motion on the ground, and air drag, gravity and friction of bounces.
-        lift: Acceleration upwards [m/s^2].
-        level: Height of the ball's center on the ground [m].
-        restitution: At 1 m/s [-].
-        restitution_slope: Growth of its logarithm per m/s [s/m].
-        rebound: Tangential restitution of a contact that sticks [-].
-        lands: Whether there is a ground.
-    """
-
-    laws: Laws
-    lift: Tensor
-    level: Tensor
-    restitution: Tensor
-    restitution_slope: Tensor
-    rebound: Tensor
-    lands: bool = True
+    laws: Laws  # motion on the ground, and air drag, gravity and friction of bounces
+    lift: Tensor  # acceleration upwards [m/s^2]
+    level: Tensor  # height of the ball's center on the ground [m]
+    restitution: Tensor  # at 1 m/s [-]
+    restitution_slope: Tensor  # growth of its logarithm per m/s [s/m]
+    rebound: Tensor  # tangential restitution of a contact that sticks [-]
+    lands: bool = True  # whether there is a ground
 
     def acceleration(self, velocity: Tensor) -> Tensor:
         """Of a ball in flight, (K, n, 3) of velocities (K, n, 3)."""
@@ -48,16 +38,12 @@ class Bounces:
 
 @dataclass(frozen=True, eq=False)
 class ThrownBall:
-    """A ball in flight.
+    """A ball in flight."""
 
-    Attributes:
-        place, velocity: (K, 3) [m, m/s].
-        rolling: (K, 2) velocity at which it would roll with its spin [m/s].
-    """
-
+    # place, velocity: (K, 3) [m, m/s]
     place: Tensor
     velocity: Tensor
-    rolling: Tensor
+    rolling: Tensor  # (K, 2) velocity at which it would roll with its spin [m/s]
 
 
 def bounced(ball: ThrownBall, time: Tensor, ground: Bounces) -> tuple[Tensor, Tensor]:

@@ -22,14 +22,10 @@ _INTEGRALS = torch.from_numpy(
 
 @dataclass(frozen=True, eq=False)
 class BallFlight:
-    """Place and velocity over ``span``.
+    """Place and velocity over ``span``."""
 
-    Attributes:
-        span: Duration of each flight, (K,) [s].
-        place, velocity: Coefficients of powers of time over span, (K, degree + 1, 3) [m, m/s].
-    """
-
-    span: Tensor
+    span: Tensor  # duration of each flight, (K,) [s]
+    # place, velocity: coefficients of powers of time over span, (K, degree + 1, 3) [m, m/s]
     place: Tensor
     velocity: Tensor
 

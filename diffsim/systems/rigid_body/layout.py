@@ -21,20 +21,14 @@ REST = "rest_height_m"
 
 @dataclass(frozen=True, eq=False)
 class TossMotion:
-    """Motion of a body in the frame whose z points up.
+    """Motion of a body in the frame whose z points up."""
 
-    Attributes:
-        place, velocity: (..., 3) of the tracked point [m, m/s].
-        turn: (..., 4) quaternion from the body to the world.
-        rates: Body rates, (..., 3) [rad/s].
-        rest: Height of the center at rest, (..., 1) [m].
-    """
-
+    # place, velocity: (..., 3) of the tracked point [m, m/s]
     place: Tensor
-    turn: Tensor
+    turn: Tensor  # (..., 4) quaternion from the body to the world
     velocity: Tensor
-    rates: Tensor
-    rest: Tensor
+    rates: Tensor  # body rates, (..., 3) [rad/s]
+    rest: Tensor  # height of the center at rest, (..., 1) [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,16 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RodScene(Scene):
-    """A rod under the tensions of a run; each sample is a pose.
+    """A rod under the tensions of a run; each sample is a pose."""
 
-    Attributes:
-        layout: What does not change with a number: elements, markers, paths.
-        tolerance: Turn of the solver's last step [rad].
-        guess: Strains to start from, (num_samples, N, 3) [1/m]; None: from straight.
-    """
-
-    layout: RodLayout
-    tolerance: float
+    layout: RodLayout  # what does not change with a number: elements, markers, paths
+    tolerance: float  # turn of the solver's last step [rad]
+    # strains to start from, (num_samples, N, 3) [1/m]; None: from straight
     guess: Tensor | None = None
 
     @property

@@ -47,17 +47,11 @@ class OwnedScene:
 
 @dataclass(frozen=True, eq=False)
 class SceneLine:
-    """One line: the scenes at the points of its stencil.
+    """One line: the scenes at the points of its stencil."""
 
-    Attributes:
-        stencil: Difference formula for what is cheap to evaluate at its points.
-        points: Scenes at the stencil's offsets.
-        effect: Effect whose size moves along the line; None: a base parameter does.
-    """
-
-    stencil: Stencil
-    points: tuple[OwnedScene, ...]
-    effect: Effect | None
+    stencil: Stencil  # difference formula for what is cheap to evaluate at its points
+    points: tuple[OwnedScene, ...]  # scenes at the stencil's offsets
+    effect: Effect | None  # effect whose size moves along the line; None: a base parameter does
 
     def mapped(self, f: Callable[[float, Any], SoftScene]) -> SceneLine:
         """The line of the scenes f(offset, scene) at its points."""

@@ -102,23 +102,14 @@ class Clock(Part):
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Markers on one mesh, and channels as linear functions of their places.
+    """Markers on one mesh, and channels as linear functions of their places."""
 
-    Attributes:
-        markers: Names of the markers.
-        nodes: (n,) nodes that carry markers.
-        weights: (num_markers, n) place of each marker by the places of the nodes.
-        rest: (3 num_markers,) places at rest [m].
-        rows: (num_channels, 3 num_markers) of the channels.
-        turns: (num_channels,) which channels show rotations.
-    """
-
-    markers: tuple[str, ...]
-    nodes: Tensor
-    weights: Tensor
-    rest: Tensor
-    rows: Tensor
-    turns: Tensor
+    markers: tuple[str, ...]  # names of the markers
+    nodes: Tensor  # (n,) nodes that carry markers
+    weights: Tensor  # (num_markers, n) place of each marker by the places of the nodes
+    rest: Tensor  # (3 num_markers,) places at rest [m]
+    rows: Tensor  # (num_channels, 3 num_markers) of the channels
+    turns: Tensor  # (num_channels,) which channels show rotations
 
     def places(self, x: Tensor) -> Tensor:
         """Places of all markers in a row, (..., 3 num_markers), of nodes (..., V, 3)."""

@@ -45,18 +45,13 @@ OutputMap = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Moment:
-    """State of one time step, which a force may depend on.
+    """State of one time step, which a force may depend on."""
 
-    Attributes:
-        x, v: Positions [m] and velocities [m/s] of the nodes, (num_nodes, 3).
-        time: Time since the start [s].
-        dt: Time step [s].
-    """
-
+    # x, v: positions [m] and velocities [m/s] of the nodes, (num_nodes, 3)
     x: Tensor
     v: Tensor
-    time: float
-    dt: float
+    time: float  # time since the start [s]
+    dt: float  # time step [s]
 
 
 class Force:
