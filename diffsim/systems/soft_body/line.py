@@ -25,14 +25,10 @@ Key = tuple[Effect | None, int]
 
 @dataclass(frozen=True, eq=False)
 class OwnedScene:
-    """A scene, and of each of its extra forces the effect that added it.
+    """A scene, and of each of its extra forces the effect that added it."""
 
-    Attributes:
-        scene: Scene of one run, with the effects built in.
-        owners: One per entry of ``scene.makers``; None: it was there before all effects.
-    """
-
-    scene: SoftScene
+    scene: SoftScene  # scene of one run, with the effects built in
+    # one per entry of ``scene.makers``; None: it was there before all effects
     owners: tuple[Effect | None, ...]
 
     def makers(self) -> dict[Key, Callable[[], Force]]:

@@ -132,8 +132,6 @@ def look_of(
     """Markers that the channels use, and how.
 
     Args:
-        mesh: Mesh of the body.
-        markers: Markers by name.
         readings: Names and readings of the channels, in the order of the study.
 
     Raises:
@@ -196,10 +194,8 @@ def seen(look: Look, camera: Camera, values: Mapping[str, Tensor], channels: Seq
     """Function of places (num_samples, 3 num_markers) and times that gives the channels.
 
     Args:
-        look: Markers and rows of the channels.
         camera: What displacements count from.
         values: Quantities of the run: ``camera_...``, and ``zero_`` and ``scale_`` of channels.
-        channels: Names of the channels.
     """
     turn = torch.stack([values[f"camera_{n}"] for n in ("roll", "pitch", "yaw")])
     rotation = matrix_from_rotation_vector(turn)

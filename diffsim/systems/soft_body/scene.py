@@ -93,16 +93,12 @@ class Force:
 
 @dataclass(frozen=True, eq=False)
 class ForcePlace:
-    """A point of the body and a direction, along which a force may act.
+    """A point of the body and a direction, along which a force may act."""
 
-    Attributes:
-        shares: (num_nodes, 3) by which the point's displacement is that of the nodes; a force at
-            the point acts on them alike.
-        speed: Usual speed of the point [m/s].
-    """
-
+    # (num_nodes, 3) by which the point's displacement is that of the nodes; a force at the point
+    # acts on them alike
     shares: Tensor
-    speed: float
+    speed: float  # usual speed of the point [m/s]
 
 
 class PointForce(Force):
