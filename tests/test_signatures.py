@@ -73,17 +73,11 @@ ANYTHING = {
 
 
 class Public(NamedTuple):
-    """A callable.
+    """A callable."""
 
-    Attributes:
-        name: Room and name, such as "data.Run.part".
-        called: What is called.
-        first: What goes before the named arguments: an object's place in a method.
-    """
-
-    name: str
-    called: Callable[..., Any]
-    first: tuple[Any, ...]
+    name: str  # room and name, such as "data.Run.part"
+    called: Callable[..., Any]  # what is called
+    first: tuple[Any, ...]  # what goes before the named arguments: an object's place in a method
 
     def arguments(self) -> list[str]:
         """Names of arguments that may be given by name."""

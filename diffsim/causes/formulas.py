@@ -126,16 +126,12 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class Formula:
-    """A formula with what it remembers and its further numbers.
-
-    Attributes:
-        numbers: Known numbers by name: usual magnitudes, shapes without a prior.
-        memories: What it remembers, by name.
-    """
+    """A formula with what it remembers and its further numbers."""
 
     expression: Expression
+    # known numbers by name: usual magnitudes, shapes without a prior
     numbers: Mapping[str, float] = field(default_factory=dict)
-    memories: Mapping[str, Memory] = field(default_factory=dict)
+    memories: Mapping[str, Memory] = field(default_factory=dict)  # what it remembers, by name
 
     @property
     def names(self) -> frozenset[str]:
@@ -227,7 +223,6 @@ def parse_formula(
     Args:
         known: Names that it may use beside the following.
         scales: Usual magnitudes by name.
-        memories: What it remembers.
         shapes: Its further numbers.
 
     Raises:

@@ -24,6 +24,7 @@ from diffsim.identify.effect import Apply
 PLAY = "with_play"  # the map that depends on where a run starts
 OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals
 OF_FORCES = ("size", "x", "v", "w")  # size, position, speed, speed below which friction fades
+FADE_SHARE = 0.01  # of the usual speed: below it dry friction fades
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +145,6 @@ def on_commands(
         row: Cause with ``at: command``.
         scales: Numbers that its formula may use.
         between: What the commands do between samples.
-        system: Kind of system.
     """
     mapper = SignalMapper.of(row, scales or {}, between, system)
     return partial(_change_commands, names=tuple(names), mapper=mapper)
@@ -180,7 +180,6 @@ def on_clock(channels: Sequence[int], *, in_turn: bool = False) -> Apply:
     """How lateness acts on channels of one instrument.
 
     Args:
-        channels: Indices of the channels.
         in_turn: Whether each is late by one size more than the one before, the first by none.
     """
     if in_turn:

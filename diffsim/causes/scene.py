@@ -142,18 +142,13 @@ class Instruments:
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """Commands of a run, and what happens to them before the actuators hear them.
+    """Commands of a run, and what happens to them before the actuators hear them."""
 
-    Attributes:
-        values: As recorded, (..., width, num_times), in the unit of each command.
-        rows: Rows of ``values`` that a name stands for.
-        changes: Rows and the maps that change them, in the order in which they act.
-        before: Values before the run, (width,), NaN where a row had its first one; None: all had.
-    """
-
-    values: Tensor
-    rows: Mapping[str, tuple[int, ...]]
+    values: Tensor  # as recorded, (..., width, num_times), in the unit of each command
+    rows: Mapping[str, tuple[int, ...]]  # rows of ``values`` that a name stands for
+    # rows and the maps that change them, in the order in which they act
     changes: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
+    # values before the run, (width,), NaN where a row had its first one; None: all had
     before: Tensor | None = None
 
     @classmethod

@@ -65,7 +65,6 @@ def constants_of(study: Study, saved: SavedModel) -> list[ProgramConstants]:
 
     Args:
         study: The study with its `export`.
-        saved: Its answer.
 
     Raises:
         ValueError: no `export`, or a formula with a name that there is not.
@@ -95,7 +94,6 @@ def flown_constants(study: Study, saved: SavedModel, program: str, run: Run) -> 
 
     Args:
         study: The study with its `export`.
-        saved: Its answer.
     """
     known = _ModelNumbers.of(study, saved)
     facts = {n: float(v) for n, v in run.setup.items() if _is_number(v)}

@@ -28,7 +28,6 @@ def lacking(out: Path, before: Mapping[str, Any] | None) -> list[str]:
     """Files that an explanation should have and has not: a run is finished when all are there.
 
     Args:
-        out: Folder of the explanation.
         before: Content of its ``inputs.json``, which is written last; None: there is none.
 
     Returns:
@@ -49,7 +48,6 @@ def against_before(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
 
     Args:
         before: Content of its ``report.json``.
-        after: That of the new answer.
     """
     if "causes" not in before:
         return ""
@@ -102,7 +100,6 @@ def write_judged(out: Path, study: Study, found: Unseen) -> list[Path]:
 
     Args:
         out: Folder of the results.
-        study: Study that holds the runs.
         found: Answer about them.
 
     Returns:

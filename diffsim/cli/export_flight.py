@@ -201,7 +201,6 @@ def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
     """Errors of the exported drive and of the model, run by run; or why it cannot be flown.
 
     Args:
-        answer: The saved model.
         formulas: Constants of the drive that the target has.
     """
     lacks = [n for n in FLOWN if n not in formulas]

@@ -309,9 +309,6 @@ def syntax_tree(text: str) -> ast.expr:
     Python 3.11 and 3.12 count the depth of a tree in one place for all threads: two that parse at
     once end in ``SystemError: AST constructor recursion depth mismatch`` (CPython issue 106905).
 
-    Args:
-        text: The expression.
-
     Returns:
         Its outermost node.
 

@@ -113,7 +113,6 @@ def most_unpacked(path: Path, least: int) -> int:
     """Bytes that the content of a packed file may take: a constant of any length takes it none.
 
     Args:
-        path: The file.
         least: Of a file however small; of a larger one it is fifty times its own bytes, as what is
             recorded or meshed is not compressed as far.
     """
@@ -140,9 +139,6 @@ def code_digest(*folders: Path) -> str:
 
     What is kept on disk is of the code that made it: a version says less, as a clone's code
     changes within one.
-
-    Args:
-        folders: Code outside the package.
     """
     package = Path(__file__).parents[1]
     found = (path for folder in (package, *folders) for path in folder.rglob("*"))

@@ -139,7 +139,6 @@ def read_part(part: type[_P], given: Any, where: str) -> _P:
     """A block of plain values, as ``core.yaml_text`` reads them.
 
     Args:
-        part: Its class.
         given: What stands in the file.
         where: What the paths begin with, as in ``problem_lines``.
 

@@ -352,7 +352,6 @@ def in_si(
 
     Args:
         value: 0.003, "3 mm", or "22 degC", which are 295.15 K.
-        unit: Unit of a bare number.
         difference: Whether it is one, such as a standard deviation: 2 degC are 2 K then.
 
     Raises:
@@ -415,10 +414,6 @@ def after_number(unit: str) -> str:
 def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
     """Unit in which values are read: small ones with the prefix m or u, such as mrad or um, small
     masses in g, small flows in ml/s.
-
-    Args:
-        unit: SI unit of the values.
-        values: Values that are read together.
 
     Returns:
         The unit, and what values are multiplied by to be in it.

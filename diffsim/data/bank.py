@@ -286,11 +286,7 @@ def _facts(setup: Mapping[str, Any], words: set[str]) -> tuple[tuple[str, Any], 
 
 
 def command_table(run: Run, study: Study) -> str:
-    """Commands of a run as CSV, in the units in which the user reads them.
-
-    Args:
-        run: Run of the bank.
-    """
+    """Commands of a run as CSV, in the units in which the user reads them."""
     known = {c.name: c for c in study.commands}
     header, columns = ["time_s"], [run.time_s - run.time_s[0]]
     for name, values in run.command.items():

@@ -109,7 +109,6 @@ def find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
     """Tables of a folder and of the folders in it, by name; of a dataset of LeRobot its own.
 
     Args:
-        folder: Folder of the files.
         said: Sentences on what could not be read; more are added.
     """
     files = lerobot.tables_of(folder) or files_below(folder)

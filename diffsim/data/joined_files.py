@@ -64,7 +64,6 @@ def join_files(
     """Kinds of files that are joined, the record first, and names of the runs.
 
     Args:
-        tables: Tables of the folder.
         said: Sentences on what was guessed; more are added.
 
     Returns:

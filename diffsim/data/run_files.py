@@ -310,7 +310,6 @@ class RunReader:
 
         Args:
             raw_of: Gets what one column holds of it, by name.
-            keep: Which of the rows are kept.
         """
         source: Source = stated
         unit = stated.unit

@@ -53,7 +53,6 @@ def cases_of(
     Args:
         entry: Entry of ``runs:``, with defaults.
         where: What messages call it, such as "runs[2]".
-        root: Folder of the files.
         table: Reads a CSV file.
         given: Files that the caller named, and not the study: they may lie anywhere.
 
@@ -204,7 +203,6 @@ def chosen_rows(table: Table, rows: Rows, where: Mapping[str, Any], path: str) -
 
     Args:
         table: File with these columns.
-        rows: Rows to choose from.
         where: Value, list of values, or {at_least, below}, by column.
         path: What messages call it, such as "runs[2].where".
 

@@ -174,7 +174,6 @@ def _lines_as_names(above: list[list[str]], last: int, first: int) -> TableLayou
     """A header of several lines: its lowest names, with those above where they occur twice.
 
     Args:
-        above: Cells of its lines.
         last: Line of the lowest, from 1.
         first: Line of the first sample.
     """

@@ -299,7 +299,6 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
     """What laws may cost: a budget of their own, or what causes of the library have left of theirs.
 
     Args:
-        answer: Without laws.
         begun: Weighted steps that were simulated before it.
     """
     spent, settings = answer.search.steps - begun, answer.search.settings
@@ -445,7 +444,6 @@ def _answer(
     """Search among causes, and judge; no test run is looked at.
 
     Args:
-        asked: What the diagnosis is asked for.
         model, effects, unknowns: As of ``diagnose``.
         first: Sets and their coordinates, at which the search begins; none: at the plain model.
     """

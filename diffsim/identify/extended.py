@@ -145,8 +145,6 @@ def extended_at(
     """A model with effects built in, at given values.
 
     Args:
-        inner: The plain model.
-        effects: Effects to build in.
         values, sd: Center and width of the new priors by name of base parameter or component, each
             in its unit.
         numerics: Refined numerical settings; None: the plain model's own.

@@ -72,7 +72,6 @@ def merged(batch: Batch | None, parameters: Iterable[nn.Parameter], share: float
 
     Args:
         batch: This process's part, its gradient in ``parameters``; None where it broke down.
-        parameters: Parameters of the network.
         share: Part of the batch's episodes that this process has.
 
     Returns:

@@ -122,7 +122,6 @@ def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     strips, and those into pieces.
 
     Args:
-        count: Number of seeds.
         case: Index of one of the field's cases.
 
     Returns:

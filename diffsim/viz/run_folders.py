@@ -40,11 +40,7 @@ class RunFolder:
 
 
 def run_folders(root: Path) -> list[RunFolder]:
-    """All runs below a folder, the latest first.
-
-    Args:
-        root: Folder of all runs.
-    """
+    """All runs below a folder, the latest first."""
     root = root.resolve()
     made: list[RunFolder | None] = []
     for name, inner, _ in os.walk(root):  # follows no links, and what vanishes meanwhile is none

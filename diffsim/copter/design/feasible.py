@@ -138,7 +138,6 @@ def eliminate(
     """Free parameters and basis of the equalities' solutions.
 
     Args:
-        constraints: Equalities and inequalities.
         preference: Per parameter; among choices the ones with the highest preference become free.
 
     Raises:

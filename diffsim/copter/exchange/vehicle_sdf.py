@@ -61,9 +61,6 @@ def sdf_body(path: Path) -> Body:
 def vehicle_of_sdf(path: Path) -> FlyingVehicle:
     """A multicopter whose rotors are Gazebo's motor models.
 
-    Args:
-        path: SDF file.
-
     Returns:
         The vehicle. A rotor's radius is that of its link's collision shape; without one it is
         assumed from the distances of the rotors. The lag is the longer one, up or down.

@@ -37,7 +37,6 @@ def informations(local: Local, priors: Priors) -> list[Gaussian]:
     """What a group says of the sizes of its causes, for each draw of the scatter.
 
     Args:
-        local: The group, linearized.
         priors: What is known of its nuisances, ``Learned.priors`` of the group.
     """
     gone = slice(0, local.num_nuisances)
@@ -56,7 +55,6 @@ def evidence(
     Args:
         found: What the group says of the sizes of one set, for each draw of the scatter.
         effects: Causes of the set, in the same order.
-        rng: Of the samples of sizes.
         known: Scaled sizes that are known, by name of the cause.
     """
     at = [k for k, e in enumerate(effects) if e.name in known]

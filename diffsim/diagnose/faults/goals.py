@@ -164,11 +164,7 @@ class Rows(Goals):
         return square, told
 
     def set_aside(self, choice: Choice, names: Sequence[str]) -> tuple[str, ...]:
-        """What an explanation does not trust, in words.
-
-        Args:
-            names: Names of the channels.
-        """
+        """What an explanation does not trust, in words."""
         out = []
         for k in np.flatnonzero(choice.part == 2):
             run, start, end = self.places[k]
@@ -326,7 +322,6 @@ def learned_tails(found: Iterable[tuple[Rows, Fit]], before: Tails) -> Tails:
     """How far goals are off in groups that teach: the next step of their expectation maximization.
 
     Args:
-        found: Each group, and its best fit.
         before: What was thought before.
     """
     num_channels = len(before.narrow)

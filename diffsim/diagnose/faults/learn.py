@@ -70,7 +70,6 @@ class GroupPosterior:
         """What is known of the shared parameters of a group for one draw: mean and covariance.
 
         Args:
-            draw: Number of the draw.
             new_state: Whether the group is in a state that was never seen.
             factor: Factor on the spreads of such a state.
         """
@@ -255,7 +254,6 @@ def _terms(
     Args:
         locals_: Groups that teach, linearized.
         log_spread: Logarithms of spreads over stated ones, (num_families,).
-        terms: To start from.
         one: Causes whose size is never below 0.
         sweeps: How often all terms are renewed.
     """

@@ -43,7 +43,6 @@ class Terms:
         """Terms by which sizes have the mean and variance that they have above 0.
 
         Args:
-            local: The group.
             mean: Of its sizes with these terms, (num_causes,).
             variance: Of its sizes with these terms, (num_causes,).
             one: Causes whose size is never below 0.

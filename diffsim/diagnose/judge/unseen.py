@@ -42,16 +42,12 @@ MIN_RATE_SAMPLES = 8  # samples; fewer have no rate and no frequency
 
 @dataclass(frozen=True)
 class Span:
-    """What the fitted runs covered of one quantity.
+    """What the fitted runs covered of one quantity."""
 
-    Attributes:
-        low, high: Smallest and largest value; None for labels.
-        labels: Labels that occurred; empty for numbers.
-    """
-
+    # low, high: smallest and largest value; None for labels
     low: float | None
     high: float | None
-    labels: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()  # labels that occurred; empty for numbers
     unit: str = ""
 
 

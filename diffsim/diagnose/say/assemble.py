@@ -126,7 +126,6 @@ def report_of(
         checks: Gates, and what they simulated.
         judgment: The verdict and the search behind it.
         screened: Scores of all candidates at the plain model.
-        seed: Seed of the bootstraps.
         validation: What names were held against.
     """
     judgment, checks, members = _settle_best_set(judgment, checks)
@@ -264,7 +263,6 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
 
     Args:
         frozen: Report whose answer does not change any more but by what is taken back.
-        seed: Seed of the bootstrap.
         laws: Names of the causes that no library holds.
     """
     seen, is_test = frozen.study, bool(study.test_runs)

@@ -42,17 +42,12 @@ CHEAP = 2.0  # times the first simulation: to refine more than is needed
 
 @dataclass(frozen=True, eq=False)
 class CorrectionAt:
-    """A correction, with what is left beyond it.
+    """A correction, with what is left beyond it."""
 
-    Attributes:
-        correction: What the refined settings change.
-        changes: What further refining would change, by setting, (N,) each: extrapolated.
-        gates: One per setting.
-    """
-
-    correction: Correction
+    correction: Correction  # what the refined settings change
+    # what further refining would change, by setting, (N,) each: extrapolated
     changes: dict[str, Array]
-    gates: tuple[GateResult, ...]
+    gates: tuple[GateResult, ...]  # one per setting
 
 
 def corrected(null: Null, once: float) -> tuple[Null, CorrectionAt]:

@@ -154,8 +154,6 @@ def plant_of(
     study names causes.
 
     Args:
-        kind: Kind of system.
-        samples: What the samples of a run are.
         pumps, pressures: Names of the commands.
         asked: Whether the study names the causes that are judged.
         narrowest: Width of the narrowest channel [m]; None: no channel has a width.
@@ -228,11 +226,7 @@ def counted(**counts: int) -> tuple[str, ...]:
 
 
 def numbered(count: int, before: str = "", start: int = 1) -> dict[str, str]:
-    """Parts that are counted: "1" and what stands for it, "BEFORE1", in names of numbers.
-
-    Args:
-        start: What the first one is counted as.
-    """
+    """Parts that are counted: "1" and what stands for it, "BEFORE1", in names of numbers."""
     return {str(i): f"{before}{i}" for i in range(start, start + count)}
 
 

@@ -36,21 +36,15 @@ class ChannelShape(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class UnitFlows:
-    """Flows with all that the pump gives leaving through one outlet, at the nominal viscosity.
+    """Flows with all that the pump gives leaving through one outlet, at the nominal viscosity."""
 
-    Attributes:
-        resistance: Pressure drop from the pump to outlet i per flow to outlet j, (m, m)
-            [Pa s/m^2].
-        tap: Pressure drop from the pump to the tap per flow to outlet j, (m,) [Pa s/m^2].
-        energy: Products of the strain rates of the unit flows, 2 D_i : D_j, integrated over groups
-            of cells, (groups, m, m) [1/m^2].
-        volume: Fluid area of the groups, (groups,) [m^2].
-    """
-
+    # pressure drop from the pump to outlet i per flow to outlet j, (m, m) [Pa s/m^2]
     resistance: Tensor
-    tap: Tensor
+    tap: Tensor  # pressure drop from the pump to the tap per flow to outlet j, (m,) [Pa s/m^2]
+    # products of the strain rates of the unit flows, 2 D_i : D_j, integrated over groups of cells,
+    # (groups, m, m) [1/m^2]
     energy: Tensor
-    volume: Tensor
+    volume: Tensor  # fluid area of the groups, (groups,) [m^2]
 
 
 class CellGroups(NamedTuple):

@@ -137,7 +137,6 @@ class CopterSizes:
 
         Args:
             sizes: (batch, num_sizes).
-            num_rotors: Of the vehicle.
         """
         v = self._by_name(sizes)
         gains = (

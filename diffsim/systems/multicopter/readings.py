@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -26,7 +27,6 @@ from diffsim.systems.multicopter.lag import lagged_in_windows
 from diffsim.systems.multicopter.motion import FlightMotion, turned, turned_back, vector_of
 from diffsim.systems.multicopter.shooting import Windows
 
-_CIRCLE = 2.0 * torch.pi
 #: Numbers that are one until a cause changes them: shown over true [-].
 SCALES = ("position_scale", "ground_scale", "accelerometer_scale")
 _ONE = torch.ones(1, dtype=torch.float64)
@@ -233,7 +233,7 @@ class _ShownStates:
         rpy = rpy_from_matrix(self.scene.frames.rotation(self.rotation))
         rpy = rpy + _widen(self.scene.vector("attitude_offset"))
         measured = self._pick_measured("attitude")
-        return rpy + _CIRCLE * ((measured - rpy) / _CIRCLE).nan_to_num(0.0).round().detach()
+        return rpy + math.tau * ((measured - rpy) / math.tau).nan_to_num(0.0).round().detach()
 
     def shown_quaternion(self) -> Tensor:
         """Quaternion of the recorded sign and length: neither says anything of the attitude."""

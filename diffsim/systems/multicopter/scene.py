@@ -434,7 +434,6 @@ def flight_grid(num_samples: int, dt: float) -> Grid:
     """Times of the commands of a flight, the first of which is held before the record starts.
 
     Args:
-        num_samples: Number of samples of the record.
         dt: Time between two samples [s].
     """
     even = Grid.even(num_samples + 1, dt)

@@ -52,11 +52,7 @@ class Change:
         return {}
 
     def again(self, sizes: tuple[str, ...]) -> Change:
-        """What the same effect does once more: its sizes, states and inputs have other names.
-
-        Args:
-            sizes: Symbols of its sizes.
-        """
+        """What the same effect does once more: its sizes, states and inputs have other names."""
         if sizes not in self._others:
             own = {n: named(once_more(n)) for n in (*sizes, *self.states, *self.inputs)}
 

@@ -167,9 +167,7 @@ def _alike(job: Job, is_read: Mask, *, alone: bool) -> Iterator[tuple[int, int]]
     """First and end of steps of one length under one command, after which a sample may be read.
 
     Args:
-        job: What is stepped.
         is_read: Whether sensors are read at each step, (num_steps,).
-        alone: Each step by itself.
     """
     ends = np.full(len(is_read), alone)
     ends |= is_read

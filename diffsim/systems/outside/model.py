@@ -247,7 +247,6 @@ def _without_delays(commands: Commands, names: Sequence[str]) -> tuple[Commands,
 
     Args:
         commands: Of one point, with all that changes them.
-        names: Name of each row.
     """
     delays: dict[str, float] = {}
     kept: list[tuple[tuple[int, ...], SignalMap]] = []
@@ -357,7 +356,6 @@ class OutsideModel(SimModel):
         """Weighted steps of a prediction.
 
         Args:
-            run: Run that is simulated.
             numerics: Factors on the simulator's own settings.
             forces: Forces of causes, if any.
         """

@@ -33,15 +33,11 @@ class TossMotion:
 
 @dataclass(frozen=True, eq=False)
 class PoseLayout:
-    """What each channel shows.
+    """What each channel shows."""
 
-    Attributes:
-        rows: Kind and component of each channel; the kinds of a measure, or "rest".
-        up: (4,) quaternion of the turn from the recorded frame to the one whose z points up.
-    """
-
+    # kind and component of each channel; the kinds of a measure, or "rest"
     rows: Sequence[tuple[str, int]]
-    up: Tensor
+    up: Tensor  # (4,) quaternion of the turn from the recorded frame to the one whose z points up
 
     def channels(self, flown: TossMotion, measured: Tensor) -> Tensor:
         """(..., num_channels); angles within half a turn of what was measured (same shape)."""

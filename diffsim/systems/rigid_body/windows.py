@@ -98,7 +98,6 @@ def start_facts(run: Run, poses: RecordedPoses, gravity: float) -> dict[str, flo
 
     Args:
         run: Recorded toss.
-        poses: Its motion.
         gravity: Strength of gravity [m/s^2].
     """
     few = slice(0, max(min(8, len(run.time_s)), 3))

@@ -130,7 +130,6 @@ def layout_of(given: RodKeys, channels: Sequence[str], finer: float) -> RodLayou
     """Cut a described rod into elements.
 
     Args:
-        given: Description.
         channels: Names of the channels, in the order of the study.
         finer: Factor on the number of elements.
     """
