@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import math
 import os
@@ -92,6 +94,27 @@ def append_atomic(path: str | Path, content: bytes) -> None:
 def write_text_atomic(path: str | Path, text: str) -> Path:
     """``write_bytes_atomic`` of UTF-8 text."""
     return write_bytes_atomic(path, text.encode("utf-8"))
+
+
+def csv_text(header: Iterable[str], rows: Iterable[Iterable[Any]], form: str = "") -> str:
+    """A table as CSV: NaN is an empty cell, what holds a comma stands in quotes.
+
+    Args:
+        header: Names of the columns.
+        rows: Cells of each row.
+        form: How floats are written, such as ".9g"; empty: so that they are read as they were.
+    """
+
+    def cell(value: Any) -> str:
+        if not isinstance(value, float):
+            return str(value)
+        return "" if math.isnan(value) else format(value, form) if form else repr(float(value))
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(map(cell, row) for row in rows)
+    return text.getvalue()
 
 
 def write_json_atomic(path: str | Path, value: Any) -> Path:

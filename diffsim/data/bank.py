@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.files import csv_text
 from diffsim.core.units import factor
 from diffsim.data.study import Command, Run, Study
 
@@ -295,5 +296,4 @@ def command_table(run: Run, study: Study) -> str:
         scale = factor(command.unit, shown) if command.unit and shown else 1.0
         header.append(f"{name} ({shown})" if shown else name)
         columns.append(values * scale)
-    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True)]
-    return "\n".join([",".join(header), *rows]) + "\n"
+    return csv_text(header, zip(*columns, strict=True), ".9g")

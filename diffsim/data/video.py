@@ -25,7 +25,7 @@ from scipy.optimize import linear_sum_assignment
 from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.check import require_number
 from diffsim.core.errors import DiffsimError
-from diffsim.core.files import write_text_atomic
+from diffsim.core.files import csv_text, write_text_atomic
 from diffsim.core.optional import optional
 from diffsim.data.signal import scatter
 from diffsim.data.study import Channel, Run, Study
@@ -90,11 +90,10 @@ class Tracks:
         """Write CSV with the columns of the tennis balls' data set; empty cells are missing."""
         count = self.centers.shape[1]
         names = [f"ball{k}_{c}_px" for k in range(count) for c in "uv"]
-        lines = [",".join(["frame", "time_s", *names])]
-        for frame, time, row in zip(self.frames, self.time_s, self.centers, strict=True):
-            cells = ["" if np.isnan(v) else f"{v:.3f}" for v in row.reshape(-1)]
-            lines.append(",".join([str(frame), f"{time:.6f}", *cells]))
-        return write_text_atomic(Path(path), "\n".join(lines) + "\n")
+        places = self.centers.reshape(len(self.frames), -1)
+        both = zip(self.frames, self.time_s, places, strict=True)
+        rows = ([frame, f"{time:.6f}", *place] for frame, time, place in both)
+        return write_text_atomic(Path(path), csv_text(["frame", "time_s", *names], rows, ".3f"))
 
 
 def track_video(
