@@ -72,10 +72,11 @@ def facts_of(study: Study) -> tuple[str, ...]:
     """Facts that are numbers in all runs, by names that formulas may use."""
     runs = study.fit_runs or study.runs
     names = [n for n in runs[0].setup if n.isidentifier() and n not in RESERVED] if runs else []
-    return tuple(n for n in names if all(_is_number(run.setup.get(n)) for run in runs))
+    return tuple(n for n in names if all(is_number(run.setup.get(n)) for run in runs))
 
 
-def _is_number(fact: object) -> bool:
+def is_number(fact: object) -> bool:
+    """Whether a fact of a run is a number, which formulas may use."""
     return isinstance(fact, (int, float)) and not isinstance(fact, bool)
 
 
@@ -95,7 +96,7 @@ def constant_in(run: Run, name: str) -> float:
     if name.startswith(MEAN) and name not in run.setup:
         return float(_samples(run, name.removeprefix(MEAN)).mean())
     fact = run.setup.get(name)
-    if not _is_number(fact):
+    if not is_number(fact):
         raise ValueError(f"run {run.name} has no number {name!r} in its setup, nor in its files")
     assert isinstance(fact, (int, float))
     return float(fact)

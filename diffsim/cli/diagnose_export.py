@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from diffsim.causes.formulas import is_number
 from diffsim.causes.scales import SCALES
 from diffsim.core.check import as_spelled, did_you_mean
 from diffsim.core.expression import Expression, parse_expression
@@ -96,17 +97,13 @@ def flown_constants(study: Study, saved: SavedModel, program: str, run: Run) -> 
         study: The study with its `export`.
     """
     known = _ModelNumbers.of(study, saved)
-    facts = {n: float(v) for n, v in run.setup.items() if _is_number(v)}
+    facts = {n: float(v) for n, v in run.setup.items() if is_number(v)}
     group = {str(n): str(v) for n, v in run.setup.items()}
     out = {}
     for name, text in study.export.get(program, {}).items():
         if not is_text(text):
             out[name] = known.value_of(known.read(text), group, facts, run.name)
     return out
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 #: BAM's models of friction by what they add to Coulomb and viscous friction
@@ -194,7 +191,7 @@ class _ModelNumbers:
         values = {name: float(quantity.value) for name, quantity in stated.items()}
         made = _list_stribeck_speeds(setup.model.frame, saved.values)
         facts = set.intersection(
-            *({str(n) for n, v in run.setup.items() if _is_number(v)} for run in study.runs)
+            *({str(n) for n, v in run.setup.items() if is_number(v)} for run in study.runs)
         )
         known = sizes | values
         absent = frozenset(sizes) - frozenset(values)

@@ -89,7 +89,7 @@ def join_files(
         said.append(f"runs: files of one run are joined at the clock of the first, such as {first}")
         if num_lacking:
             said.append(f"runs: {num_lacking} that lack a file are not used")
-        return fitting, _names(groups)
+        return fitting, names_of_runs(groups)
     return None
 
 
@@ -261,7 +261,7 @@ def _list_shown(kind: Kind) -> str:
     return kind.files[0].reference
 
 
-def _names(groups: Sequence[Group]) -> tuple[str, ...]:
+def names_of_runs(groups: Sequence[Group]) -> tuple[str, ...]:
     """Names of the runs, with their folders where they are not enough."""
     short = [name for _, name in groups]
     if len(set(short)) == len(short):
