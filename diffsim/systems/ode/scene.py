@@ -213,15 +213,24 @@ class OdeScene(Scene):
 
 @dataclass(frozen=True, eq=False)
 class _Flow:
-    """A scene as the integrator takes it."""
+    """A scene as the integrator takes it.
+
+    Attributes:
+        states: Names of the states.
+        lead: Leading axes of the points.
+        start: States in the beginning, (..., num_states).
+        times: Of the grid.
+        inputs: (..., num_times, num_inputs).
+        parameters: (..., num_parameters).
+    """
 
     ode: Ode
-    states: list[str]  # names of the states
-    lead: tuple[int, ...]  # leading axes of the points
-    start: Tensor  # states in the beginning, (..., num_states)
-    times: Tensor  # of the grid
-    inputs: Tensor  # (..., num_times, num_inputs)
-    parameters: Tensor  # (..., num_parameters)
+    states: list[str]
+    lead: tuple[int, ...]
+    start: Tensor
+    times: Tensor
+    inputs: Tensor
+    parameters: Tensor
 
     def rates(self, inputs: Tensor) -> Tensor:
         """Rates of the states in the beginning, (..., num_states).
