@@ -31,7 +31,7 @@ from diffsim.causes.signals import (
     smoothly_delayed,
 )
 from diffsim.core.check import require_choice
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked_methods
 from diffsim.core.numbers import values_of
 from diffsim.core.torch_names import on_constants
 from diffsim.data.study import Command, Run
@@ -233,6 +233,7 @@ _ZERO = torch.zeros((), dtype=torch.float64)
 _NONE = Commands(torch.zeros(0, 0, dtype=torch.float64), {})
 
 
+@checked_methods
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """One run, ready to be simulated; causes return changed copies.
@@ -262,7 +263,6 @@ class Scene:
         """Where in a play the run starts, -1 to 1; None: not known, so in the middle."""
         return self.numbers.get(PLAY_START)
 
-    @checked(kinds_only=True)
     def number(self, name: str) -> Tensor:
         """A number as it is in this run, () or (K,).
 
@@ -279,7 +279,6 @@ class Scene:
         """A copy with some entries replaced."""
         return replace(self, **changes)
 
-    @checked(kinds_only=True)
     def with_command(self, names: tuple[str, ...], change: SignalMap) -> Self:
         """A copy in which some commands are f(commands (..., width, num_times), grid).
 
@@ -289,7 +288,6 @@ class Scene:
         """
         return replace(self, commands=self.commands.changed(names, change))
 
-    @checked(kinds_only=True)
     def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Self:
         """A copy in which some channels are f(channels (..., width, num_times), grid).
 
@@ -299,7 +297,6 @@ class Scene:
         """
         return replace(self, instruments=self.instruments.with_reading(channels, change))
 
-    @checked(kinds_only=True)
     def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Self:
         """A copy in which some channels show what was ``delay`` ago.
 
@@ -309,7 +306,6 @@ class Scene:
         """
         return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
-    @checked(kinds_only=True)
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> Self:
         """A copy in which a number is f(number).
 
@@ -322,7 +318,6 @@ class Scene:
         """
         return replace(self, numbers={**self.numbers, name: change(self.number(name))})
 
-    @checked(kinds_only=True)
     def with_force(self, place: str, law: ForceLaw) -> Self:
         """A copy with one more force.
 

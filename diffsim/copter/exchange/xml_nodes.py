@@ -24,7 +24,7 @@ MAX_DEPTH = 50
 class Node:
     """An element."""
 
-    # tag, attributes, children: tag, attributes and children of the element in the file
+    # tag, attributes, children: as in the file
     tag: str
     attributes: dict[str, str]
     where: str  # file and line, for messages

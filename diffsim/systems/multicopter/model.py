@@ -15,7 +15,7 @@ from torch import Tensor
 from diffsim.causes.scales import SCALES, Scales
 from diffsim.copter.vehicle.multicopter import Fleet
 from diffsim.core.arrays import Array, IntArray
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.layer import may_be_differentiated
 from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy
@@ -111,6 +111,7 @@ def _build_stand_in(fleet: Fleet) -> tuple[Array, IntArray]:
     return np.concatenate(nodes), np.concatenate(triangles)
 
 
+@checked_methods
 class CopterModel(SimModel):
     """A model that flies many parameter points as one batch.
 
@@ -124,7 +125,6 @@ class CopterModel(SimModel):
         super().__init__(flights, base, "multicopter")
         self.flights: Any = flights
 
-    @checked(kinds_only=True)
     def scene(
         self,
         run: Run,
@@ -148,7 +148,6 @@ class CopterModel(SimModel):
         """Count a flight of a search for initial states; it is no prediction by itself."""
         self.simulations.add(0, round(self.cost(run, numerics) * (1.0 + TOGETHER * (number - 1))))
 
-    @checked(kinds_only=True)
     def shortened(self, runs: Sequence[Run]) -> SimModel | None:
         """The model with windows half as long as the longest one of some runs.
 
@@ -168,7 +167,6 @@ class CopterModel(SimModel):
             made.frame = {**self.frame, SCALES: shorter_scales.saved()}
         return made
 
-    @checked(kinds_only=True)
     def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with windows as long as it settles in at these coordinates, up to a second.
 
@@ -190,7 +188,6 @@ class CopterModel(SimModel):
         )
         return made if not runs or sum(after) > sum(before) else self
 
-    @checked(kinds_only=True)
     def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
         """Length of the windows [s] by run, where it is shorter than what was wished for."""
         wished = self.flights.cutter.window_s or LONGEST_S
@@ -201,7 +198,6 @@ class CopterModel(SimModel):
             if count < min(max(MIN_WINDOW_SAMPLES, round(wished / dt)), len(run.time_s))
         }
 
-    @checked(kinds_only=True)
     def left_of_readings(
         self, scene: Callable[[], Scene], change: sparse.csr_array
     ) -> sparse.csr_array:
@@ -212,7 +208,6 @@ class CopterModel(SimModel):
             shooting = made.find_starts()
         return left_by_starts(change, shooting.tangent, shooting.gain)
 
-    @checked(kinds_only=True)
     def num_fitted_inside(self, run: Run) -> int:
         """Number of values that are fitted to a run whatever it is used for: start states."""
         scene = self.scene(run, self.at_prior())
@@ -220,14 +215,12 @@ class CopterModel(SimModel):
         guess = scene.windows.guess
         return len(guess) * RIGID + guess.shape[1] - RIGID
 
-    @checked(kinds_only=True)
     def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
         """Arms and propellers at the poses that channels show, where they show them."""
         scene = self.scene(run, self.at_prior())
         assert isinstance(scene, CopterScene)
         return figure_of(scene, channels)
 
-    @checked(kinds_only=True)
     def simulate_many(
         self,
         run: Run,

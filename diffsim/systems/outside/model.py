@@ -19,7 +19,7 @@ from diffsim.causes.scales import HELD
 from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import DELAYS, Grid, SignalMap
 from diffsim.core.arrays import Array, IntArray
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.core.memo import Memo
 from diffsim.core.runs import run_each
 from diffsim.core.workers import Processes
@@ -283,6 +283,7 @@ FitsHold = Callable[[str, Collection[str]], bool]
 SAMPLE = 20.0  # weighted steps of a sample: simulators take some of their own
 
 
+@checked_methods
 class OutsideModel(SimModel):
     """A simulator from outside, with base parameters.
 
@@ -347,7 +348,6 @@ class OutsideModel(SimModel):
         #: Rows that were lost behind each row of a run while commands were swept
         self.lost: Memo[IntArray] = Memo()
 
-    @checked(kinds_only=True)
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction; counted where the simulator counts its own."""
         return self._cost_of(run, numerics or Numerics(), None)
@@ -363,16 +363,13 @@ class OutsideModel(SimModel):
             return super().cost(run, numerics)
         return self.run_cost + float(self._count_steps(run, forces)) / numerics.time_step
 
-    @checked(kinds_only=True)
     def note_simulations(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
         """Count nothing: calls are counted where they are made, records are used again."""
 
-    @checked(kinds_only=True)
     def count(self, job: Job) -> None:
         """Count a call of the simulator."""
         self.simulations.add(1, round(self._cost_of(job.run, job.numerics, job.forces)))
 
-    @checked(kinds_only=True)
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes, side by side where there are workers."""
         jobs = [scene.job() for scene in scenes]
@@ -410,7 +407,6 @@ class OutsideModel(SimModel):
             self._pool = None
             raise
 
-    @checked(kinds_only=True)
     def with_first_commands(self, commands: Commands, run: Run) -> Commands:
         """Commands with zero before the run where the study does not say it and they were."""
         is_stated = commands.before is not None and not bool(commands.before.isnan().any())
