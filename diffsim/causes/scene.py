@@ -65,13 +65,10 @@ class ForceLaw:
 
 @dataclass(frozen=True, eq=False)
 class Instruments:
-    """What instruments make of channels.
+    """What instruments make of channels."""
 
-    Attributes:
-        acts: Channels by their indices, and what causes do to them, in the order in which they
-            act: a map of readings, or how late a clock is, () or (K,) [s].
-    """
-
+    # channels by their indices, and what causes do to them, in the order in which they act: a map
+    # of readings, or how late a clock is, () or (K,) [s]
     acts: tuple[tuple[tuple[int, ...], SignalMap | Tensor], ...] = ()
 
     @property

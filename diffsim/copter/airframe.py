@@ -57,18 +57,15 @@ class Parts:
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """What the numbers 0 and 1 of a design mean.
+    """What the numbers 0 and 1 of a design mean."""
 
-    Attributes:
-        reach: Distance of rotors from the origin, in propeller radii.
-        sector: Share of a pair's sector of the azimuth that it may use; 1: up to its neighbor's.
-        elevation: Largest angle of a place above or below the cage's middle [rad].
-        tilt: Largest of each Euler angle of a rotor's axis, roll then pitch [rad].
-    """
-
+    # distance of rotors from the origin, in propeller radii
     reach: tuple[float, float] = (1.5, 5.0)
+    # share of a pair's sector of the azimuth that it may use; 1: up to its neighbor's
     sector: float = 1.0
+    # largest angle of a place above or below the cage's middle [rad]
     elevation: float = math.radians(40.0)
+    # largest of each Euler angle of a rotor's axis, roll then pitch [rad]
     tilt: float = math.radians(45.0)
 
 

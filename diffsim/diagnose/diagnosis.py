@@ -280,18 +280,13 @@ class _Answer:
 
 @dataclass(frozen=True)
 class _LawBudget:
-    """What laws may cost.
+    """What laws may cost."""
 
-    Attributes:
-        steps: Weighted steps of the stage that finds them; 0: they are not looked for.
-        until: Count of weighted steps at which the search with laws ends; None: it has ``steps``,
-            too.
-        is_short: Whether the first answer has spent much of the budget: then the search with laws
-            is among causes of its best sets and those that act where laws do.
-    """
-
-    steps: float
+    steps: float  # weighted steps of the stage that finds them; 0: they are not looked for
+    # count of weighted steps at which the search with laws ends; None: it has ``steps``, too
     until: float | None
+    # whether the first answer has spent much of the budget: then the search with laws is among
+    # causes of its best sets and those that act where laws do
     is_short: bool
 
 

@@ -171,20 +171,16 @@ _BOUNDARY_CELLS = {"vertex", "line", "triangle", "quad"}
 
 @dataclass(frozen=True, eq=False)
 class VolumeFile:
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes:
-        x: Positions of the nodes, (num_nodes, 3) [unit of the file].
-        elements: Node indices, (num_elements, 8) or (num_elements, 4), in this library's order.
-        element_data: Named values of the elements, (num_elements, ...) each.
-        groups: Indices of the elements of each named group; elements may be in several.
-        tag_names: Names of GMSH's physical groups of volumes, by their tag.
-    """
-
-    x: Array
+    x: Array  # positions of the nodes, (num_nodes, 3) [unit of the file]
+    # node indices, (num_elements, 8) or (num_elements, 4), in this library's order
     elements: IntArray
+    # named values of the elements, (num_elements, ...) each
     element_data: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    # indices of the elements of each named group; elements may be in several
     groups: Mapping[str, IntArray] = field(default_factory=dict)
+    # names of GMSH's physical groups of volumes, by their tag
     tag_names: Mapping[int, str] = field(default_factory=dict)
 
 

@@ -55,19 +55,15 @@ class CurveFit:
 
 @dataclass(frozen=True, eq=False)
 class RotorFit:
-    """A model and how well it fits.
+    """A model and how well it fits."""
 
-    Attributes:
-        table: The rows.
-        curves: ``thrust`` and ``thrust_offset`` (without and with a free offset), ``torque``,
-            ``current`` (at the nominal voltage) and ``speed``.
-        hysteresis: Up against down sweep where there are both: exponents with standard errors,
-            thrust down / up - 1 at equal speed and at equal signal.
-    """
-
-    table: RotorTable
+    table: RotorTable  # the rows
     model: RotorModel
+    # ``thrust`` and ``thrust_offset`` (without and with a free offset), ``torque``, ``current`` (at
+    # the nominal voltage) and ``speed``
     curves: dict[str, CurveFit]
+    # up against down sweep where there are both: exponents with standard errors, thrust down / up -
+    # 1 at equal speed and at equal signal
     hysteresis: dict[str, float] = field(default_factory=dict)
 
 

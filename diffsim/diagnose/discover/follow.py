@@ -56,17 +56,12 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class ReachInRun:
-    """What terms at an entry do in one run: ``basis @ mixed @ spread @ terms``.
+    """What terms at an entry do in one run: ``basis @ mixed @ spread @ terms``."""
 
-    Attributes:
-        mixed: Their coordinates of what is spread, (k, m).
-        spread: From samples to knots, or to the readings that an entry changes at once, (m,
-            num_samples).
-        basis: Orthonormal columns that span it, (num_valid, k): few knots move many readings.
-    """
-
-    mixed: Array | sparse.csr_array | Blocks
+    mixed: Array | sparse.csr_array | Blocks  # their coordinates of what is spread, (k, m)
+    # from samples to knots, or to the readings that an entry changes at once, (m, num_samples)
     spread: sparse.csr_array
+    # orthonormal columns that span it, (num_valid, k): few knots move many readings
     basis: Aside = Aside()
 
 

@@ -75,18 +75,14 @@ from diffsim.identify.unknown import UnknownForce
 
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """Gates before any physics is blamed, and what they simulated.
+    """Gates before any physics is blamed, and what they simulated."""
 
-    Attributes:
-        gates: Data, numerical settings, gradients; then repeatability and the judgment's.
-        changes: Change of the record by refining each numerical setting, by its name, (N,) [unit of
-            the channel].
-        center: The plain model with everything linearized there.
-    """
-
+    # data, numerical settings, gradients; then repeatability and the judgment's
     gates: tuple[GateResult, ...]
+    # change of the record by refining each numerical setting, by its name, (N,) [unit of the
+    # channel]
     changes: dict[str, Array]
-    center: Center
+    center: Center  # the plain model with everything linearized there
 
     @property
     def unrefined(self) -> dict[str, Array]:

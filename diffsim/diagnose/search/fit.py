@@ -232,16 +232,12 @@ class Null:
 
 @dataclass(frozen=True, eq=False)
 class RefinedNull:
-    """The plain model under settings that are fine enough, or as fine as the budget allows.
+    """The plain model under settings that are fine enough, or as fine as the budget allows."""
 
-    Attributes:
-        null: Fit of the plain model under these settings.
-        changes: Change of the record by refining each setting further, by its name, (N,) each.
-        gates: The numerics gate at the end; notes say what was refined and what it costs.
-    """
-
-    null: Null
+    null: Null  # fit of the plain model under these settings
+    # change of the record by refining each setting further, by its name, (N,) each
     changes: dict[str, Array]
+    # the numerics gate at the end; notes say what was refined and what it costs
     gates: tuple[GateResult, ...]
 
 

@@ -41,20 +41,16 @@ class RecordedScene(Scene):
     ``attitude_offset``, ``body_rates_offset``, ``accelerometer_offset`` (added to what these show
     [rad], [rad/s], [m/s^2]), all in the recording's frames; ``camera_delay``, the age of the
     position, velocity and attitude that are shown [s].
-
-    Attributes:
-        windows: The record in windows, whose initial states are fitted away.
-        sensors: Groups of channels of the record, in order; keys of ``SENSORS``.
-        columns: Which reading each channel is, counted over the groups; None: all, in order.
-        frames: Frames that the record is written in.
-        estimator: Errors of one that shows velocity and attitude; None: none.
     """
 
     numbers: Mapping[str, Tensor] = field(default_factory=dict)
-    windows: Windows
-    sensors: tuple[str, ...]
+    windows: Windows  # the record in windows, whose initial states are fitted away
+    sensors: tuple[str, ...]  # groups of channels of the record, in order; keys of ``SENSORS``
+    # which reading each channel is, counted over the groups; None: all, in order
     columns: tuple[int, ...] | None = None
+    # frames that the record is written in
     frames: RecordingFrames = field(default_factory=RecordingFrames)
+    # errors of one that shows velocity and attitude; None: none
     estimator: BlindEstimator | None = None
 
     @property

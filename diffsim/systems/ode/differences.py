@@ -11,10 +11,14 @@ from diffsim.systems.ode.network import Network, filled, named
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference of two places in a definition."""
+    """A difference of two places in a definition.
 
-    node: Apply  # as it is written there
-    # speeds of the same places, in this order; None where these are no plain states
+    Attributes:
+        node: As it is written there.
+        speeds: Speeds of the same places, in this order; None where these are no plain states.
+    """
+
+    node: Apply
     speeds: tuple[str, ...] | None
 
     @property
@@ -26,6 +30,7 @@ class Difference:
         """A formula with something else in place of the difference.
 
         Args:
+            slack: What stands in its place.
             pulled: Factor of the difference of the speeds.
         """
         return _formula_of(self._replace(plain.root, slack.root, pulled.root))
