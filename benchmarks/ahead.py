@@ -87,30 +87,19 @@ class Balance:
     The model flies short ways from the recorded states before the start. What it lacks on average
     in angular acceleration, and in acceleration along the thrust, is held as constant thrusts. The
     average is that of the last samples, drawn towards that of the whole flight before.
-
-    Attributes:
-        flies: Samples in flight, (num_samples,) bool: the others tell nothing.
-        window: Samples before a start that are asked.
-        prior: Samples for which the whole flight before counts.
     """
 
-    flies: Tensor
-    window: int = 100
-    prior: int = 30
+    flies: Tensor  # samples in flight, (num_samples,) bool: the others tell nothing
+    window: int = 100  # samples before a start that are asked
+    prior: int = 30  # samples for which the whole flight before counts
 
 
 class Scores(NamedTuple):
-    """Errors of several predictions over the starts that all of them can fly.
+    """Errors of several predictions over the starts that all of them can fly."""
 
-    Attributes:
-        errors: Mean error by the number of samples ahead, (AHEAD, 4) each, by name.
-        failed: Starts that a prediction cannot fly, by its name; only those with any.
-        num_starts: Starts that were asked for.
-    """
-
-    errors: dict[str, Tensor]
-    failed: dict[str, int]
-    num_starts: int
+    errors: dict[str, Tensor]  # mean error by the number of samples ahead, (AHEAD, 4) each, by name
+    failed: dict[str, int]  # starts that a prediction cannot fly, by its name; only those with any
+    num_starts: int  # starts that were asked for
 
 
 def compared(

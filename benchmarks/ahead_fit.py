@@ -30,16 +30,11 @@ _ENOUGH = 2e-3  # relative gain of a round
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """Starts of recorded flights.
+    """Starts of recorded flights."""
 
-    Attributes:
-        runs: Recorded runs, whole.
-        every: Samples from start to start.
-        starts_of: Samples of a run that may be started from; None: all.
-    """
-
-    runs: Sequence[Run]
-    every: int
+    runs: Sequence[Run]  # recorded runs, whole
+    every: int  # samples from start to start
+    # samples of a run that may be started from; None: all
     starts_of: Callable[[Run], Tensor] | None = None
 
     def errors(self, model: ExtendedModel, q: Tensor) -> Tensor:

@@ -32,25 +32,16 @@ CONSTANT = ("newton_pcg", "uncached")
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is measured.
+    """What is measured."""
 
-    Attributes:
-        cells: Cells along an edge.
-        reaches: Radii of the nodes that may touch, in half widths.
-        span: Steps of 2 ms from the first in contact.
-        samples: Steps timed among these, evenly spread; all solvers take the same steps.
-        limit: A solver is stopped after the sample that passes this time [s].
-        rtol: Tolerance of the step.
-        friction_cells: Cells along an edge where mu = 0.3 is measured as well.
-    """
-
-    cells: Sequence[int] = (25, 50, 75, 100)
+    cells: Sequence[int] = (25, 50, 75, 100)  # cells along an edge
+    # radii of the nodes that may touch, in half widths
     reaches: Sequence[float] = (0.4, 0.8, 1.0, 1.6)
-    span: int = 6
-    samples: int = 3
-    limit: float = 6.0
-    rtol: float = 1e-4
-    friction_cells: int = 50
+    span: int = 6  # steps of 2 ms from the first in contact
+    samples: int = 3  # steps timed among these, evenly spread; all solvers take the same steps
+    limit: float = 6.0  # a solver is stopped after the sample that passes this time [s]
+    rtol: float = 1e-4  # tolerance of the step
+    friction_cells: int = 50  # cells along an edge where mu = 0.3 is measured as well
 
 
 def parts(plan: Plan) -> list[Part]:

@@ -33,25 +33,16 @@ FRICTION_CASES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is measured.
+    """What is measured."""
 
-    Attributes:
-        spacing: Edge length of the ball's hexahedra at the surface [m].
-        voxels: Cells across the ball of cubes; 10 are the thesis's 552 hexahedra.
-        num_steps: Steps of 5 ms.
-        rtols: Tolerances of the step and its adjoint.
-        rtol: The one at which the ball of cubes and friction are measured.
-        repetitions: Passes of every solver, taken in turn so that slow spells hit all alike.
-        reference_rtol: Tolerance of the Newton-Cholesky run that errors refer to.
-    """
-
-    spacing: float = 0.011
-    voxels: int = 10
-    num_steps: int = 100
+    spacing: float = 0.011  # edge length of the ball's hexahedra at the surface [m]
+    voxels: int = 10  # cells across the ball of cubes; 10 are the thesis's 552 hexahedra
+    num_steps: int = 100  # steps of 5 ms
+    # tolerances of the step and its adjoint
     rtols: Sequence[float] = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-    rtol: float = 1e-4
-    repetitions: int = 1
-    reference_rtol: float = 1e-10
+    rtol: float = 1e-4  # the one at which the ball of cubes and friction are measured
+    repetitions: int = 1  # passes of every solver, taken in turn so that slow spells hit all alike
+    reference_rtol: float = 1e-10  # tolerance of the Newton-Cholesky run that errors refer to
 
 
 def parts(plan: Plan) -> list[Part]:

@@ -40,19 +40,12 @@ CASES = {  # design, objective
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is measured.
+    """How much is measured."""
 
-    Attributes:
-        starts: Of the joint solve, per case.
-        alternations: Starts of the thesis's alternation, per case; 0 leaves it out.
-        batches: Vehicles in a flight.
-        seconds: Of measurement per row.
-    """
-
-    starts: int = 32
-    alternations: int = 4
-    batches: tuple[int, ...] = copter_flight.BATCHES
-    seconds: float = 1.0
+    starts: int = 32  # of the joint solve, per case
+    alternations: int = 4  # starts of the thesis's alternation, per case; 0 leaves it out
+    batches: tuple[int, ...] = copter_flight.BATCHES  # vehicles in a flight
+    seconds: float = 1.0  # of measurement per row
 
 
 QUICK = Plan(starts=8, alternations=0, batches=(1, 64, 4096), seconds=0.2)

@@ -61,19 +61,12 @@ METHODS = (
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is measured.
+    """How much is measured."""
 
-    Attributes:
-        num_starts: Per case; the first is the design as it stands.
-        max_iters: Of the general solvers.
-        max_rounds: Of the alternation.
-        cases: Which.
-    """
-
-    num_starts: int = 5
-    max_iters: int = 400
-    max_rounds: int = 60
-    cases: tuple[str, ...] = tuple(CASES)
+    num_starts: int = 5  # per case; the first is the design as it stands
+    max_iters: int = 400  # of the general solvers
+    max_rounds: int = 60  # of the alternation
+    cases: tuple[str, ...] = tuple(CASES)  # which
 
 
 QUICK = Plan(num_starts=1, max_iters=60, max_rounds=8)

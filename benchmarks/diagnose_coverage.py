@@ -99,19 +99,12 @@ class Pair:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a data set.
+    """What became of a data set."""
 
-    Attributes:
-        name: Name of the set, or of the campaigns.
-        cut: How it was cut, or why it could not be.
-        pairs: Sizes that both parts ask for.
-        cpu_s: CPU seconds of the answer and the fits.
-    """
-
-    name: str
-    cut: str
-    pairs: tuple[Pair, ...] = ()
-    cpu_s: float = 0.0
+    name: str  # name of the set, or of the campaigns
+    cut: str  # how it was cut, or why it could not be
+    pairs: tuple[Pair, ...] = ()  # sizes that both parts ask for
+    cpu_s: float = 0.0  # CPU seconds of the answer and the fits
 
     @property
     def row(self) -> str:

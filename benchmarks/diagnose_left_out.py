@@ -38,21 +38,14 @@ HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|"
 
 @dataclass(frozen=True)
 class Case:
-    """A published set without a condition.
+    """A published set without a condition."""
 
-    Attributes:
-        study: Name of the published set.
-        unseen: Patterns of runs that are left out, and judged.
-        only: Entries of ``runs:`` in place of the set's own, if its pieces must be cut otherwise.
-        new: Entries of ``runs:`` that are only judged.
-        settles: Whether a step's motion after one second is compared, too.
-    """
-
-    study: str
-    unseen: Sequence[str] = ()
+    study: str  # name of the published set
+    unseen: Sequence[str] = ()  # patterns of runs that are left out, and judged
+    # entries of ``runs:`` in place of the set's own, if its pieces must be cut otherwise
     only: Sequence[Mapping[str, Any]] = ()
-    new: Sequence[Mapping[str, Any]] = ()
-    settles: bool = False
+    new: Sequence[Mapping[str, Any]] = ()  # entries of ``runs:`` that are only judged
+    settles: bool = False  # whether a step's motion after one second is compared, too
 
 
 def _propeller(name: str) -> Case:

@@ -73,24 +73,15 @@ def library_answer(inputs: Inputs) -> Report:
 
 @dataclass(frozen=True)
 class Asked:
-    """The answer of one data set, from its YAML alone, and what it took.
+    """The answer of one data set, from its YAML alone, and what it took."""
 
-    Attributes:
-        content: Of ``report.json``, or of ``faults.json``.
-        verdict: Of the answer; "faults" of one of groups.
-        said: The headline; of groups, how many faults are named and how many rightly.
-        certain: Certain causes.
-        cpu_s: CPU seconds, checks and pages' numbers included.
-        gradients: Share of gradient checks in them.
-        steps: Weighted steps that were simulated, in millions; 0 of groups, which count none.
-    """
-
-    content: Mapping[str, Any]
-    verdict: str
-    said: str
-    certain: tuple[str, ...]
-    cpu_s: float
-    gradients: float = 0.0
+    content: Mapping[str, Any]  # of ``report.json``, or of ``faults.json``
+    verdict: str  # of the answer; "faults" of one of groups
+    said: str  # the headline; of groups, how many faults are named and how many rightly
+    certain: tuple[str, ...]  # certain causes
+    cpu_s: float  # CPU seconds, checks and pages' numbers included
+    gradients: float = 0.0  # share of gradient checks in them
+    # weighted steps that were simulated, in millions; 0 of groups, which count none
     steps: float = 0.0
 
 

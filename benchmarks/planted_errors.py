@@ -80,25 +80,15 @@ class PlanError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Planted:
-    """One mistake and where it should be seen.
+    """One mistake and where it should be seen."""
 
-    Attributes:
-        name: Short name, another one for each.
-        file: File of the tree.
-        old: Text that occurs once in it.
-        new: Text that stands there with the mistake.
-        means: The mistake in words.
-        tests: Files or folders of tests that should see it.
-        only: pytest's ``-k``; empty: all of them.
-    """
-
-    name: str
-    file: str
-    old: str
-    new: str
-    means: str
-    tests: tuple[str, ...]
-    only: str = ""
+    name: str  # short name, another one for each
+    file: str  # file of the tree
+    old: str  # text that occurs once in it
+    new: str  # text that stands there with the mistake
+    means: str  # the mistake in words
+    tests: tuple[str, ...]  # files or folders of tests that should see it
+    only: str = ""  # pytest's ``-k``; empty: all of them
 
     @property
     def room(self) -> str:
@@ -153,21 +143,13 @@ def planted_text(error: Planted, tree: Path) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of a run of tests.
+    """What became of a run of tests."""
 
-    Attributes:
-        state: "caught" or "missed"; or why neither is known.
-        cpu_s: CPU seconds of the tests, to the first failure [s].
-        by: The first test that failed, or what else was seen.
-        key: What it depends on.
-        build_s: CPU seconds of compiling what the error changed, and of linking [s].
-    """
-
-    state: str
-    cpu_s: float = 0.0
-    by: str = ""
-    key: str = ""
-    build_s: float = 0.0
+    state: str  # "caught" or "missed"; or why neither is known
+    cpu_s: float = 0.0  # CPU seconds of the tests, to the first failure [s]
+    by: str = ""  # the first test that failed, or what else was seen
+    key: str = ""  # what it depends on
+    build_s: float = 0.0  # CPU seconds of compiling what the error changed, and of linking [s]
 
 
 class Ended(NamedTuple):

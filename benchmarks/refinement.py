@@ -27,7 +27,7 @@ import numpy as np
 import torch
 
 from diffsim import soft
-from diffsim.cli.catalog import FOLDER
+from diffsim.cli.examples import FOLDER
 from diffsim.core import interruptible
 from diffsim.core.files import write_json_atomic
 from examples.applications import Application, minimize, solver_options

@@ -24,27 +24,17 @@ MUSCLE_STIFFNESS = 2e6  # [Pa], twice the body's Young's modulus
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is measured.
+    """What is measured."""
 
-    Attributes:
-        cells: Cells along x, y, z.
-        num_steps: Steps of 10 ms.
-        kinds: Element kinds.
-        poissons_ratios: Of the body.
-        volume_weights: Conventions of the volume energy.
-        shares: Values of VOLUME_SHARE and of FIBER_SHARE.
-        rtol: Tolerance of step and adjoint.
-        methods: Solvers that use the constant matrix.
-    """
-
-    cells: Sequence[int] = (16, 4, 4)
-    num_steps: int = 5
-    kinds: Sequence[str] = ("hex", "tet")
-    poissons_ratios: Sequence[float] = (0.3, 0.45, 0.49)
-    volume_weights: Sequence[str] = ("thesis", "small_strain")
+    cells: Sequence[int] = (16, 4, 4)  # cells along x, y, z
+    num_steps: int = 5  # steps of 10 ms
+    kinds: Sequence[str] = ("hex", "tet")  # element kinds
+    poissons_ratios: Sequence[float] = (0.3, 0.45, 0.49)  # of the body
+    volume_weights: Sequence[str] = ("thesis", "small_strain")  # conventions of the volume energy
+    # values of VOLUME_SHARE and of FIBER_SHARE
     shares: Sequence[float] = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 1.0)
-    rtol: float = 1e-4
-    methods: Sequence[str] = ("newton_pcg", "quasi_newton")
+    rtol: float = 1e-4  # tolerance of step and adjoint
+    methods: Sequence[str] = ("newton_pcg", "quasi_newton")  # solvers that use the constant matrix
 
 
 def parts(plan: Plan) -> list[Part]:

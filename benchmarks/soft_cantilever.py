@@ -18,25 +18,16 @@ REFERENCE = "cantilever/reference"
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is measured.
+    """What is measured."""
 
-    Attributes:
-        cells: Cells along x, y, z.
-        num_steps: Steps of 10 ms.
-        rtols: Tolerances of the step and its adjoint.
-        threads: Thread counts.
-        methods: Solvers.
-        repetitions: Passes of every method, taken in turn so that slow spells hit all alike.
-        reference_rtol: Tolerance of the Newton-Cholesky run that errors refer to.
-    """
-
-    cells: Sequence[int] = (32, 8, 8)
-    num_steps: int = 25
+    cells: Sequence[int] = (32, 8, 8)  # cells along x, y, z
+    num_steps: int = 25  # steps of 10 ms
+    # tolerances of the step and its adjoint
     rtols: Sequence[float] = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-    threads: Sequence[int] = (1, 2)
-    methods: Sequence[str] = METHODS
-    repetitions: int = 3
-    reference_rtol: float = 1e-10
+    threads: Sequence[int] = (1, 2)  # thread counts
+    methods: Sequence[str] = METHODS  # solvers
+    repetitions: int = 3  # passes of every method, taken in turn so that slow spells hit all alike
+    reference_rtol: float = 1e-10  # tolerance of the Newton-Cholesky run that errors refer to
 
 
 def parts(plan: Plan) -> list[Part]:

@@ -30,29 +30,18 @@ INTEGRATORS = ("implicit_euler", "bdf2", "implicit_midpoint", EXPLICIT, FINE)
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is measured.
+    """What is measured."""
 
-    Attributes:
-        cells: Cells along x, y, z.
-        duration: Simulated time [s].
-        dt: Step of the implicit integrators [s].
-        directions: Random directions around the initial positions.
-        samples: Points along a direction, odd.
-        reach: Largest change of a coordinate, of the beam's length [-].
-        rtol: Tolerance of implicit steps: tight, so that what is seen is not the solver's noise.
-        integrators: Compared; explicit ones take their own step.
-        seconds: Passes for timing are repeated for this long [s].
-    """
-
-    cells: Sequence[int] = (12, 3, 3)
-    duration: float = 0.2
-    dt: float = 1e-2
-    directions: int = 16
-    samples: int = 21
-    reach: float = 0.003
+    cells: Sequence[int] = (12, 3, 3)  # cells along x, y, z
+    duration: float = 0.2  # simulated time [s]
+    dt: float = 1e-2  # step of the implicit integrators [s]
+    directions: int = 16  # random directions around the initial positions
+    samples: int = 21  # points along a direction, odd
+    reach: float = 0.003  # largest change of a coordinate, of the beam's length [-]
+    # tolerance of implicit steps: tight, so that what is seen is not the solver's noise
     rtol: float = 1e-6
-    integrators: Sequence[str] = INTEGRATORS
-    seconds: float = 3.0
+    integrators: Sequence[str] = INTEGRATORS  # compared; explicit ones take their own step
+    seconds: float = 3.0  # passes for timing are repeated for this long [s]
 
 
 def parts(plan: Plan) -> list[Part]:

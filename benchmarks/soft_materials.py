@@ -36,27 +36,20 @@ GIVE_UP = 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is measured.
+    """What is measured."""
 
-    Attributes:
-        materials, kinds, rtols: Every combination of them.
-        widths: Cells across the beam; 4 times as many along it. 15 has 46,848 DoF.
-        large_materials: The only materials of meshes wider than ``all_up_to``.
-        all_up_to: See large_materials.
-        num_steps: Steps of 10 ms of one pass.
-        repetitions: Passes per method.
-        poissons_ratio: [-].
-    """
-
+    # materials, kinds, rtols: every combination of them
     materials: tuple[str, ...] = soft.MATERIALS
     kinds: tuple[str, ...] = ("hex", "tet")
     rtols: tuple[float, ...] = (1e-4, 1e-6)
+    # cells across the beam; 4 times as many along it. 15 has 46,848 DoF.
     widths: tuple[int, ...] = (4, 8, 15)
+    # the only materials of meshes wider than ``all_up_to``
     large_materials: tuple[str, ...] = ("neo_hookean",)
-    all_up_to: int = 8
-    num_steps: int = 3
-    repetitions: int = 3
-    poissons_ratio: float = 0.45
+    all_up_to: int = 8  # see large_materials
+    num_steps: int = 3  # steps of 10 ms of one pass
+    repetitions: int = 3  # passes per method
+    poissons_ratio: float = 0.45  # [-]
 
 
 QUICK = Plan(widths=(3,), rtols=(1e-4,), num_steps=2, repetitions=2)

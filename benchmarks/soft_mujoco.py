@@ -47,18 +47,15 @@ LEAPFROG = 9  # halvings of the longest step at which the motion is taken for ex
 
 @dataclass(frozen=True)
 class Method:
-    """A way to step the beam.
+    """A way to step the beam."""
 
-    Attributes:
-        integrator, solver: Of the soft body; no integrator: MuJoCo's flex.
-        halvings: The longest step is halved from so many times on; explicit steps begin where they
-            are stable, the midpoint's where it gains no energy.
-        color, marker: In the figure.
-    """
-
+    # integrator, solver: of the soft body; no integrator: MuJoCo's flex
     integrator: str | None
     solver: soft.SolverOptions | None
+    # the longest step is halved from so many times on; explicit steps begin where they are stable,
+    # the midpoint's where it gains no energy
     halvings: int
+    # color, marker: in the figure
     color: str
     marker: str
 

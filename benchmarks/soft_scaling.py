@@ -26,30 +26,20 @@ METHODS = ("auto", "newton_pcg", "quasi_newton", "newton_jacobi", "newton_choles
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is measured.
+    """What is measured."""
 
-    Attributes:
-        widths: Cells across the beam; the mesh has 4 w x w x w cells.
-        kinds: ``hex``, ``tet``.
-        methods: Solvers.
-        rtol: Tolerance of step and adjoint.
-        num_steps: Steps of one pass.
-        degrees: Twist of the initial shape; 10 degrees make steps that cost as much as those of
-            the cantilever stage do on average, 90 degrees two to three times as much.
-        threads: Threads.
-        seconds: Passes are repeated for this long [s].
-        pass_limit: A pass that is expected to take longer is skipped [s].
-    """
-
+    # cells across the beam; the mesh has 4 w x w x w cells
     widths: Sequence[int] = (4, 6, 8, 12, 16, 22, 29)
-    kinds: Sequence[str] = ("hex", "tet")
-    methods: Sequence[str] = METHODS
-    rtol: float = 1e-4
-    num_steps: int = 2
+    kinds: Sequence[str] = ("hex", "tet")  # ``hex``, ``tet``
+    methods: Sequence[str] = METHODS  # solvers
+    rtol: float = 1e-4  # tolerance of step and adjoint
+    num_steps: int = 2  # steps of one pass
+    # twist of the initial shape; 10 degrees make steps that cost as much as those of the cantilever
+    # stage do on average, 90 degrees two to three times as much
     degrees: float = 10.0
-    threads: int = 1
-    seconds: float = 1.0
-    pass_limit: float = 20.0
+    threads: int = 1  # threads
+    seconds: float = 1.0  # passes are repeated for this long [s]
+    pass_limit: float = 20.0  # a pass that is expected to take longer is skipped [s]
 
 
 def num_dof(width: int) -> int:

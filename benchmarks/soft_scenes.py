@@ -87,19 +87,14 @@ def weighted_loss(state: soft.State) -> Tensor:
 
 @dataclass(frozen=True)
 class Pass:
-    """One rollout and its gradient.
+    """One rollout and its gradient."""
 
-    Attributes:
-        loss: Of the final state [-].
-        grad: Gradient to initial positions and velocities, (2, num_nodes, 3) [1/m, s/m].
-        forward, backward: Times.
-        steps, adjoints: Statistics of the solves, in order of execution.
-    """
-
-    loss: float
-    grad: Tensor
+    loss: float  # of the final state [-]
+    grad: Tensor  # gradient to initial positions and velocities, (2, num_nodes, 3) [1/m, s/m]
+    # forward, backward: times
     forward: Seconds
     backward: Seconds
+    # steps, adjoints: statistics of the solves, in order of execution
     steps: list[soft.SolveStats]
     adjoints: list[soft.SolveStats]
 

@@ -38,21 +38,14 @@ BYTES_PER_NODE = 40_000
 
 @dataclass(frozen=True, kw_only=True)
 class DevicePlan:
-    """Stage ``devices``.
+    """Stage ``devices``."""
 
-    Attributes:
-        names: Devices; the twister is measured with both kinds of wall.
-        resolution: Factor on the thesis's cells per axis.
-        threads: Numbers of worker threads, each on as many cores.
-        repetitions: Calls of either kind.
-        timeout: For all calls of a row [s].
-    """
-
+    # devices; the twister is measured with both kinds of wall
     names: tuple[str, ...] = tuple(DEVICES)
-    resolution: float = 1.0
-    threads: tuple[int, ...] = (1, 2)
-    repetitions: int = 3
-    timeout: float = 3600.0
+    resolution: float = 1.0  # factor on the thesis's cells per axis
+    threads: tuple[int, ...] = (1, 2)  # numbers of worker threads, each on as many cores
+    repetitions: int = 3  # calls of either kind
+    timeout: float = 3600.0  # for all calls of a row [s]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,27 +18,16 @@ Points = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True, kw_only=True)
 class Exact:
-    """A flow known in closed form; points are (..., 2) [m].
+    """A flow known in closed form; points are (..., 2) [m]."""
 
-    Attributes:
-        name: What tables and legends call it.
-        wall: "no_slip" or "no_separation".
-        level: Level set, > 0 in the fluid [m].
-        velocity: (..., 2) [m/s], smooth beyond the wall as well.
-        wall_velocity: Of the embedded wall, (..., 2) [m/s]; None at rest.
-        faces: Faces of the box with the exact velocity prescribed.
-        size: Edge of the square box [m].
-        origin: Its low corner [m].
-    """
-
-    name: str
-    wall: str
-    level: Points
-    velocity: Points
-    wall_velocity: Points | None = None
-    faces: tuple[str, ...] = ()
-    size: float = 1.0
-    origin: tuple[float, float] = (0.0, 0.0)
+    name: str  # what tables and legends call it
+    wall: str  # "no_slip" or "no_separation"
+    level: Points  # level set, > 0 in the fluid [m]
+    velocity: Points  # (..., 2) [m/s], smooth beyond the wall as well
+    wall_velocity: Points | None = None  # of the embedded wall, (..., 2) [m/s]; None at rest
+    faces: tuple[str, ...] = ()  # faces of the box with the exact velocity prescribed
+    size: float = 1.0  # edge of the square box [m]
+    origin: tuple[float, float] = (0.0, 0.0)  # its low corner [m]
     open_faces: tuple[str, ...] = field(default=())
 
     def grid(self, cells: int) -> Grid:

@@ -59,17 +59,11 @@ FUNCTIONALS: dict[str, Callable[[FlowField], torch.Tensor]] = {
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A functional over the wall's positions.
+    """A functional over the wall's positions."""
 
-    Attributes:
-        radii: (n,) [m].
-        values: (n,) of the functional.
-        slopes: (n,) derivatives by the radius, of the simulation.
-    """
-
-    radii: np.ndarray
-    values: np.ndarray
-    slopes: np.ndarray
+    radii: np.ndarray  # (n,) [m]
+    values: np.ndarray  # (n,) of the functional
+    slopes: np.ndarray  # (n,) derivatives by the radius, of the simulation
 
     @property
     def ratios(self) -> np.ndarray:

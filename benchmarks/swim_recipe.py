@@ -40,20 +40,15 @@ RECORD = PROJECT / "rl" / "results" / "recipe"
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to train.
+    """One way to train."""
 
-    Attributes:
-        method: As ``diffsim.learn.METHODS`` names it.
-        options: Of the method, over the recipe's where it is "gradient".
-        task_options, setup: Over the recipe's.
-        seeds: How many.
-    """
-
-    method: str = "gradient"
+    method: str = "gradient"  # as ``diffsim.learn.METHODS`` names it
+    # of the method, over the recipe's where it is "gradient"
     options: Options = field(default_factory=dict)
+    # task_options, setup: over the recipe's
     task_options: Options = field(default_factory=dict)
     setup: Options = field(default_factory=dict)
-    seeds: int = 5
+    seeds: int = 5  # how many
 
 
 _SAC = {"passes": 64, "learning_rate": 1e-3}

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from diffsim.cli.catalog import examples
+from diffsim.cli.examples import examples
 from diffsim.core import DiffsimError, show_progress
 from diffsim.core.check import require_choice
 from diffsim.core.files import write_json_atomic, write_text_atomic
@@ -37,33 +37,20 @@ REFINED = "refinement.json"  # the same: what ``python -m benchmarks.refinement`
 
 @dataclass(frozen=True, kw_only=True)
 class GalleryEntry:
-    """One result of the gallery.
+    """One result of the gallery."""
 
-    Attributes:
-        title: A line for people.
-        group: Heading that it stands under.
-        example: Name of the script; "" where ``page`` is given.
-        options: Options of the script; ``{out}`` is replaced by the folder that keeps the result.
-        picture: File below that folder.
-        image: Name of the picture under docs/images.
-        pattern: Regular expression with one group per number, searched in the output.
-        number: Text with ``{}`` for each group.
-        thesis: What the thesis has, and why ours differs, one line; "" where it has nothing.
-        page: Instead of a script: page below docs/ that has number and picture.
-        command: Instead of a script: what fills that page.
-    """
-
-    title: str
-    group: str
-    image: str
-    pattern: str
-    number: str
-    example: str = ""
+    title: str  # a line for people
+    group: str  # heading that it stands under
+    image: str  # name of the picture under docs/images
+    pattern: str  # regular expression with one group per number, searched in the output
+    number: str  # text with ``{}`` for each group
+    example: str = ""  # name of the script; "" where ``page`` is given
+    # options of the script; ``{out}`` is replaced by the folder that keeps the result
     options: tuple[str, ...] = ()
-    picture: str = ""
-    thesis: str = ""
-    page: str = ""
-    command: str = ""
+    picture: str = ""  # file below that folder
+    thesis: str = ""  # what the thesis has, and why ours differs, one line; "" where it has nothing
+    page: str = ""  # instead of a script: page below docs/ that has number and picture
+    command: str = ""  # instead of a script: what fills that page
 
     @property
     def key(self) -> str:

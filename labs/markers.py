@@ -31,23 +31,15 @@ MAX_COORDINATE_M = 100.0
 
 @dataclass(frozen=True)
 class Recording:
-    """Positions of markers over time.
+    """Positions of markers over time."""
 
-    Attributes:
-        time_s: (T,) strictly increasing [s].
-        position_m: (T, num_markers, 3) [m]; NaN where a marker was not seen.
-        markers: Marker names, in the order of the second axis.
-        name: Short name, by default the file's stem.
-        metadata: Whatever the source says about this recording.
-        source: The file it came from; None if it was made in memory.
-    """
-
-    time_s: Array
-    position_m: Array
-    markers: tuple[str, ...]
-    name: str = "recording"
+    time_s: Array  # (T,) strictly increasing [s]
+    position_m: Array  # (T, num_markers, 3) [m]; NaN where a marker was not seen
+    markers: tuple[str, ...]  # marker names, in the order of the second axis
+    name: str = "recording"  # short name, by default the file's stem
+    # whatever the source says about this recording
     metadata: dict[str, Any] = field(default_factory=dict)
-    source: Path | None = None
+    source: Path | None = None  # the file it came from; None if it was made in memory
 
     def __post_init__(self) -> None:
         expected = (len(self.time_s), len(self.markers), 3)

@@ -24,25 +24,17 @@ Parameters = dict[str, Tensor]
 
 @dataclass(frozen=True)
 class GradientQuality:
-    """At one horizon.
+    """At one horizon."""
 
-    Attributes:
-        horizon: Steps.
-        cosine: Cosine of the analytic and the zeroth-order gradient, within random directions; 1 at
-            best.
-        norm_ratio: Ratio of their norms there, analytic over zeroth-order; 1 at best.
-        norm: Norm of the analytic gradient of the mean reward, median over episodes.
-        explosion_rate: Share of episodes whose gradient is not finite or more than 100 times
-            longer than the median one.
-        contact_share: Share of steps in which the robot touches something.
-    """
-
-    horizon: int
+    horizon: int  # steps
+    # cosine of the analytic and the zeroth-order gradient, within random directions; 1 at best
     cosine: float
-    norm_ratio: float
-    norm: float
+    norm_ratio: float  # ratio of their norms there, analytic over zeroth-order; 1 at best
+    norm: float  # norm of the analytic gradient of the mean reward, median over episodes
+    # share of episodes whose gradient is not finite or more than 100 times longer than the median
+    # one
     explosion_rate: float
-    contact_share: float
+    contact_share: float  # share of steps in which the robot touches something
 
 
 def gradient_quality(

@@ -80,15 +80,10 @@ def first_reach(rows: Sequence[Row], axis: str, goal: float) -> float:
 
 @dataclass(frozen=True)
 class Scale:
-    """Normalized reward (thesis Fig. 4-17).
+    """Normalized reward (thesis Fig. 4-17)."""
 
-    Attributes:
-        zero: Mean reward of untrained networks.
-        one: Final reward of training by gradient, interquartile mean over its runs.
-    """
-
-    zero: float
-    one: float
+    zero: float  # mean reward of untrained networks
+    one: float  # final reward of training by gradient, interquartile mean over its runs
 
     def __call__(self, reward: Array | float) -> Array:
         """(reward - zero) / (one - zero).

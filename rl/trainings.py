@@ -27,25 +27,17 @@ TUNING_SEED = 100  # of no compared run
 
 @dataclass(frozen=True)
 class Plan:
-    """One task of a comparison.
+    """One task of a comparison."""
 
-    Attributes:
-        setup: Task; seed and budget are set per run.
-        steps: Budget of simulation steps of a compared run, by method.
-        tuning_steps: The same of a candidate's run.
-        candidates: Options among which the search chooses, by method; as many for each. Methods
-            without candidates are not compared.
-        seeds: Seeds of the compared runs.
-        ratings: Per run, spread evenly over its budget.
-        quality: Arguments of ``gradient_quality``, where it differs from the defaults.
-    """
-
-    setup: Setup
-    steps: Mapping[str, int]
-    tuning_steps: Mapping[str, int]
+    setup: Setup  # task; seed and budget are set per run
+    steps: Mapping[str, int]  # budget of simulation steps of a compared run, by method
+    tuning_steps: Mapping[str, int]  # the same of a candidate's run
+    # options among which the search chooses, by method; as many for each. Methods without
+    # candidates are not compared.
     candidates: Mapping[str, Sequence[Options]]
-    seeds: Sequence[int] = (0, 1, 2, 3, 4)
-    ratings: int = 10
+    seeds: Sequence[int] = (0, 1, 2, 3, 4)  # seeds of the compared runs
+    ratings: int = 10  # per run, spread evenly over its budget
+    # arguments of ``gradient_quality``, where it differs from the defaults
     quality: Options = field(default_factory=dict)
 
     def run_setup(self, method: str, seed: int) -> Setup:
@@ -57,19 +49,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Training:
-    """One run of a comparison or of a search.
+    """One run of a comparison or of a search."""
 
-    Attributes:
-        setup: Task, seed and budget.
-        method: Name of the method.
-        options: Options of the method.
-        folder: Folder of the run; on a cluster one that all machines see.
-    """
-
-    setup: Setup
-    method: str
-    options: Options
-    folder: Path
+    setup: Setup  # task, seed and budget
+    method: str  # name of the method
+    options: Options  # options of the method
+    folder: Path  # folder of the run; on a cluster one that all machines see
 
     def run(self, *, show: bool = True) -> str | None:
         """See ``train_once``."""

@@ -22,19 +22,12 @@ _BLOCKS = re.compile(r"^class \w+\(.*(Part|Description|Keys|Source|Task)\)", re.
 
 @dataclass(frozen=True, order=True)
 class StatedPath:
-    """A key whose value is a path.
+    """A key whose value is a path."""
 
-    Attributes:
-        block: Class of its block, a kind of part, or a task.
-        key: Its name.
-        reach: Where the file may lie.
-        sense: What the block is, in a sentence.
-    """
-
-    block: str
-    key: str
-    reach: str
-    sense: str
+    block: str  # class of its block, a kind of part, or a task
+    key: str  # its name
+    reach: str  # where the file may lie
+    sense: str  # what the block is, in a sentence
 
 
 def stated_paths() -> list[StatedPath]:

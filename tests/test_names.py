@@ -29,8 +29,10 @@ VERBS_TOO = frozenset(("split", "spread"))
 # each had up to six meanings: MAX_PIECES and WRONG_SHEET_SD say of what
 VAGUE = frozenset(("FAR", "MOST", "WIDE", "FEW", "NEAR", "SETTLED", "FEWEST"))
 STILL = frozenset(("FEW", "MOST", "FEWEST"))  # record/signals, judge/gain, bench/run_zeros
-# a line such as "mass: (num_parts,) [kg]."
-ONLY_UNIT = re.compile(r"^ {4,}\w+: (?:\([^)]*\),? ?)?(?:float64|int64|bool)? ?\[[^\]]+\]\.?$")
+# a line such as "mass: (num_parts,) [kg].", or "mass: Tensor  # (num_parts,) [kg]" of a field
+ONLY_UNIT = re.compile(
+    r"^ {4,}\w+: (?:.*  # )?(?:\([^)]*\),? ?)?(?:float64|int64|bool)? ?\[[^\]]+\]\.?$"
+)
 
 
 def is_participle(word: str) -> bool:
@@ -112,8 +114,12 @@ def has_only_units(text: str) -> list[str]:
 
 
 def test_a_noun_stands_beside_every_unit():
-    found = {place: lines for place, text in docstrings() if (lines := has_only_units(text))}
+    sources = ((path, path.read_text("utf-8")) for path in sorted(FOLDER.rglob("*.py")))
+    texts = (*docstrings(), *sources)
+    found = {place: lines for place, text in texts if (lines := has_only_units(text))}
     assert found == {}
+    assert has_only_units("    mass: Tensor  # (num_parts,) [kg]") != []
+    assert has_only_units("    mass: Tensor  # mass of each part, (num_parts,) [kg]") == []
     assert has_only_units("    mass: (num_parts,) [kg].") == ["mass: (num_parts,) [kg]."]
     assert has_only_units("    mass: Mass of each part, (num_parts,) [kg].") == []
 

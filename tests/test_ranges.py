@@ -56,19 +56,12 @@ ASKED = {soft.Damping: lambda made: soft.SoftBody(**{**MAKE[soft.SoftBody](), "d
 
 
 class Ranged(NamedTuple):
-    """An argument with a range.
+    """An argument with a range."""
 
-    Attributes:
-        public: A method; None for a function or a class.
-        thing: Function, or class.
-        name: Of the argument.
-        outside: Numbers that are not in its range.
-    """
-
-    public: Public | None
-    thing: Any
-    name: str
-    outside: tuple[float, ...]
+    public: Public | None  # a method; None for a function or a class
+    thing: Any  # function, or class
+    name: str  # of the argument
+    outside: tuple[float, ...]  # numbers that are not in its range
 
     def __str__(self) -> str:
         owner = f"{self.public.owner.__name__}." if self.public else ""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from diffsim.cli import catalog
+from diffsim.cli import examples
 from diffsim.core import paths
 from tests.scripts import load_script
 
@@ -151,7 +151,7 @@ def test_setup_installs_what_the_build_requires():
 def test_scripts_of_the_checkout_are_found_and_shipped():
     assert paths.SCRIPTS == ROOT
     assert set(taken("SCRIPTS")["SCRIPTS"]) == {"examples", "labs/balls", "labs/loop", "rl"}
-    found = catalog.examples()
+    found = examples.examples()
     assert found["train_ppo"].group == "rl" and found["sliding_block"].group == "contact"
 
 

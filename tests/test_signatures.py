@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip("gymnasium", reason="environments need the extra 'rl'")
 
 from diffsim.core.arrays import Array
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.core.errors import DiffsimError
 from diffsim.data.study import Run
 from diffsim.diagnose import Interval
@@ -73,17 +73,11 @@ ANYTHING = {
 
 
 class Public(NamedTuple):
-    """A callable.
+    """A callable."""
 
-    Attributes:
-        name: Room and name, such as "data.Run.part".
-        called: What is called.
-        first: What goes before the named arguments: an object's place in a method.
-    """
-
-    name: str
-    called: Callable[..., Any]
-    first: tuple[Any, ...]
+    name: str  # room and name, such as "data.Run.part"
+    called: Callable[..., Any]  # what is called
+    first: tuple[Any, ...]  # what goes before the named arguments: an object's place in a method
 
     def arguments(self) -> list[str]:
         """Names of arguments that may be given by name."""
@@ -208,3 +202,21 @@ def test_records_of_results_may_say_that_there_is_no_number():
 def test_lists_of_numbers_are_arrays_where_something_is_computed():
     found = minimize(lambda x: (float(x @ x), 2.0 * x), [3, 4])
     np.testing.assert_allclose(found.final.x, 0.0, atol=1e-6)
+
+
+@checked_methods
+class Kept:
+    """Public methods are checked, private ones are not."""
+
+    def times(self, count: int) -> int:
+        return 2 * self._times(count)
+
+    def _times(self, count: int) -> int:
+        return count
+
+
+def test_public_methods_of_a_class_are_checked_and_private_ones_are_not():
+    assert Kept().times(2) == 4
+    with pytest.raises(TypeError, match="count must be a whole number"):
+        Kept().times("2")  # type: ignore[arg-type]
+    assert Kept()._times("2") == "2"  # type: ignore[arg-type]

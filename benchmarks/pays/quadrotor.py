@@ -23,17 +23,11 @@ STIFFNESS, DAMPING = 0.365, 0.058  # of the autopilot [N m/rad, N m s/rad]
 
 @dataclass(frozen=True, eq=False)
 class Quadrotor:
-    """A vehicle with what was hidden in it.
+    """A vehicle with what was hidden in it."""
 
-    Attributes:
-        numbers: RotorPy's, by name.
-        weak: Share of their thrust that the rear rotors have lost.
-        late_s: Time by which commands come later [s].
-    """
-
-    numbers: dict[str, Any]
-    weak: float
-    late_s: float
+    numbers: dict[str, Any]  # RotorPy's, by name
+    weak: float  # share of their thrust that the rear rotors have lost
+    late_s: float  # time by which commands come later [s]
 
     def record(self, time_s: Array, commands: Sequence[Array]) -> Array:
         """Way ahead [m], height [m] and pitch [rad] without noise, (num_samples, 3)."""

@@ -37,18 +37,12 @@ class Rig(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """A MuJoCo model with what was hidden in it.
+    """A MuJoCo model with what was hidden in it."""
 
-    Attributes:
-        xml: The model.
-        read: Names of its sensors, one number each, in the order of the channels.
-        late_s: Time by which commands come later [s].
-        led: Joints that follow commands exactly, by the command's place; others are actuators.
-    """
-
-    xml: str
-    read: tuple[str, ...]
-    late_s: float = 0.0
+    xml: str  # the model
+    read: tuple[str, ...]  # names of its sensors, one number each, in the order of the channels
+    late_s: float = 0.0  # time by which commands come later [s]
+    # joints that follow commands exactly, by the command's place; others are actuators
     led: Mapping[str, int] = ()  # type: ignore[assignment]
 
     def record(self, time_s: Array, commands: Sequence[Array]) -> Array:

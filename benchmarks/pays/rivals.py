@@ -50,16 +50,12 @@ class Residual:
     """Accelerations that a network adds to the plain model, trained through the simulation.
 
     It sees all states, the commands, and what these were in the last samples.
-
-    Attributes:
-        effect: The network as a cause, whose sizes are the weights.
-        weights: (num_weights,).
-        misfit_before, misfit_after: Root mean squares of what is left of the run for selection, in
-            its sensors' noise.
     """
 
-    effect: Effect
-    weights: Tensor
+    effect: Effect  # the network as a cause, whose sizes are the weights
+    weights: Tensor  # (num_weights,)
+    # misfit_before, misfit_after: root mean squares of what is left of the run for selection, in
+    # its sensors' noise
     misfit_before: float
     misfit_after: float
 

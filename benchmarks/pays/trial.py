@@ -36,22 +36,15 @@ POLISH = 6  # Gauss-Newton steps on the rig itself, for the ceiling
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A rig, its recordings, and its task.
+    """A rig, its recordings, and its task."""
 
-    Attributes:
-        name, seed: Of the rig.
-        rig: What stands for the hardware.
-        folder: With study.yaml, task.yaml and the recordings.
-        study: The recordings.
-        task: What is wanted.
-    """
-
+    # name, seed: of the rig
     name: str
     seed: int
-    rig: Rig
-    folder: Path
-    study: Study
-    task: TrackingTask
+    rig: Rig  # what stands for the hardware
+    folder: Path  # with study.yaml, task.yaml and the recordings
+    study: Study  # the recordings
+    task: TrackingTask  # what is wanted
 
     @classmethod
     def made(cls, name: str, seed: int, out: Path) -> Trial:

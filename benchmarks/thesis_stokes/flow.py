@@ -17,8 +17,7 @@ from benchmarks.thesis_stokes.kkt import MIN_SHARE, CellTables, KktFunction
 from diffsim.core.check import require_choice, require_number
 from diffsim.stokes import Boundary, FlowField, Grid, Inlet, Open, Wall
 from diffsim.stokes.boundary import refuse_net_inflow
-from diffsim.stokes.flow import WALL_KINDS
-from diffsim.stokes.problem import flow_inputs
+from diffsim.stokes.flow import WALL_KINDS, flow_inputs
 
 # Walls smaller than this share of a face hold nothing (the flow jumps by little as a wall shrinks
 # past it); the published code's cutoff is another, see ``ThesisFlow``.
@@ -26,18 +25,13 @@ MIN_AREA = 0.06
 
 
 class _Rows(NamedTuple):
-    """Boundary rows C v = d of the cut cells.
+    """Boundary rows C v = d of the cut cells."""
 
-    Attributes:
-        cells: Flat index of each cut cell, (num_cut,) int64.
-        weights: Mean over the wall in the cell, (num_cut, rows, corners, dim) [-]; ``rows`` is dim
-            for no slip, 1 for no separation.
-        values: d, (cases, num_cut, rows) [m/s].
-    """
-
-    cells: Tensor
+    cells: Tensor  # flat index of each cut cell, (num_cut,) int64
+    # mean over the wall in the cell, (num_cut, rows, corners, dim) [-]; ``rows`` is dim for no
+    # slip, 1 for no separation
     weights: Tensor
-    values: Tensor
+    values: Tensor  # d, (cases, num_cut, rows) [m/s]
 
 
 class ThesisFlow(nn.Module):

@@ -20,19 +20,12 @@ from diffsim.identify.effect import Apply
 
 @dataclass(frozen=True, eq=False)
 class ByFormula:
-    """A formula that acts.
+    """A formula that acts."""
 
-    Attributes:
-        formula: Of the signal u, the time t and ``size``; of a force of x, v and w.
-        shapes: Its further numbers, whose values come after the sizes.
-        num_sizes: Number of sizes; 0: the shapes are all that there is.
-        is_kinked: Whether it has a kink at size 0.
-    """
-
-    formula: Formula
-    shapes: tuple[str, ...]
-    num_sizes: int = 1
-    is_kinked: bool = False
+    formula: Formula  # of the signal u, the time t and ``size``; of a force of x, v and w
+    shapes: tuple[str, ...]  # its further numbers, whose values come after the sizes
+    num_sizes: int = 1  # number of sizes; 0: the shapes are all that there is
+    is_kinked: bool = False  # whether it has a kink at size 0
 
     def at_commands(self, names: Sequence[str]) -> Apply:
         """How it acts on commands."""
@@ -144,16 +137,11 @@ def _among(
 
 @dataclass(frozen=True, eq=False)
 class FilledLaw:
-    """A formula of position and speed in which all else has its value.
-
-    Attributes:
-        numbers: Known numbers and facts of the run by name.
-        shapes: Further numbers, () or (K,) each.
-    """
+    """A formula of position and speed in which all else has its value."""
 
     expression: Expression
-    numbers: Mapping[str, float]
-    shapes: Mapping[str, Tensor]
+    numbers: Mapping[str, float]  # known numbers and facts of the run by name
+    shapes: Mapping[str, Tensor]  # further numbers, () or (K,) each
 
     def __call__(self, values: Mapping[str, Tensor]) -> Tensor:
         """Its value; shapes stand along the axis of the sizes."""

@@ -35,17 +35,11 @@ CLOCKS = (
 
 @dataclass(frozen=True)
 class ChannelGroup:
-    """Channels that a cause changes alike.
+    """Channels that a cause changes alike."""
 
-    Attributes:
-        name: What causes are named after; empty: all channels of the study.
-        channels: Names of the channels.
-        causes: Names of the causes that are tried, without what they are of.
-    """
-
-    name: str
-    channels: tuple[str, ...]
-    causes: tuple[str, ...] = WHOLE
+    name: str  # what causes are named after; empty: all channels of the study
+    channels: tuple[str, ...]  # names of the channels
+    causes: tuple[str, ...] = WHOLE  # names of the causes that are tried, without what they are of
 
 
 def channel_groups(channels: Sequence[Channel], *, late_record: bool) -> tuple[ChannelGroup, ...]:

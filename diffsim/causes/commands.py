@@ -76,11 +76,7 @@ def command_cause(
 def cause_of_commands(
     row: Row, group: CommandGroup, *, system: str = ANY, needs: Needs | None = None
 ) -> Effect:
-    """A cause on the way of some commands, by its row.
-
-    Args:
-        system: Kind of system.
-    """
+    """A cause on the way of some commands, by its row."""
     effect = row.effect(
         on_commands(row, group.names, group.scales, group.between, system),
         group.scales,
@@ -101,8 +97,6 @@ def say_in_unit(effect: Effect, row: Row, group: CommandGroup) -> Effect:
     """A cause that says its size in the unit of commands, where it has that of a command.
 
     Args:
-        effect: Cause on the way of commands.
-        row: Row of the cause in its table.
         group: The commands; without a unit the cause stays as it is.
     """
     if group.unit is None:

@@ -72,10 +72,11 @@ def facts_of(study: Study) -> tuple[str, ...]:
     """Facts that are numbers in all runs, by names that formulas may use."""
     runs = study.fit_runs or study.runs
     names = [n for n in runs[0].setup if n.isidentifier() and n not in RESERVED] if runs else []
-    return tuple(n for n in names if all(_is_number(run.setup.get(n)) for run in runs))
+    return tuple(n for n in names if all(is_number(run.setup.get(n)) for run in runs))
 
 
-def _is_number(fact: object) -> bool:
+def is_number(fact: object) -> bool:
+    """Whether a fact of a run is a number, which formulas may use."""
     return isinstance(fact, (int, float)) and not isinstance(fact, bool)
 
 
@@ -95,7 +96,7 @@ def constant_in(run: Run, name: str) -> float:
     if name.startswith(MEAN) and name not in run.setup:
         return float(_samples(run, name.removeprefix(MEAN)).mean())
     fact = run.setup.get(name)
-    if not _is_number(fact):
+    if not is_number(fact):
         raise ValueError(f"run {run.name} has no number {name!r} in its setup, nor in its files")
     assert isinstance(fact, (int, float))
     return float(fact)
@@ -117,30 +118,21 @@ def _is_signal(run: Run, name: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What a formula remembers.
-
-    Attributes:
-        lasts: Name of a shape, or a number [s].
-        from_zero: Whether it begins at zero, else as what it follows.
-    """
+    """What a formula remembers."""
 
     of: Expression
-    lasts: str
-    from_zero: bool
+    lasts: str  # name of a shape, or a number [s]
+    from_zero: bool  # whether it begins at zero, else as what it follows
 
 
 @dataclass(frozen=True, eq=False)
 class Formula:
-    """A formula with what it remembers and its further numbers.
-
-    Attributes:
-        numbers: Known numbers by name: usual magnitudes, shapes without a prior.
-        memories: What it remembers, by name.
-    """
+    """A formula with what it remembers and its further numbers."""
 
     expression: Expression
+    # known numbers by name: usual magnitudes, shapes without a prior
     numbers: Mapping[str, float] = field(default_factory=dict)
-    memories: Mapping[str, Memory] = field(default_factory=dict)
+    memories: Mapping[str, Memory] = field(default_factory=dict)  # what it remembers, by name
 
     @property
     def names(self) -> frozenset[str]:
@@ -232,7 +224,6 @@ def parse_formula(
     Args:
         known: Names that it may use beside the following.
         scales: Usual magnitudes by name.
-        memories: What it remembers.
         shapes: Its further numbers.
 
     Raises:

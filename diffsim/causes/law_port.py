@@ -56,12 +56,9 @@ _USUAL = 0.1  # factor of a number, of which slopes are asked
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PortLaws(LawPort):
-    """Entries and variables of a system by its ports.
+    """Entries and variables of a system by its ports."""
 
-    Attributes:
-        offered: Makes the ports; asked for when laws are looked for, and not before.
-    """
-
+    # makes the ports; asked for when laws are looked for, and not before
     offered: Callable[[], Plant | None]
 
     @cached_property
@@ -266,12 +263,9 @@ def _point_of(problem: Problem, x: Array) -> tuple[Tensor, dict[Effect, Tensor]]
 
 @dataclass(frozen=True)
 class Remembering(Variable):
-    """A variable with a memory.
+    """A variable with a memory."""
 
-    Attributes:
-        memories: What its formula remembers, as rows state it.
-    """
-
+    # what its formula remembers, as rows state it
     memories: Mapping[str, MemoryKeys] = field(default_factory=dict)
 
 
@@ -282,27 +276,18 @@ def _memories_of(variable: Variable) -> dict[str, MemoryKeys]:
 
 @dataclass(frozen=True, eq=False)
 class _WatchedRun:
-    """What a simulation did.
+    """What a simulation did."""
 
-    Attributes:
-        record: Channels, (num_samples, num_channels).
-        commands: Each command on its way, (num_samples,).
-        forces: What each place did.
-    """
-
-    record: Tensor
-    commands: Mapping[str, Tensor]
-    forces: Mapping[str, WatchedForce]
+    record: Tensor  # channels, (num_samples, num_channels)
+    commands: Mapping[str, Tensor]  # each command on its way, (num_samples,)
+    forces: Mapping[str, WatchedForce]  # what each place did
 
 
 @dataclass(frozen=True, eq=False)
 class WatchedForce:
-    """No force; notes position and speed wherever it is asked.
+    """No force; notes position and speed wherever it is asked."""
 
-    Attributes:
-        seen: Values by name.
-    """
-
+    # values by name
     seen: dict[str, list[float]] = field(default_factory=lambda: {"x": [], "v": []})
 
     def __call__(self, values: Mapping[str, Tensor]) -> Tensor:

@@ -64,7 +64,6 @@ def is_offered(row: Row, plant: Plant, facts: Mapping[str, bool]) -> bool:
     """Whether a row suits a system.
 
     Args:
-        row: Row of a table.
         facts: What holds of the part that the row acts on, beside the facts of the plant.
     """
     known = {**plant.facts, **facts}

@@ -49,18 +49,13 @@ class Place:
 
 @dataclass(frozen=True)
 class Store:
-    """What fills and empties.
+    """What fills and empties."""
 
-    Attributes:
-        magnitudes: Usual magnitudes by the names that rows of stores use: ``flow`` and ``level``.
-        unit: Unit of the level.
-        ending: What names of its causes end with, such as "_of_upper".
-        area: Unit of what a flow is divided by to give the level's rate; None: a flow is that rate.
-    """
-
+    # usual magnitudes by the names that rows of stores use: ``flow`` and ``level``
     magnitudes: Mapping[str, float]
-    unit: str = "-"
-    ending: str = ""
+    unit: str = "-"  # unit of the level
+    ending: str = ""  # what names of its causes end with, such as "_of_upper"
+    # unit of what a flow is divided by to give the level's rate; None: a flow is that rate
     area: str | None = None
 
 

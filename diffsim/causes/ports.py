@@ -24,23 +24,17 @@ from diffsim.identify.effect import Apply
 PLAY = "with_play"  # the map that depends on where a run starts
 OF_SIGNALS = ("u", "size", "t")  # names of a formula that maps signals
 OF_FORCES = ("size", "x", "v", "w")  # size, position, speed, speed below which friction fades
+FADE_SHARE = 0.01  # of the usual speed: below it dry friction fades
 
 
 @dataclass(frozen=True, eq=False)
 class SignalChange:
-    """A map of signals at a size: f(signals (..., width, num_times), grid).
+    """A map of signals at a size: f(signals (..., width, num_times), grid)."""
 
-    Attributes:
-        map: Function (signals, grid, size).
-        size: (..., 1), or (..., width) where each signal has its own.
-        is_kinked: Whether the map has a kink at size 0.
-        is_joint: Whether a signal depends on the others.
-    """
-
-    map: SizedMap
-    size: Tensor
-    is_kinked: bool = False
-    is_joint: bool = False
+    map: SizedMap  # function (signals, grid, size)
+    size: Tensor  # (..., 1), or (..., width) where each signal has its own
+    is_kinked: bool = False  # whether the map has a kink at size 0
+    is_joint: bool = False  # whether a signal depends on the others
 
     def __call__(self, u: Tensor, grid: Grid) -> Tensor:
         changed = self.map(u, grid, self.size)
@@ -56,21 +50,13 @@ class SignalChange:
 
 @dataclass(frozen=True, eq=False)
 class SignalMapper:
-    """What a row does to signals, before a scene and a size are known.
+    """What a row does to signals, before a scene and a size are known."""
 
-    Attributes:
-        map: Function (signals, grid, size).
-        is_kinked: Whether the map has a kink at size 0.
-        has_start: Whether it depends on where the run starts in a play.
-        is_joint: Whether a signal depends on the others.
-        num_shapes: How many further numbers the map has, which stand behind the sizes.
-    """
-
-    map: SizedMap
-    is_kinked: bool
-    has_start: bool
-    is_joint: bool = False
-    num_shapes: int = 0
+    map: SizedMap  # function (signals, grid, size)
+    is_kinked: bool  # whether the map has a kink at size 0
+    has_start: bool  # whether it depends on where the run starts in a play
+    is_joint: bool = False  # whether a signal depends on the others
+    num_shapes: int = 0  # how many further numbers the map has, which stand behind the sizes
 
     @classmethod
     def of(
@@ -159,7 +145,6 @@ def on_commands(
         row: Cause with ``at: command``.
         scales: Numbers that its formula may use.
         between: What the commands do between samples.
-        system: Kind of system.
     """
     mapper = SignalMapper.of(row, scales or {}, between, system)
     return partial(_change_commands, names=tuple(names), mapper=mapper)
@@ -195,7 +180,6 @@ def on_clock(channels: Sequence[int], *, in_turn: bool = False) -> Apply:
     """How lateness acts on channels of one instrument.
 
     Args:
-        channels: Indices of the channels.
         in_turn: Whether each is late by one size more than the one before, the first by none.
     """
     if in_turn:
@@ -291,15 +275,10 @@ SESSIONS = "sessions"  # place in a study's frame: labels of the runs that were 
 
 @dataclass(frozen=True)
 class Sessions:
-    """Groups of runs between which somebody may have changed something.
+    """Groups of runs between which somebody may have changed something."""
 
-    Attributes:
-        fact: Fact of the runs' ``setup`` that says in which session they were recorded.
-        labels: Its values; the first session is as described.
-    """
-
-    fact: str
-    labels: tuple[str, ...]
+    fact: str  # fact of the runs' ``setup`` that says in which session they were recorded
+    labels: tuple[str, ...]  # its values; the first session is as described
 
     @classmethod
     def of(cls, fact: str | None, study: Study) -> Sessions | None:

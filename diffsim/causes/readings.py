@@ -52,12 +52,7 @@ class Instrument:
 
 
 def cause_of_readings(row: Row, of: Instrument, *, system: str = ANY) -> Effect:
-    """A cause in an instrument, by its row.
-
-    Args:
-        of: Instrument that the cause changes.
-        system: Kind of system.
-    """
+    """A cause in an instrument, by its row."""
     is_in_unit = row.unit == "channel"
     is_in_turn = row.name in _IN_TURN
     several = row.name in _OF_EACH and len(of.channels) > 1
@@ -96,7 +91,6 @@ def with_ending(
     """An instrument with what one of its causes is called, where there are others.
 
     Args:
-        of: Instrument of the group.
         cause: Name of the row.
     """
     is_whole = not group.name or len(of.channels) == len(channels)
@@ -106,11 +100,7 @@ def with_ending(
 
 
 def with_play_start(values: Mapping[str, Tensor], run: Run) -> Mapping[str, Tensor]:
-    """Values of base parameters; a run that the model was not made for starts in the middle.
-
-    Args:
-        values: Values by name.
-    """
+    """Values of base parameters; a run that the model was not made for starts in the middle."""
     name = f"{PLAY_START}@{run.name}"
     if name in values:
         return values

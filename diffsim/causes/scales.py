@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.data.study import Run, Study
 
 SCALES = "scales"  # place in a study's frame
@@ -23,18 +23,15 @@ _NO_RANGE = 1e-12  # of a command that is the same throughout
 
 @dataclass(frozen=True)
 class CommandScale:
-    """What a command does in the runs to fit.
+    """What a command does in the runs to fit."""
 
-    Attributes:
-        low, high: Least and greatest value.
-        rate: What its rate of change mostly stays below [1/s].
-    """
-
+    # low, high: least and greatest value
     low: float
     high: float
-    rate: float
+    rate: float  # what its rate of change mostly stays below [1/s]
 
 
+@checked_methods
 @checked(kinds_only=True)
 @dataclass(frozen=True, eq=False)
 class Scales:
@@ -132,7 +129,6 @@ class Scales:
             "facts": dict(self.facts),
         }
 
-    @checked(kinds_only=True)
     def require_plain(self, what: str, names: Sequence[str]) -> None:
         """Require the magnitudes of everything that opens causes among those of a saved model.
 
@@ -150,7 +146,6 @@ class Scales:
                 "out, or fit the model again"
             )
 
-    @checked(kinds_only=True)
     def of_commands(self, names: Sequence[str]) -> dict[str, float]:
         """Magnitudes of commands that go the same way, as tables of causes call them.
 
@@ -169,7 +164,6 @@ class Scales:
             "rate": max([_NO_RANGE, *(c.rate for c in own)]),
         }
 
-    @checked(kinds_only=True)
     def is_one_sided(self, names: Sequence[str]) -> bool:
         """Whether commands are never below zero.
 
@@ -178,7 +172,6 @@ class Scales:
         """
         return all(self.commands[name].low >= 0.0 for name in names if name in self.commands)
 
-    @checked(kinds_only=True)
     def of_channels(self, names: Sequence[str]) -> dict[str, float]:
         """Magnitudes of channels of one instrument, as tables of causes call them.
 

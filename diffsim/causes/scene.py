@@ -31,7 +31,7 @@ from diffsim.causes.signals import (
     smoothly_delayed,
 )
 from diffsim.core.check import require_choice
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked_methods
 from diffsim.core.numbers import values_of
 from diffsim.core.torch_names import on_constants
 from diffsim.data.study import Command, Run
@@ -56,27 +56,19 @@ class LawFormula(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ForceLaw:
-    """A force of position, speed and usual speed, at a size.
-
-    Attributes:
-        size: () or (K,).
-        shapes: Further numbers, likewise.
-    """
+    """A force of position, speed and usual speed, at a size."""
 
     formula: LawFormula
-    size: Tensor
-    shapes: tuple[Tensor, ...] = ()
+    size: Tensor  # () or (K,)
+    shapes: tuple[Tensor, ...] = ()  # further numbers, likewise
 
 
 @dataclass(frozen=True, eq=False)
 class Instruments:
-    """What instruments make of channels.
+    """What instruments make of channels."""
 
-    Attributes:
-        acts: Channels by their indices, and what causes do to them, in the order in which they
-            act: a map of readings, or how late a clock is, () or (K,) [s].
-    """
-
+    # channels by their indices, and what causes do to them, in the order in which they act: a map
+    # of readings, or how late a clock is, () or (K,) [s]
     acts: tuple[tuple[tuple[int, ...], SignalMap | Tensor], ...] = ()
 
     @property
@@ -147,18 +139,13 @@ class Instruments:
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """Commands of a run, and what happens to them before the actuators hear them.
+    """Commands of a run, and what happens to them before the actuators hear them."""
 
-    Attributes:
-        values: As recorded, (..., width, num_times), in the unit of each command.
-        rows: Rows of ``values`` that a name stands for.
-        changes: Rows and the maps that change them, in the order in which they act.
-        before: Values before the run, (width,), NaN where a row had its first one; None: all had.
-    """
-
-    values: Tensor
-    rows: Mapping[str, tuple[int, ...]]
+    values: Tensor  # as recorded, (..., width, num_times), in the unit of each command
+    rows: Mapping[str, tuple[int, ...]]  # rows of ``values`` that a name stands for
+    # rows and the maps that change them, in the order in which they act
     changes: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
+    # values before the run, (width,), NaN where a row had its first one; None: all had
     before: Tensor | None = None
 
     @classmethod
@@ -243,6 +230,7 @@ _ZERO = torch.zeros((), dtype=torch.float64)
 _NONE = Commands(torch.zeros(0, 0, dtype=torch.float64), {})
 
 
+@checked_methods
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """One run, ready to be simulated; causes return changed copies.
@@ -272,7 +260,6 @@ class Scene:
         """Where in a play the run starts, -1 to 1; None: not known, so in the middle."""
         return self.numbers.get(PLAY_START)
 
-    @checked(kinds_only=True)
     def number(self, name: str) -> Tensor:
         """A number as it is in this run, () or (K,).
 
@@ -289,7 +276,6 @@ class Scene:
         """A copy with some entries replaced."""
         return replace(self, **changes)
 
-    @checked(kinds_only=True)
     def with_command(self, names: tuple[str, ...], change: SignalMap) -> Self:
         """A copy in which some commands are f(commands (..., width, num_times), grid).
 
@@ -299,7 +285,6 @@ class Scene:
         """
         return replace(self, commands=self.commands.changed(names, change))
 
-    @checked(kinds_only=True)
     def with_reading(self, channels: tuple[int, ...], change: SignalMap) -> Self:
         """A copy in which some channels are f(channels (..., width, num_times), grid).
 
@@ -309,7 +294,6 @@ class Scene:
         """
         return replace(self, instruments=self.instruments.with_reading(channels, change))
 
-    @checked(kinds_only=True)
     def with_clock(self, channels: tuple[int, ...], delay: Tensor) -> Self:
         """A copy in which some channels show what was ``delay`` ago.
 
@@ -319,7 +303,6 @@ class Scene:
         """
         return replace(self, instruments=self.instruments.with_clock(channels, delay))
 
-    @checked(kinds_only=True)
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> Self:
         """A copy in which a number is f(number).
 
@@ -332,7 +315,6 @@ class Scene:
         """
         return replace(self, numbers={**self.numbers, name: change(self.number(name))})
 
-    @checked(kinds_only=True)
     def with_force(self, place: str, law: ForceLaw) -> Self:
         """A copy with one more force.
 

@@ -129,7 +129,6 @@ def change_rows(signals: Tensor, which: Sequence[int], change: SignalMap, grid: 
         signals: (..., num_signals, num_times).
         which: Indices of those that change; empty: all.
         change: Function of them (..., width, num_times) and of the grid.
-        grid: Times of the signals.
     """
     places = torch.tensor(list(which) or list(range(signals.shape[-2])))
     changed = change(signals[..., places, :], grid)

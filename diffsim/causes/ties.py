@@ -23,15 +23,10 @@ MAX_PAIRED = 4  # members of a unit, up to which every pair may be exchanged
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """A cause of one row as it acts on one member, such as a command.
+    """A cause of one row as it acts on one member, such as a command."""
 
-    Attributes:
-        row: Name of the row.
-        of: What it acts on; members of a tie share nothing of it.
-    """
-
-    row: str
-    of: frozenset[str]
+    row: str  # name of the row
+    of: frozenset[str]  # what it acts on; members of a tie share nothing of it
     unit: str | None
     effect: Effect
 

@@ -78,7 +78,6 @@ def add_executor(parser: argparse.ArgumentParser, runs: str) -> None:
     """The option ``--executor``, the same for all commands that consist of many runs.
 
     Args:
-        parser: Parser of the command.
         runs: What is computed side by side, such as "random designs".
     """
     parser.add_argument(

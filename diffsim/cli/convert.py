@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from diffsim.core.files import write_text_atomic
+from diffsim.core.files import csv_text, write_text_atomic
 
 if TYPE_CHECKING:
-    from diffsim.data.formats import Columns
     from diffsim.data.table import Table
 
 HELP = "show what a recorded file holds, or write a table of it in another format"
@@ -67,7 +64,8 @@ def command(args: argparse.Namespace) -> None:
     table = Table(Path(args.source), "table")
     columns = table.columns()
     if args.out.suffix.lower() == ".csv":
-        out = write_text_atomic(args.out, _as_csv(columns))
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        out = write_text_atomic(args.out, csv_text(columns, rows))
     else:
         out = write_columns(args.out, columns)
     print(f"wrote {out}: {len(table)} rows, {len(columns)} columns")
@@ -88,19 +86,3 @@ def _show(source: Path, table: Table) -> None:
             there = values[np.isfinite(values)]
             seen = f"{there.min():g} to {there.max():g}" if len(there) else "empty"
             print(f"  {name}: {seen}")
-
-
-def _as_csv(columns: Columns) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    cells = [_cells(values) for values in columns.values()]
-    writer.writerows(zip(*cells, strict=True))
-    return text.getvalue()
-
-
-def _cells(values: np.ndarray) -> list[str]:
-    """Shortest texts that read back as the same numbers; missing ones are empty."""
-    if values.dtype.kind == "f":
-        return ["" if np.isnan(v) else repr(v) for v in values.tolist()]
-    return [str(v) for v in values.tolist()]

@@ -94,7 +94,6 @@ def require_ready(
     """Print what is wrong with a study, and refuse one with errors.
 
     Args:
-        study: Study to be used.
         given: What the user called it, for messages.
         plan: Whether uses and commands of its runs matter, as they do for a fit.
         accept_record: Whether faults of the record itself are no errors.
@@ -289,7 +288,6 @@ def done_by_setup(given: Study, used: Study) -> Iterator[str]:
     """Lines on what was done to a record, and what of it is not used, the first of them in full.
 
     Args:
-        given: Study before.
         used: The same as a setup uses it.
     """
     mended = used.mended[len(given.mended) :]

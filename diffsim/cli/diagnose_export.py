@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from diffsim.causes.formulas import is_number
 from diffsim.causes.scales import SCALES
 from diffsim.core.check import as_spelled, did_you_mean
 from diffsim.core.expression import Expression, parse_expression
@@ -31,19 +32,12 @@ ALL = "all"  # component of a cause that has a size for all runs, and what group
 
 @dataclass(frozen=True)
 class ProgramConstants:
-    """Constants for one program, of one device where the study has several.
+    """Constants for one program, of one device where the study has several."""
 
-    Attributes:
-        program: Name of the program in the study's `export`.
-        group: Facts of the device, by name; empty: one for all runs.
-        constants: Values with 90 % intervals, by name.
-        texts: What the program reads beside them, such as the name of its model.
-    """
-
-    program: str
-    group: Mapping[str, str]
-    constants: Mapping[str, Range]
-    texts: Mapping[str, str]
+    program: str  # name of the program in the study's `export`
+    group: Mapping[str, str]  # facts of the device, by name; empty: one for all runs
+    constants: Mapping[str, Range]  # values with 90 % intervals, by name
+    texts: Mapping[str, str]  # what the program reads beside them, such as the name of its model
 
     @property
     def title(self) -> str:
@@ -72,7 +66,6 @@ def constants_of(study: Study, saved: SavedModel) -> list[ProgramConstants]:
 
     Args:
         study: The study with its `export`.
-        saved: Its answer.
 
     Raises:
         ValueError: no `export`, or a formula with a name that there is not.
@@ -102,20 +95,15 @@ def flown_constants(study: Study, saved: SavedModel, program: str, run: Run) -> 
 
     Args:
         study: The study with its `export`.
-        saved: Its answer.
     """
     known = _ModelNumbers.of(study, saved)
-    facts = {n: float(v) for n, v in run.setup.items() if _is_number(v)}
+    facts = {n: float(v) for n, v in run.setup.items() if is_number(v)}
     group = {str(n): str(v) for n, v in run.setup.items()}
     out = {}
     for name, text in study.export.get(program, {}).items():
         if not is_text(text):
             out[name] = known.value_of(known.read(text), group, facts, run.name)
     return out
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 #: BAM's models of friction by what they add to Coulomb and viscous friction
@@ -183,21 +171,14 @@ def _is_of_runs(name: str, saved: Sequence[str]) -> bool:
 
 @dataclass(frozen=True)
 class _ModelNumbers:
-    """What formulas may ask for.
+    """What formulas may ask for."""
 
-    Attributes:
-        saved: The answer.
-        stated: Values that are known, and stated ones of those that are not fitted.
-        absent: Causes that the study may have and the answer may lack.
-        of_run: Facts that are numbers in each run, and no numbers of the model.
-        made: What names stand for that are formulas of others.
-    """
-
-    saved: SavedModel
+    saved: SavedModel  # the answer
+    # values that are known, and stated ones of those that are not fitted
     stated: Mapping[str, float]
-    absent: frozenset[str]
-    of_run: frozenset[str]
-    made: Mapping[str, Expression]
+    absent: frozenset[str]  # causes that the study may have and the answer may lack
+    of_run: frozenset[str]  # facts that are numbers in each run, and no numbers of the model
+    made: Mapping[str, Expression]  # what names stand for that are formulas of others
 
     @classmethod
     def of(cls, study: Study, saved: SavedModel) -> _ModelNumbers:
@@ -210,7 +191,7 @@ class _ModelNumbers:
         values = {name: float(quantity.value) for name, quantity in stated.items()}
         made = _list_stribeck_speeds(setup.model.frame, saved.values)
         facts = set.intersection(
-            *({str(n) for n, v in run.setup.items() if _is_number(v)} for run in study.runs)
+            *({str(n) for n, v in run.setup.items() if is_number(v)} for run in study.runs)
         )
         known = sizes | values
         absent = frozenset(sizes) - frozenset(values)

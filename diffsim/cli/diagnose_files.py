@@ -11,7 +11,7 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.figures import figure
-from diffsim.core.files import write_text_atomic
+from diffsim.core.files import csv_text, write_text_atomic
 from diffsim.data.shown import shown
 from diffsim.data.study import Run, Study
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY
@@ -28,7 +28,6 @@ def lacking(out: Path, before: Mapping[str, Any] | None) -> list[str]:
     """Files that an explanation should have and has not: a run is finished when all are there.
 
     Args:
-        out: Folder of the explanation.
         before: Content of its ``inputs.json``, which is written last; None: there is none.
 
     Returns:
@@ -49,7 +48,6 @@ def against_before(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
 
     Args:
         before: Content of its ``report.json``.
-        after: That of the new answer.
     """
     if "causes" not in before:
         return ""
@@ -102,7 +100,6 @@ def write_judged(out: Path, study: Study, found: Unseen) -> list[Path]:
 
     Args:
         out: Folder of the results.
-        study: Study that holds the runs.
         found: Answer about them.
 
     Returns:
@@ -125,11 +122,8 @@ def _table(run: Run, study: Study, before: Array, after: Array) -> str:
         of_unit = "" if unit == "-" else f" ({unit})"
         header += [f"{channel.name} {what}{of_unit}" for what in MODELS]
         columns += [shown(channel, values[:, c]) for values in (run.measured, before, after)]
-    rows = [
-        ",".join(f"{v:.9g}" if np.isfinite(v) else "" for v in row)
-        for row in zip(*columns, strict=True)
-    ]
-    return "\n".join([",".join(header), *rows]) + "\n"
+    rows = ((v if np.isfinite(v) else "" for v in row) for row in zip(*columns, strict=True))
+    return csv_text(header, rows, ".9g")
 
 
 def file_name(name: str) -> str:

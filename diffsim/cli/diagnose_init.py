@@ -135,9 +135,7 @@ def study_text(
 
     Args:
         guess: What the folder seems to hold.
-        folder: Folder of the recordings.
         out: File that the text is for; paths are relative to its folder.
-        system: Kind of system.
         model: Keys of ``model`` that were guessed; None: none, they are listed.
     """
     lines = [

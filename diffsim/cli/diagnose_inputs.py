@@ -137,7 +137,6 @@ def inputs_of(
 
     Args:
         study: Study as it was read.
-        seed: Seed of the bootstrap.
         setup_file: Python file with the user's own ``setup(study)``; None: that of the study.
         only: Names of the effects to keep; empty: all.
         without: Names of the effects to leave out.
@@ -242,8 +241,6 @@ def _with_bank(setup: DiagnosisSetup, study: Study, recorded: Collection[str]) -
     """The setup with runs that could be recorded; each gets parameters of its own if runs do.
 
     Args:
-        setup: Setup of the study.
-        study: Study as the setup cuts it.
         recorded: Names of its runs; others are what the setup adds, such as clicked points.
     """
     runs = tuple(run for run in study.runs if run.name in recorded)

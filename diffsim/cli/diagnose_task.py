@@ -13,7 +13,7 @@ import torch
 from diffsim.cli.arguments import DIAGNOSES
 from diffsim.cli.diagnose_files import is_drawn
 from diffsim.cli.diagnose_inputs import read_study
-from diffsim.core.files import write_json_atomic, write_text_atomic
+from diffsim.core.files import csv_text, write_json_atomic, write_text_atomic
 
 if TYPE_CHECKING:
     from diffsim.sim_to_real.tracking import TrackingTask
@@ -37,9 +37,9 @@ def command(args: argparse.Namespace) -> None:
         seen = twin.simulate(commands)
     names = ["time_s", *commands, *(f"{c} predicted" for c in twin.channels)]
     columns = [task.given.time_s, *commands.values(), *seen.unbind(-1)]
-    rows = (",".join(f"{float(v):.9g}" for v in row) for row in zip(*columns, strict=True))
+    rows = (map(float, row) for row in zip(*columns, strict=True))
     print(f"expected miss: {best.score:.3g} (root mean square, in units of `miss`)")
-    print(f"wrote {write_text_atomic(out / COMMAND_FILE, _lines([','.join(names), *rows]))}")
+    print(f"wrote {write_text_atomic(out / COMMAND_FILE, csv_text(names, rows, '.9g'))}")
 
 
 def worth(args: argparse.Namespace) -> None:
@@ -83,7 +83,3 @@ def _read_inputs(args: argparse.Namespace) -> tuple[Twin, TrackingTask, Path]:
             "says which run settles it"
         )
     return twin, given.for_study(study), out
-
-
-def _lines(rows: list[str]) -> str:
-    return "\n".join(rows) + "\n"

@@ -54,18 +54,14 @@ POSITION, POWER = "goal", "powered"  # commands of a drive
 
 @dataclass(frozen=True)
 class CarriedCause:
-    """A named cause, and whether a target has it.
-
-    Attributes:
-        by: Constants of the target that read it; empty: it is not carried.
-        cost: Mean difference of the model with and without it, by channel, in shown units.
-        would: Constant that a drive on a joint has for it, where no formula of the study reads it;
-            empty: there is none, or it is carried.
-    """
+    """A named cause, and whether a target has it."""
 
     cause: str
-    by: tuple[str, ...]
+    by: tuple[str, ...]  # constants of the target that read it; empty: it is not carried
+    # mean difference of the model with and without it, by channel, in shown units
     cost: Mapping[str, float]
+    # constant that a drive on a joint has for it, where no formula of the study reads it; empty:
+    # there is none, or it is carried
     would: str = ""
 
 
@@ -201,7 +197,6 @@ def fly_all(answer: Answer, formulas: Mapping[str, str]) -> list[Flight] | str:
     """Errors of the exported drive and of the model, run by run; or why it cannot be flown.
 
     Args:
-        answer: The saved model.
         formulas: Constants of the drive that the target has.
     """
     lacks = [n for n in FLOWN if n not in formulas]

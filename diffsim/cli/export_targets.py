@@ -82,9 +82,6 @@ def export_to(target: str, study: Study, saved: SavedModel, out: Path) -> None:
 
     Args:
         target: One of "mujoco", "bam", "urdf", "yaml".
-        study: The study with all of its formulas.
-        saved: Its answer.
-        out: Folder to write to.
 
     Raises:
         ValueError: the target needs what the study does not state.
@@ -189,7 +186,6 @@ def restate_mjcf(
 
     Args:
         answer: The saved model.
-        out: Folder to write to.
         target: "mujoco" or "urdf".
 
     Returns:

@@ -11,7 +11,6 @@ def require_target(folder: Path, out: Path | None, *, force: bool) -> Path:
     """The file to be written.
 
     Args:
-        folder: Folder of the recordings.
         out: File as given; None: ``study.yaml`` in the folder.
         force: Whether a file that is there is replaced.
 

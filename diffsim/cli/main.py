@@ -35,12 +35,29 @@ from diffsim.core.interrupts import (
     terminate_as_interrupt,
 )
 from diffsim.core.progress import hide_progress
-from diffsim.core.streams import open_standard_streams
 from diffsim.core.version import __version__
 
 MOST_LETTERS = 2_000  # of a line of an error: one may quote what stands in a file
 OF_ARRAYS = ".*(encountered in|empty slice|All-NaN|Degrees of freedom)"  # NumPy's: no user can act
 EXIT_MISTAKE = 2  # what argparse uses too
+
+
+def open_standard_streams() -> None:
+    """Let the null device stand for standard streams that are closed.
+
+    Else Python has None in their place, and the first file that is opened takes their number: what
+    a library prints would go into it.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+        if getattr(sys, name) is None:
+            mode = "w" if number else "r"
+            # open as long as the process lasts
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
+
 
 COMMANDS = {
     "demo": demo,

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diffsim.core.files import write_text_atomic
+from diffsim.core.files import csv_text, write_text_atomic
 from diffsim.core.optional import ask_for
 
 if TYPE_CHECKING:
@@ -83,13 +81,10 @@ def _play(kept: Trained, folder: Path, *, film: bool, changed: bool) -> None:
 
 def _record(path: Path, task: Task, commands: Tensor, rewards: Tensor) -> Path:
     """Time, commands and reward of the first episode."""
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(["time_s", *(entry.name for entry in task.actions), "reward"])
-    for k, command in enumerate(commands.tolist()):
-        numbers = [k * task.dt, *command, float(rewards[k])]
-        writer.writerow([f"{number:.6g}" for number in numbers])
-    return write_text_atomic(path, text.getvalue())
+    header = ["time_s", *(entry.name for entry in task.actions), "reward"]
+    both = zip(commands.tolist(), rewards.tolist(), strict=True)
+    rows = ([k * task.dt, *command, reward] for k, (command, reward) in enumerate(both))
+    return write_text_atomic(path, csv_text(header, rows, ".6g"))
 
 
 def _film(path: Path, task: Task, states: list[TaskState]) -> Path:

@@ -26,25 +26,15 @@ _MIRROR = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """What an airframe is built of.
+    """What an airframe is built of."""
 
-    Attributes:
-        radius: Of the propellers [m].
-        max_thrust: Of a rotor [N].
-        torque_ratio: Reaction torque per thrust [m].
-        rotor_mass: Motor, propeller and their share of the speed controllers [kg].
-        core_mass: Electronics and battery, a cuboid about the origin [kg].
-        cage: Edges of that cuboid, (x, y, z) [m].
-        arm_density: Of the tubes from the origin to the rotors [kg/m].
-    """
-
-    radius: float = 0.0635
-    max_thrust: float = 4.13
-    torque_ratio: float = 0.0073
-    rotor_mass: float = 0.038
-    core_mass: float = 0.5
-    cage: tuple[float, float, float] = (0.1, 0.06, 0.05)
-    arm_density: float = 0.05
+    radius: float = 0.0635  # of the propellers [m]
+    max_thrust: float = 4.13  # of a rotor [N]
+    torque_ratio: float = 0.0073  # reaction torque per thrust [m]
+    rotor_mass: float = 0.038  # motor, propeller and their share of the speed controllers [kg]
+    core_mass: float = 0.5  # electronics and battery, a cuboid about the origin [kg]
+    cage: tuple[float, float, float] = (0.1, 0.06, 0.05)  # edges of that cuboid, (x, y, z) [m]
+    arm_density: float = 0.05  # of the tubes from the origin to the rotors [kg/m]
 
     def __post_init__(self) -> None:
         for name in ("radius", "max_thrust", "torque_ratio", "rotor_mass", "core_mass"):
@@ -67,18 +57,15 @@ class Parts:
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """What the numbers 0 and 1 of a design mean.
+    """What the numbers 0 and 1 of a design mean."""
 
-    Attributes:
-        reach: Distance of rotors from the origin, in propeller radii.
-        sector: Share of a pair's sector of the azimuth that it may use; 1: up to its neighbor's.
-        elevation: Largest angle of a place above or below the cage's middle [rad].
-        tilt: Largest of each Euler angle of a rotor's axis, roll then pitch [rad].
-    """
-
+    # distance of rotors from the origin, in propeller radii
     reach: tuple[float, float] = (1.5, 5.0)
+    # share of a pair's sector of the azimuth that it may use; 1: up to its neighbor's
     sector: float = 1.0
+    # largest angle of a place above or below the cage's middle [rad]
     elevation: float = math.radians(40.0)
+    # largest of each Euler angle of a rotor's axis, roll then pitch [rad]
     tilt: float = math.radians(45.0)
 
 

@@ -29,7 +29,6 @@ def require(
 
     Args:
         name: The argument's name, for the message.
-        value: Tensor to be checked.
         shape: Expected shape; strings stand for any size, a leading ``"..."`` for any batch axes.
         dtype: Dtype that the tensor must have.
         finite: Refuse NaN and infinity (not while ``torch.compile`` traces, without values).
@@ -329,7 +328,6 @@ def require_numbers(
 
     Args:
         name: The argument's name, for the message.
-        values: Numbers.
         count: How many there must be, or which counts will do.
         **limits: As of ``require_number``.
 

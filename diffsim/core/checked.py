@@ -24,6 +24,7 @@ from diffsim.core.numbers import values_of
 from diffsim.core.values import as_array
 
 _F = TypeVar("_F", bound=Callable[..., Any])
+_K = TypeVar("_K", bound=type)
 _Check = Callable[[Any], None]
 Shape = Sequence[int | str]
 
@@ -112,6 +113,15 @@ def checked(function: _F | None = None, /, *, kinds_only: bool = False, **shapes
             ) from error
 
     return call
+
+
+def checked_methods(made: _K) -> _K:
+    """Decorator of a class: its own public methods are ``checked(kinds_only=True)``."""
+    for name, own in list(vars(made).items()):
+        is_public = inspect.isfunction(own) and not name.startswith("_")
+        if is_public and not getattr(own, "__isabstractmethod__", False):
+            setattr(made, name, checked(own, kinds_only=True))
+    return made
 
 
 def _checks_of(

@@ -132,17 +132,11 @@ _ZERO, _ONE = NumberNode(0.0), NumberNode(1.0)
 
 @dataclass(frozen=True)
 class Expression:
-    """A parsed formula; call it with values by name.
+    """A parsed formula; call it with values by name."""
 
-    Attributes:
-        text: The formula as it was written.
-        names: Quantities that it needs, in order of appearance.
-        root: Root of the syntax tree.
-    """
-
-    text: str
-    names: tuple[str, ...]
-    root: Node
+    text: str  # the formula as it was written
+    names: tuple[str, ...]  # quantities that it needs, in order of appearance
+    root: Node  # root of the syntax tree
 
     def __call__(self, values: Values) -> Tensor:
         """Value of the formula, float64, of the shape that its quantities broadcast to.
@@ -314,9 +308,6 @@ def syntax_tree(text: str) -> ast.expr:
 
     Python 3.11 and 3.12 count the depth of a tree in one place for all threads: two that parse at
     once end in ``SystemError: AST constructor recursion depth mismatch`` (CPython issue 106905).
-
-    Args:
-        text: The expression.
 
     Returns:
         Its outermost node.

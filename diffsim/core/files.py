@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import math
 import os
@@ -94,6 +96,27 @@ def write_text_atomic(path: str | Path, text: str) -> Path:
     return write_bytes_atomic(path, text.encode("utf-8"))
 
 
+def csv_text(header: Iterable[str], rows: Iterable[Iterable[Any]], form: str = "") -> str:
+    """A table as CSV: NaN is an empty cell, what holds a comma stands in quotes.
+
+    Args:
+        header: Names of the columns.
+        rows: Cells of each row.
+        form: How floats are written, such as ".9g"; empty: so that they are read as they were.
+    """
+
+    def cell(value: Any) -> str:
+        if not isinstance(value, float):
+            return str(value)
+        return "" if math.isnan(value) else format(value, form) if form else repr(float(value))
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(map(cell, row) for row in rows)
+    return text.getvalue()
+
+
 def write_json_atomic(path: str | Path, value: Any) -> Path:
     """Write strict JSON; numpy scalars, arrays and paths are converted, NaN becomes null."""
     text = json.dumps(to_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
@@ -113,7 +136,6 @@ def most_unpacked(path: Path, least: int) -> int:
     """Bytes that the content of a packed file may take: a constant of any length takes it none.
 
     Args:
-        path: The file.
         least: Of a file however small; of a larger one it is fifty times its own bytes, as what is
             recorded or meshed is not compressed as far.
     """
@@ -140,9 +162,6 @@ def code_digest(*folders: Path) -> str:
 
     What is kept on disk is of the code that made it: a version says less, as a clone's code
     changes within one.
-
-    Args:
-        folders: Code outside the package.
     """
     package = Path(__file__).parents[1]
     found = (path for folder in (package, *folders) for path in folder.rglob("*"))

@@ -95,10 +95,6 @@ def to_numpy(name: str, value: Tensor) -> np.ndarray:
     There PyTorch refuses to show the memory even of a constant. A caller who would drop a
     derivative refuses it first, by ``require_constant``.
 
-    Args:
-        name: What it is, for the message.
-        value: Tensor on the CPU.
-
     Returns:
         An array that shares the tensor's memory.
 

@@ -20,23 +20,16 @@ from diffsim.core.layer import NO_SECOND_ORDER, custom_op, make_layer
 
 
 class Array(NamedTuple):
-    """What holds for one tensor of an op.
+    """What holds for one tensor of an op."""
 
-    Attributes:
-        shape: Sizes; a name stands for that of the call, "name?" for it or 1, "..." for any axes.
-        dtype: Type of its numbers.
-        smooth: Whether derivatives by it, or of it, are known.
-        optional: Whether it may be empty instead: absent; a name: where that tensor is.
-        zeroed: Whether its memory is cleared before a kernel writes there.
-        like: Name of the tensor whose shape it has; "": its own shape.
-    """
-
+    # sizes; a name stands for that of the call, "name?" for it or 1, "..." for any axes
     shape: tuple[str | int, ...] = ()
-    dtype: torch.dtype = torch.float64
-    smooth: bool = True
+    dtype: torch.dtype = torch.float64  # type of its numbers
+    smooth: bool = True  # whether derivatives by it, or of it, are known
+    # whether it may be empty instead: absent; a name: where that tensor is
     optional: bool | str = False
-    zeroed: bool = False
-    like: str = ""
+    zeroed: bool = False  # whether its memory is cleared before a kernel writes there
+    like: str = ""  # name of the tensor whose shape it has; "": its own shape
 
 
 def array(*shape: str | int, **properties: Any) -> Array:

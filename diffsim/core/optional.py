@@ -94,7 +94,6 @@ def optional(module: str, *, purpose: str, otherwise: str = "") -> ModuleType:
     """Import an optional module, or say what it is for and how to get it.
 
     Args:
-        module: name as it is imported.
         purpose: what needs it, as the subject of the sentence.
         otherwise: what works without it, for the end of the sentence.
 

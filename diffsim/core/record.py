@@ -165,7 +165,6 @@ def warn(message: str, category: type[Warning] = UserWarning, *, stacklevel: int
 
     Args:
         message: The warning's text.
-        category: Class of the warning.
         stacklevel: As of ``warnings.warn``, seen from the caller.
     """
     for each in _listeners.get():

@@ -31,13 +31,9 @@ from diffsim.core.units import in_unit
 
 @dataclass(frozen=True)
 class KindWords:
-    """What a type of keys is called in messages to people, kept in its annotation.
+    """What a type of keys is called in messages to people, kept in its annotation."""
 
-    Attributes:
-        words: Such as "formula" or "number in kg".
-    """
-
-    words: str
+    words: str  # such as "formula" or "number in kg"
 
 
 MAX_WHOLE_NUMBER = 1_000_000  # of a whole number for which its key states no other bound
@@ -143,7 +139,6 @@ def read_part(part: type[_P], given: Any, where: str) -> _P:
     """A block of plain values, as ``core.yaml_text`` reads them.
 
     Args:
-        part: Its class.
         given: What stands in the file.
         where: What the paths begin with, as in ``problem_lines``.
 
@@ -158,13 +153,9 @@ def read_part(part: type[_P], given: Any, where: str) -> _P:
 
 @dataclass(frozen=True)
 class UnitReader(KindWords):
-    """How a key with a unit is read; made by :func:`number` and ``quantity_in``.
+    """How a key with a unit is read; made by :func:`number` and ``quantity_in``."""
 
-    Attributes:
-        read: What the key holds, of what stands in the file.
-    """
-
-    read: Callable[[Any], Any]
+    read: Callable[[Any], Any]  # what the key holds, of what stands in the file
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler

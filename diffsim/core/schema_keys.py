@@ -17,23 +17,14 @@ _PLAIN = {float: "number", int: "whole number", str: "text", bool: "true or fals
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a block.
+    """A key of a block."""
 
-    Attributes:
-        name: Key as it is written in the file.
-        kind: What may stand there, in words.
-        default: What holds where it is left out; None: it must be given.
-        meaning: What the key says, in a sentence.
-        parts: Blocks that its value is made of.
-        reach: Of a path, where it may lie; None: it names no file.
-    """
-
-    name: str
-    kind: str
-    default: str | None
-    meaning: str
-    parts: tuple[type[Part], ...]
-    reach: str | None = None
+    name: str  # key as it is written in the file
+    kind: str  # what may stand there, in words
+    default: str | None  # what holds where it is left out; None: it must be given
+    meaning: str  # what the key says, in a sentence
+    parts: tuple[type[Part], ...]  # blocks that its value is made of
+    reach: str | None = None  # of a path, where it may lie; None: it names no file
 
 
 def keys_of(part: type[Part]) -> list[Key]:

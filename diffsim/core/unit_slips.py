@@ -8,20 +8,14 @@ from typing import NamedTuple
 
 
 class UnitSlip(NamedTuple):
-    """A factor between two units.
+    """A factor between two units."""
 
-    Attributes:
-        ratio: Number in the finer unit over that in the coarser one, above 1.
-        words: What the factor is, such as "60/(2 pi) (rpm)".
-        coarse, fine: Units that a number may have been read as; "": none is usual.
-        of: SI units of what may be so, or parts of them; none: of all.
-    """
-
-    ratio: float
-    words: str
+    ratio: float  # number in the finer unit over that in the coarser one, above 1
+    words: str  # what the factor is, such as "60/(2 pi) (rpm)"
+    # coarse, fine: units that a number may have been read as; "": none is usual
     coarse: str = ""
     fine: str = ""
-    of: tuple[str, ...] = ()
+    of: tuple[str, ...] = ()  # SI units of what may be so, or parts of them; none: of all
 
     def suits(self, unit: str | None) -> bool:
         """Whether a quantity of a unit may be so; one of which no unit is stated may.

@@ -293,17 +293,11 @@ def factor(unit: str, into: str) -> float:
 
 
 class SI(NamedTuple):
-    """SI unit of a quantity, and the way to it: value_SI = factor value + offset.
+    """SI unit of a quantity, and the way to it: value_SI = factor value + offset."""
 
-    Attributes:
-        unit: Coherent SI unit, radians for angles, pixels for places in pictures.
-        factor: Number of ``unit`` in one of the unit that was asked for.
-        offset: Value in ``unit`` of a zero; not 0 for degrees Celsius only.
-    """
-
-    unit: str
-    factor: float
-    offset: float
+    unit: str  # coherent SI unit, radians for angles, pixels for places in pictures
+    factor: float  # number of ``unit`` in one of the unit that was asked for
+    offset: float  # value in ``unit`` of a zero; not 0 for degrees Celsius only
 
 
 @lru_cache(maxsize=512)
@@ -358,7 +352,6 @@ def in_si(
 
     Args:
         value: 0.003, "3 mm", or "22 degC", which are 295.15 K.
-        unit: Unit of a bare number.
         difference: Whether it is one, such as a standard deviation: 2 degC are 2 K then.
 
     Raises:
@@ -421,10 +414,6 @@ def after_number(unit: str) -> str:
 def small_scale(unit: str, values: Iterable[float]) -> tuple[str, float]:
     """Unit in which values are read: small ones with the prefix m or u, such as mrad or um, small
     masses in g, small flows in ml/s.
-
-    Args:
-        unit: SI unit of the values.
-        values: Values that are read together.
 
     Returns:
         The unit, and what values are multiplied by to be in it.

@@ -84,7 +84,6 @@ def load_yaml(text: str, source: str | Path) -> Any:
     """Plain values of a YAML text: dicts, lists, text, numbers, truth values, dates.
 
     Args:
-        text: YAML, one document.
         source: What error messages call it, such as its path.
 
     Raises:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.core.files import csv_text
 from diffsim.core.units import factor
 from diffsim.data.study import Command, Run, Study
 
@@ -30,24 +31,15 @@ _FLOWN = ("multicopter", "copter")
 
 @dataclass(frozen=True)
 class _Drive:
-    """What one command can do.
-
-    Attributes:
-        low: Least value [unit].
-        high: Largest value [unit].
-        rest: Value before anything happens [unit].
-        rate: Fastest change [unit/s].
-        unit: Unit in which people read it.
-        scale: Number of that unit in one of the command's.
-    """
+    """What one command can do."""
 
     name: str
-    low: float
-    high: float
-    rest: float
-    rate: float
-    unit: str
-    scale: float
+    low: float  # least value [unit]
+    high: float  # largest value [unit]
+    rest: float  # value before anything happens [unit]
+    rate: float  # fastest change [unit/s]
+    unit: str  # unit in which people read it
+    scale: float  # number of that unit in one of the command's
 
     def level(self, value: float) -> str:
         """A value in words, such as "2 N"."""
@@ -295,11 +287,7 @@ def _facts(setup: Mapping[str, Any], words: set[str]) -> tuple[tuple[str, Any], 
 
 
 def command_table(run: Run, study: Study) -> str:
-    """Commands of a run as CSV, in the units in which the user reads them.
-
-    Args:
-        run: Run of the bank.
-    """
+    """Commands of a run as CSV, in the units in which the user reads them."""
     known = {c.name: c for c in study.commands}
     header, columns = ["time_s"], [run.time_s - run.time_s[0]]
     for name, values in run.command.items():
@@ -308,5 +296,4 @@ def command_table(run: Run, study: Study) -> str:
         scale = factor(command.unit, shown) if command.unit and shown else 1.0
         header.append(f"{name} ({shown})" if shown else name)
         columns.append(values * scale)
-    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True)]
-    return "\n".join([",".join(header), *rows]) + "\n"
+    return csv_text(header, zip(*columns, strict=True), ".9g")

@@ -33,7 +33,6 @@ def guess_clock(
     """The clock: a column that is called so, the first one that only grows, or a counter.
 
     Args:
-        columns: Columns of the files.
         tables: Files of the folder, read as tables.
         said: Sentences on what was guessed; more are added.
 

@@ -31,11 +31,7 @@ _DIGITS = 6  # of the range, in which copies agree: one in mm and one in m diffe
 
 
 def numeric_columns(samples: RunSamples, keep: Rows | slice = slice(None)) -> dict[str, Array]:
-    """All columns of a run that hold numbers, by header, without gaps: (num_samples,) each.
-
-    Args:
-        keep: Which of its samples are kept of each.
-    """
+    """All columns of a run that hold numbers, by header, without gaps: (num_samples,) each."""
     samples, found = replace(samples, tables=[table.twin() for table in samples.tables]), {}
     for header in dict.fromkeys(name for table in samples.tables for name in table.header if name):
         try:

@@ -24,17 +24,12 @@ MAX_JUMP_SHARE = 0.03  # of the samples: so many the diagnosis leaves out; more 
 
 
 class Jumps(NamedTuple):
-    """Samples at which a command jumps.
+    """Samples at which a command jumps."""
 
-    Attributes:
-        back: Indices of samples that lie off both sides.
-        lasting: Indices of samples before which it jumps and stays, where it moves smoothly else.
-        size: Largest jump [unit of the command].
-    """
-
-    back: list[int]
+    back: list[int]  # indices of samples that lie off both sides
+    # indices of samples before which it jumps and stays, where it moves smoothly else
     lasting: list[int]
-    size: float
+    size: float  # largest jump [unit of the command]
 
 
 def jumps_of(values: Array, *, is_measured: bool, times: Array | None = None) -> Jumps:

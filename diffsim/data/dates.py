@@ -36,9 +36,6 @@ def seconds_of_stamps(cells: Sequence[str]) -> list[float]:
     of any cell says so, 5/13/2024 and 5-13-2024. A clock without a zone is taken as UTC, so that
     no machine's own zone moves it.
 
-    Args:
-        cells: Stamps, all written alike.
-
     Raises:
         ValueError: a cell is no time, or nothing says whether the day or the month stands first;
             the exception's second argument is the index of the cell.

@@ -25,7 +25,7 @@ from diffsim.data.facts_beside import facts_beside, facts_of
 from diffsim.data.folder_tables import FoundTable, files_below, find_tables
 from diffsim.data.formats import SUFFIXES
 from diffsim.data.guess import Guess, GuessedColumn, GuessedRun, listed
-from diffsim.data.joined_files import Kind, join_files
+from diffsim.data.joined_files import Kind, join_files, names_of_runs
 from diffsim.data.names import BESIDE, COUNTER, DRIVES, STATE, is_asked, log_column, px4_topic
 from diffsim.data.stamps import JUMP, filled, stamp_fault, usual_step
 from diffsim.data.table import MAKER, Table
@@ -121,7 +121,7 @@ def families(guess: Guess) -> Iterable[str]:
         timed = [family for family in by.values() if family[0].has_clock]
         best = max(timed or by.values(), key=_rank)
         guess.kinds = [Kind("", tuple(best), best[0].layout.columns, {})]
-        guess.names = _names(best)
+        guess.names = names_of_runs([(one.path.parent, one.name) for one in best])
     taken = {one.path for kind in guess.kinds for one in kind.files}
     others = dict.fromkeys(
         one.path.relative_to(guess.folder).as_posix()
@@ -643,14 +643,6 @@ def _rank(family: Sequence[FoundTable]) -> tuple[int, bool, int]:
     """More runs first, then what sounds like a record, then what is larger."""
     looks = family[0].is_topic and bool(STATE.search(family[0].part))
     return len(family), looks, sum(one.size() for one in family)
-
-
-def _names(files: Sequence[FoundTable]) -> tuple[str, ...]:
-    """Names of runs, with their folders where those of the files are not enough."""
-    short = [one.name for one in files]
-    if len(set(short)) == len(short):
-        return tuple(short)
-    return tuple(f"{one.path.parent.name}_{one.name}" for one in files)
 
 
 def _are_repeats(

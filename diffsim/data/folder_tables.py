@@ -22,23 +22,14 @@ DEEPEST = 5  # folders in folders that are looked into
 
 @dataclass(frozen=True, eq=False)
 class FoundTable:
-    """A table of a folder.
+    """A table of a folder."""
 
-    Attributes:
-        folder: Folder that is looked at.
-        path: File that holds the table.
-        part: Its part of the file; empty: the file is one table.
-        layout: What each of its columns seems to be.
-        num_parts: Tables in the file.
-        is_log: Whether these are topics of messages, in a file of JSON.
-    """
-
-    folder: Path
-    path: Path
-    part: str
-    layout: TableLayout
-    num_parts: int = 1
-    is_log: bool = False
+    folder: Path  # folder that is looked at
+    path: Path  # file that holds the table
+    part: str  # its part of the file; empty: the file is one table
+    layout: TableLayout  # what each of its columns seems to be
+    num_parts: int = 1  # tables in the file
+    is_log: bool = False  # whether these are topics of messages, in a file of JSON
 
     @property
     def reference(self) -> str:
@@ -118,7 +109,6 @@ def find_tables(folder: Path, said: list[str]) -> Iterator[FoundTable]:
     """Tables of a folder and of the folders in it, by name; of a dataset of LeRobot its own.
 
     Args:
-        folder: Folder of the files.
         said: Sentences on what could not be read; more are added.
     """
     files = lerobot.tables_of(folder) or files_below(folder)

@@ -22,36 +22,22 @@ PIECES = 6  # that one long run is cut into
 
 @dataclass(eq=False)
 class GuessedColumn:
-    """A column of the runs' files and what it seems to be.
+    """A column of the runs' files and what it seems to be."""
 
-    Attributes:
-        column: As its header states it.
-        place: Which of a run's files has it, from 0.
-        tag: Word by which the names of these files differ from those of others.
-        role: clock, split, text, fact, idle, command or channel; empty: not yet known.
-        why: Why it looks commanded.
-        name: Name of the channel or command.
-        unit: Unit, - where none is stated.
-        sd: Noise of a channel; None: none was seen.
-        lower, upper: Ends of what was seen of a command.
-        is_measured: Whether a controller gave it out.
-        before: What was commanded before runs begin; None: nothing tells it.
-        fill: How a command goes on between samples of its own file.
-    """
-
-    column: Column
-    place: int = 0
-    tag: str = ""
-    role: str = ""
-    why: str = ""
-    name: str = ""
-    unit: str = "-"
-    sd: float | None = None
+    column: Column  # as its header states it
+    place: int = 0  # which of a run's files has it, from 0
+    tag: str = ""  # word by which the names of these files differ from those of others
+    role: str = ""  # clock, split, text, fact, idle, command or channel; empty: not yet known
+    why: str = ""  # why it looks commanded
+    name: str = ""  # name of the channel or command
+    unit: str = "-"  # unit, - where none is stated
+    sd: float | None = None  # noise of a channel; None: none was seen
+    # lower, upper: ends of what was seen of a command
     lower: float | None = None
     upper: float | None = None
-    is_measured: bool = False
-    before: float | None = None
-    fill: str = ""
+    is_measured: bool = False  # whether a controller gave it out
+    before: float | None = None  # what was commanded before runs begin; None: nothing tells it
+    fill: str = ""  # how a command goes on between samples of its own file
 
 
 @dataclass(eq=False)
@@ -81,42 +67,30 @@ class GuessedRun:
 
 @dataclass(eq=False)
 class Guess:
-    """What a folder seems to hold.
-
-    Attributes:
-        parts: Tables of each file that are asked for, the record first; empty: as they look.
-        found: Tables that are looked at.
-        kinds: Files of a run, the record first, run by run.
-        names: Names of the runs.
-        columns: Columns of the files of a run.
-        time: Keys of ``time``, of each clock where a run's files have several.
-        stamps: Keys of ``stamps`` that mend the clock of all runs.
-        duplicates: What is done with equal stamps of all runs; None: nothing, there are none.
-        is_late: Whether the clock counts from long ago, so that runs should start at 0 s.
-        runs: Runs, one for each file or value of ``split``.
-        split: Columns whose values are runs; empty: each file is one.
-        every: Each n-th sample is enough.
-        beside: Files that are no tables and hold no facts.
-        said: What was guessed, a sentence each.
-        todo: What the user must say, a sentence each.
-    """
+    """What a folder seems to hold."""
 
     folder: Path
+    # tables of each file that are asked for, the record first; empty: as they look
     parts: Sequence[str] = ()
-    found: list[FoundTable] = field(default_factory=list)
-    kinds: list[Kind] = field(default_factory=list)
-    names: tuple[str, ...] = ()
-    columns: list[GuessedColumn] = field(default_factory=list)
+    found: list[FoundTable] = field(default_factory=list)  # tables that are looked at
+    kinds: list[Kind] = field(default_factory=list)  # files of a run, the record first, run by run
+    names: tuple[str, ...] = ()  # names of the runs
+    columns: list[GuessedColumn] = field(default_factory=list)  # columns of the files of a run
+    # keys of ``time``, of each clock where a run's files have several
     time: list[dict[str, Any]] = field(default_factory=list)
+    # keys of ``stamps`` that mend the clock of all runs
     stamps: dict[str, str] = field(default_factory=dict)
+    # what is done with equal stamps of all runs; None: nothing, there are none
     duplicates: str | None = None
+    # whether the clock counts from long ago, so that runs should start at 0 s
     is_late: bool = False
+    # runs, one for each file or value of ``split``
     runs: list[GuessedRun] = field(default_factory=list)
-    split: tuple[Column, ...] = ()
-    every: int = 1
-    beside: list[Path] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
-    todo: list[str] = field(default_factory=list)
+    split: tuple[Column, ...] = ()  # columns whose values are runs; empty: each file is one
+    every: int = 1  # each n-th sample is enough
+    beside: list[Path] = field(default_factory=list)  # files that are no tables and hold no facts
+    said: list[str] = field(default_factory=list)  # what was guessed, a sentence each
+    todo: list[str] = field(default_factory=list)  # what the user must say, a sentence each
 
     def those(self, role: str) -> list[GuessedColumn]:
         """Columns of a role; of "": those whose role is not known yet."""

@@ -32,18 +32,12 @@ Way: TypeAlias = Callable[[FoundTable], tuple[Group, str]]
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """Files of one kind.
+    """Files of one kind."""
 
-    Attributes:
-        tag: Word by which their names differ from those of other kinds; empty: there are none.
-        files: One of each run.
-        time: Keys of ``time``; empty: rows are those of the first kind.
-    """
-
-    tag: str
-    files: tuple[FoundTable, ...]
+    tag: str  # word by which their names differ from those of other kinds; empty: there are none
+    files: tuple[FoundTable, ...]  # one of each run
     columns: tuple[Column, ...]
-    time: Mapping[str, Any]
+    time: Mapping[str, Any]  # keys of ``time``; empty: rows are those of the first kind
 
     @property
     def num_rows(self) -> int:
@@ -70,7 +64,6 @@ def join_files(
     """Kinds of files that are joined, the record first, and names of the runs.
 
     Args:
-        tables: Tables of the folder.
         said: Sentences on what was guessed; more are added.
 
     Returns:
@@ -96,7 +89,7 @@ def join_files(
         said.append(f"runs: files of one run are joined at the clock of the first, such as {first}")
         if num_lacking:
             said.append(f"runs: {num_lacking} that lack a file are not used")
-        return fitting, _names(groups)
+        return fitting, names_of_runs(groups)
     return None
 
 
@@ -268,7 +261,7 @@ def _list_shown(kind: Kind) -> str:
     return kind.files[0].reference
 
 
-def _names(groups: Sequence[Group]) -> tuple[str, ...]:
+def names_of_runs(groups: Sequence[Group]) -> tuple[str, ...]:
     """Names of the runs, with their folders where they are not enough."""
     short = [name for _, name in groups]
     if len(set(short)) == len(short):

@@ -27,23 +27,15 @@ class DataSetError(DiffsimError):
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedSet:
-    """A data set that studies of this package read.
+    """A data set that studies of this package read."""
 
-    Attributes:
-        name: Folder name, such as ``emps``.
-        source: Address of the repository that published the measurements.
-        commit: Version of it.
-        licence: What the authors state.
-        files: SHA-256 and size in bytes of every table, by name.
-        made: Whether some tables are made from a clone, as nobody may hand them on: ``make_csv.py``
-            in the folder, whose README names the clones. Such tables have no sum here.
-    """
-
-    name: str
-    source: str
-    commit: str
-    licence: str
-    files: Mapping[str, tuple[str, int]]
+    name: str  # folder name, such as ``emps``
+    source: str  # address of the repository that published the measurements
+    commit: str  # version of it
+    licence: str  # what the authors state
+    files: Mapping[str, tuple[str, int]]  # SHA-256 and size in bytes of every table, by name
+    # whether some tables are made from a clone, as nobody may hand them on: ``make_csv.py`` in the
+    # folder, whose README names the clones. Such tables have no sum here.
     made: bool = False
 
     @property

@@ -35,17 +35,11 @@ FULL = (0.7, 1.3)  # how much of its sawtooth must be there
 
 @dataclass(frozen=True)
 class _Lags:
-    """How readings differ from a smooth motion.
+    """How readings differ from a smooth motion."""
 
-    Attributes:
-        times: Times of the samples, (num_samples,) [s].
-        velocity: Of the smooth motion [reading/s].
-        off: Readings less the smooth motion.
-    """
-
-    times: Array
-    velocity: Array
-    off: Array
+    times: Array  # times of the samples, (num_samples,) [s]
+    velocity: Array  # of the smooth motion [reading/s]
+    off: Array  # readings less the smooth motion
 
     @classmethod
     def of(cls, times: Array, readings: Array) -> _Lags | None:

@@ -60,17 +60,12 @@ BLOCK_OF = "block_of"  # fact of a run that is a piece of another: that one's na
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A run before its use, group and place are known.
+    """A run before its use, group and place are known."""
 
-    Attributes:
-        run: The run, with its own name as its group.
-        labels: What may stand for it in ``use``, ``from_s``, ...: its name and value of ``split``.
-        group: Group that the entry states; None: none.
-    """
-
-    run: Run
+    run: Run  # the run, with its own name as its group
+    # what may stand for it in ``use``, ``from_s``, ...: its name and value of ``split``
     labels: tuple[str, ...]
-    group: str | None
+    group: str | None  # group that the entry states; None: none
 
 
 class RunReader:
@@ -315,7 +310,6 @@ class RunReader:
 
         Args:
             raw_of: Gets what one column holds of it, by name.
-            keep: Which of the rows are kept.
         """
         source: Source = stated
         unit = stated.unit

@@ -28,18 +28,12 @@ Given: TypeAlias = Collection[Path]
 
 @dataclass(frozen=True)
 class RunFiles:
-    """Files of one or, with ``split``, several runs.
+    """Files of one or, with ``split``, several runs."""
 
-    Attributes:
-        where: Entry of the study file, such as "runs[2]".
-        entry: The entry with the study's defaults.
-        files: The run's file and those that are read at its clock.
-        words: What {name} stands for in texts of the entry.
-    """
-
-    where: str
-    entry: RunEntry
-    files: tuple[Path, ...]
+    where: str  # entry of the study file, such as "runs[2]"
+    entry: RunEntry  # the entry with the study's defaults
+    files: tuple[Path, ...]  # the run's file and those that are read at its clock
+    # what {name} stands for in texts of the entry
     words: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -59,7 +53,6 @@ def cases_of(
     Args:
         entry: Entry of ``runs:``, with defaults.
         where: What messages call it, such as "runs[2]".
-        root: Folder of the files.
         table: Reads a CSV file.
         given: Files that the caller named, and not the study: they may lie anywhere.
 
@@ -210,7 +203,6 @@ def chosen_rows(table: Table, rows: Rows, where: Mapping[str, Any], path: str) -
 
     Args:
         table: File with these columns.
-        rows: Rows to choose from.
         where: Value, list of values, or {at_least, below}, by column.
         path: What messages call it, such as "runs[2].where".
 

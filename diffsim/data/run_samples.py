@@ -29,28 +29,19 @@ _SLACK_S = 1e-9  # times such as 0.30000000000000004 are 0.3
 
 @dataclass(frozen=True, eq=False)
 class RunSamples:
-    """Rows of a run.
+    """Rows of a run."""
 
-    Attributes:
-        tables: The run's file, and those that are read at its clock.
-        clocks: Clock of all rows of each, (num_rows,) [s].
-        rows: Rows of the first file that the run has.
-        recorded_s: Clock of the file at these rows, (num_samples,) [s].
-        time_s: Clock of the run at these rows, (num_samples,) [s].
-        facts: Facts of the run by name.
-        holds: Whether columns of further files keep their value until their next sample, averaged
-            from row to row; else they follow straight lines.
-        decode: How numbers of columns are coded; None: they are not.
-    """
-
-    tables: Sequence[Table]
-    clocks: Sequence[Array]
-    rows: Rows
-    recorded_s: Array
+    tables: Sequence[Table]  # the run's file, and those that are read at its clock
+    clocks: Sequence[Array]  # clock of all rows of each, (num_rows,) [s]
+    rows: Rows  # rows of the first file that the run has
+    recorded_s: Array  # clock of the file at these rows, (num_samples,) [s]
+    # clock of the run at these rows, (num_samples,) [s]
     time_s: Array = field(default_factory=lambda: np.empty(0))
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)  # facts of the run by name
+    # whether columns of further files keep their value until their next sample, averaged from row
+    # to row; else they follow straight lines
     holds: bool = False
-    decode: Decode | None = None
+    decode: Decode | None = None  # how numbers of columns are coded; None: they are not
 
     @property
     def table(self) -> Table:

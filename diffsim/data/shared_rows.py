@@ -19,19 +19,12 @@ _ODD = np.uint64(0x9E3779B97F4A7C15)
 
 
 class SharedStretch(NamedTuple):
-    """A stretch that two recordings share.
+    """A stretch that two recordings share."""
 
-    Attributes:
-        first: Place of the recording that has it first.
-        second: Place of the other one.
-        start: Row in the other one.
-        length: Number of rows.
-    """
-
-    first: int
-    second: int
-    start: int
-    length: int
+    first: int  # place of the recording that has it first
+    second: int  # place of the other one
+    start: int  # row in the other one
+    length: int  # number of rows
 
 
 def shared_stretches(

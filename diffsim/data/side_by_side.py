@@ -17,9 +17,6 @@ _AFTER = re.compile(rf"(?P<name>.+?)[ ,_]+(?P<label>{_LABEL})", re.IGNORECASE)
 def runs_beside(header: Iterable[str]) -> Mapping[str, Mapping[str, str]]:
     """Columns of each run of a table that holds several side by side.
 
-    Args:
-        header: Names of the columns.
-
     Returns:
         By the run's label: the whole name of each column by the name without it; columns without a
         label are of all runs. Empty where there are fewer than two labels, or one has no clock of

@@ -109,7 +109,6 @@ def looks_held(runs: Iterable[Run], commands: Sequence[str]) -> bool:
 
     Args:
         runs: Runs of a study; those to fit or to select by are looked at.
-        commands: Names of the commands.
     """
     seen = [run.command for run in runs if run.use in ("fit", "select")]
     return rest_and_jump(c[name] for c in seen for name in commands if name in c)
@@ -120,7 +119,6 @@ def moves_on(runs: Iterable[Run], commands: Sequence[str]) -> bool:
 
     Args:
         runs: Runs of a study; those to fit or to select by are looked at.
-        commands: Names of the commands.
     """
     seen = [run.command for run in runs if run.use in ("fit", "select")]
     columns = [np.asarray(c[name]) for c in seen for name in commands if name in c]

@@ -225,7 +225,6 @@ def stamp_words(path: object, lines: Sequence[int], now: Array, column: str) -> 
     Args:
         path: File, for the message.
         now: Their stamps, (num_rows,) [s].
-        column: Column of the clock.
     """
     if (fault := stamp_fault(now)) is None:
         return None

@@ -79,17 +79,11 @@ class Command:
 
 @dataclass(frozen=True)
 class Column:
-    """A recorded quantity that neither the model nor a channel or command uses.
+    """A recorded quantity that neither the model nor a channel or command uses."""
 
-    Attributes:
-        name: Name for formulas, a key of every run's ``columns``.
-        unit: SI unit of the samples; None: its header states none.
-        header: What the files call it.
-    """
-
-    name: str
-    unit: str | None
-    header: str
+    name: str  # name for formulas, a key of every run's ``columns``
+    unit: str | None  # SI unit of the samples; None: its header states none
+    header: str  # what the files call it
 
 
 @checked(kinds_only=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import shutil
@@ -14,7 +13,7 @@ import numpy as np
 import yaml
 
 from diffsim.core.checked import checked
-from diffsim.core.files import to_plain, write_text_atomic
+from diffsim.core.files import csv_text, to_plain, write_text_atomic
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.data.study_file import STUDY_FILE
 
@@ -139,7 +138,5 @@ def _format_run(run: Run, study: Study, commands: list[str]) -> str:
     columns = [run.time_s, *run.measured.T, *(run.command.get(c, missing) for c in commands)]
     columns += [run.columns.get(c.name, missing) for c in study.columns]
     beside = [f"{c.name} ({c.unit})" if c.unit else c.name for c in study.columns]
-    lines = [",".join(["time_s", *(c.name for c in study.channels), *commands, *beside])]
-    for row in zip(*columns, strict=True):
-        lines.append(",".join("" if math.isnan(v) else repr(float(v)) for v in row))
-    return "\n".join(lines) + "\n"
+    header = ["time_s", *(c.name for c in study.channels), *commands, *beside]
+    return csv_text(header, (map(float, row) for row in zip(*columns, strict=True)))

@@ -66,39 +66,25 @@ _PER_MINUTE = ("1/min", "1/Min", "min^-1", "min-1", "min⁻¹")
 
 @dataclass(frozen=True)
 class Column:
-    """A column by its header.
+    """A column by its header."""
 
-    Attributes:
-        name: Header as it stands in the file.
-        base: Name without its unit, fit for formulas.
-        unit: Unit that the header states; None: none.
-        is_said: Whether the unit stands apart, in brackets or a row of units; else it is the
-            ending of the name.
-        is_asked: Whether it is of a table that holds what was commanded.
-    """
-
-    name: str
-    base: str
-    unit: str | None
+    name: str  # header as it stands in the file
+    base: str  # name without its unit, fit for formulas
+    unit: str | None  # unit that the header states; None: none
+    # whether the unit stands apart, in brackets or a row of units; else it is the ending of the
+    # name
     is_said: bool
-    is_asked: bool = False
+    is_asked: bool = False  # whether it is of a table that holds what was commanded
 
 
 @dataclass(frozen=True)
 class TableLayout:
-    """Where the header of a file is.
+    """Where the header of a file is."""
 
-    Attributes:
-        header_line: Line of the names, from 1; 0: there is none, or names take several lines.
-        first_line: Line of the first sample.
-        columns: Columns in order.
-        has_names: Whether the file names them.
-    """
-
-    header_line: int
-    first_line: int
-    columns: tuple[Column, ...]
-    has_names: bool = True
+    header_line: int  # line of the names, from 1; 0: there is none, or names take several lines
+    first_line: int  # line of the first sample
+    columns: tuple[Column, ...]  # columns in order
+    has_names: bool = True  # whether the file names them
 
 
 def layout_of(path: Path) -> TableLayout | None:
@@ -188,7 +174,6 @@ def _lines_as_names(above: list[list[str]], last: int, first: int) -> TableLayou
     """A header of several lines: its lowest names, with those above where they occur twice.
 
     Args:
-        above: Cells of its lines.
         last: Line of the lowest, from 1.
         first: Line of the first sample.
     """

@@ -25,7 +25,7 @@ from scipy.optimize import linear_sum_assignment
 from diffsim.core.arrays import Array, IntArray, Mask
 from diffsim.core.check import require_number
 from diffsim.core.errors import DiffsimError
-from diffsim.core.files import write_text_atomic
+from diffsim.core.files import csv_text, write_text_atomic
 from diffsim.core.optional import optional
 from diffsim.data.signal import scatter
 from diffsim.data.study import Channel, Run, Study
@@ -39,13 +39,10 @@ class TrackingError(DiffsimError):
 
 @dataclass(frozen=True)
 class ColorBounds:
-    """Which pixels belong to a ball, in OpenCV's HSV.
+    """Which pixels belong to a ball, in OpenCV's HSV."""
 
-    Attributes:
-        low, high: (hue, saturation, value), hue in 0..179, the others in 0..255; a low hue above
-            the high one means that hues wrap around red.
-    """
-
+    # low, high: (hue, saturation, value), hue in 0..179, the others in 0..255; a low hue above the
+    # high one means that hues wrap around red
     low: tuple[int, int, int]
     high: tuple[int, int, int]
 
@@ -81,30 +78,22 @@ TENNIS_BALL = ColorBounds((25, 60, 70), (50, 255, 255))
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Centers of balls over the frames of a video.
+    """Centers of balls over the frames of a video."""
 
-    Attributes:
-        frames: (num_frames,) numbers of the video's frames.
-        time_s: (num_frames,) since the first of them [s].
-        centers: (num_frames, num_balls, 2) u to the right, v down [px]; NaN where a ball was not
-            seen.
-        merged: (num_frames,) whether balls touched in the picture: centers are then less sure.
-    """
-
-    frames: IntArray
-    time_s: Array
+    frames: IntArray  # (num_frames,) numbers of the video's frames
+    time_s: Array  # (num_frames,) since the first of them [s]
+    # (num_frames, num_balls, 2) u to the right, v down [px]; NaN where a ball was not seen
     centers: Array
-    merged: Mask
+    merged: Mask  # (num_frames,) whether balls touched in the picture: centers are then less sure
 
     def save(self, path: str | Path) -> Path:
         """Write CSV with the columns of the tennis balls' data set; empty cells are missing."""
         count = self.centers.shape[1]
         names = [f"ball{k}_{c}_px" for k in range(count) for c in "uv"]
-        lines = [",".join(["frame", "time_s", *names])]
-        for frame, time, row in zip(self.frames, self.time_s, self.centers, strict=True):
-            cells = ["" if np.isnan(v) else f"{v:.3f}" for v in row.reshape(-1)]
-            lines.append(",".join([str(frame), f"{time:.6f}", *cells]))
-        return write_text_atomic(Path(path), "\n".join(lines) + "\n")
+        places = self.centers.reshape(len(self.frames), -1)
+        both = zip(self.frames, self.time_s, places, strict=True)
+        rows = ([frame, f"{time:.6f}", *place] for frame, time, place in both)
+        return write_text_atomic(Path(path), csv_text(["frame", "time_s", *names], rows, ".3f"))
 
 
 def track_video(

@@ -280,18 +280,13 @@ class _Answer:
 
 @dataclass(frozen=True)
 class _LawBudget:
-    """What laws may cost.
+    """What laws may cost."""
 
-    Attributes:
-        steps: Weighted steps of the stage that finds them; 0: they are not looked for.
-        until: Count of weighted steps at which the search with laws ends; None: it has ``steps``,
-            too.
-        is_short: Whether the first answer has spent much of the budget: then the search with laws
-            is among causes of its best sets and those that act where laws do.
-    """
-
-    steps: float
+    steps: float  # weighted steps of the stage that finds them; 0: they are not looked for
+    # count of weighted steps at which the search with laws ends; None: it has ``steps``, too
     until: float | None
+    # whether the first answer has spent much of the budget: then the search with laws is among
+    # causes of its best sets and those that act where laws do
     is_short: bool
 
 
@@ -299,7 +294,6 @@ def _budget_of_laws(answer: _Answer, begun: int) -> _LawBudget:
     """What laws may cost: a budget of their own, or what causes of the library have left of theirs.
 
     Args:
-        answer: Without laws.
         begun: Weighted steps that were simulated before it.
     """
     spent, settings = answer.search.steps - begun, answer.search.settings
@@ -445,7 +439,6 @@ def _answer(
     """Search among causes, and judge; no test run is looked at.
 
     Args:
-        asked: What the diagnosis is asked for.
         model, effects, unknowns: As of ``diagnose``.
         first: Sets and their coordinates, at which the search begins; none: at the plain model.
     """

@@ -15,18 +15,12 @@ from diffsim.identify.setup import DiagnosisSetup
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Study, setup, seed and settings, which together decide the answer.
+    """Study, setup, seed and settings, which together decide the answer."""
 
-    Attributes:
-        study: Recorded runs with their channels and commands.
-        setup: Model, causes, unknowns, bank, settings; as chosen.
-        seed: Seed of the bootstrap.
-        fingerprint: Hashes and names by what they are of; equal ones give equal answers.
-    """
-
-    study: Study
-    setup: DiagnosisSetup
-    seed: int
+    study: Study  # recorded runs with their channels and commands
+    setup: DiagnosisSetup  # model, causes, unknowns, bank, settings; as chosen
+    seed: int  # seed of the bootstrap
+    # hashes and names by what they are of; equal ones give equal answers
     fingerprint: Mapping[str, Any]
 
     @property

@@ -50,21 +50,13 @@ CLOSED_VERDICTS = ("none", "data_sheet", "named", DESCRIBED)  # verdicts that ma
 
 @dataclass(frozen=True, eq=False)
 class NullFit:
-    """Fit of the plain model, without effects.
+    """Fit of the plain model, without effects."""
 
-    Attributes:
-        study: Study without the samples that are spikes.
-        noise: Noise floor of the study.
-        fit: Fit of the base parameters to the runs for fitting.
-        num_spikes: Number of samples that were removed as spikes.
-        num_misread: Number of jumps of measured commands that were taken out.
-    """
-
-    study: Study
-    noise: NoiseFloor
-    fit: Fit
-    num_spikes: int
-    num_misread: int = 0
+    study: Study  # study without the samples that are spikes
+    noise: NoiseFloor  # noise floor of the study
+    fit: Fit  # fit of the base parameters to the runs for fitting
+    num_spikes: int  # number of samples that were removed as spikes
+    num_misread: int = 0  # number of jumps of measured commands that were taken out
 
     @property
     def idle(self) -> tuple[str, ...]:
@@ -117,26 +109,19 @@ def _plain(null: Null) -> NullFit:
 
 @dataclass(frozen=True, eq=False)
 class Extension:
-    """A saved extended model, refitted.
+    """A saved extended model, refitted."""
 
-    Attributes:
-        study: Study that the model was fitted to.
-        null, fit: Fits without and with the effects, to the same runs with the same noise.
-        unseen: Errors and gain on test runs; None without any.
-        verdict: Verdict of the diagnosis that made the model.
-        ranges: 90 % intervals by name, no narrower than the model's own where the same runs were
-            fitted: what the choice among causes leaves open is in them.
-        band: What bands of unseen runs are made from; None: nothing tells of them.
-        start: Values that the fit began at, by name.
-    """
-
-    study: Study
+    study: Study  # study that the model was fitted to
+    # null, fit: fits without and with the effects, to the same runs with the same noise
     null: Fit
     fit: Fit
-    unseen: Unseen | None
-    verdict: str
+    unseen: Unseen | None  # errors and gain on test runs; None without any
+    verdict: str  # verdict of the diagnosis that made the model
+    # 90 % intervals by name, no narrower than the model's own where the same runs were fitted: what
+    # the choice among causes leaves open is in them
     ranges: Mapping[str, Range]
-    band: Band | None = None
+    band: Band | None = None  # what bands of unseen runs are made from; None: nothing tells of them
+    # values that the fit began at, by name
     start: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -29,19 +29,15 @@ from diffsim.envs.vector_env import TaskVectorEnv
 
 
 class NamedTask(NamedTuple):
-    """What is registered of a task.
+    """What is registered of a task."""
 
-    Attributes:
-        module: Where its class is; None: in another package.
-        max_steps: Length of an episode with default options, control steps; None: as the task says.
-        threshold: Return of an episode at which the task counts as solved: what published runs
-            (``docs/measured/learning.md``) reached, rounded down; None where none was measured.
-        data_sheet: What the robot must do, and a table in Markdown of what it commands and senses.
-    """
-
-    module: str | None = None
+    module: str | None = None  # where its class is; None: in another package
+    # length of an episode with default options, control steps; None: as the task says
     max_steps: int | None = None
+    # return of an episode at which the task counts as solved: what published runs
+    # (``docs/measured/learning.md``) reached, rounded down; None where none was measured
     threshold: float | None = None
+    # what the robot must do, and a table in Markdown of what it commands and senses
     data_sheet: str = ""
 
 

@@ -26,27 +26,21 @@ SMOOTH = 1e-2  # below this share of its unit, a distance is quadratic
 
 @dataclass(frozen=True, eq=False)
 class ControlStep:
-    """One control step, as terms of a reward see it.
-
-    Attributes:
-        dt: Control period [s].
-        x_before, x: Nodes at its start and end, (batch, num_nodes, 3) [m].
-        action, action_before: Of this step and of the one before, (batch, num_actions) [-].
-        command, command_before: The same in their units, as they reached the drives.
-        physics: Parameters of the body.
-        goal: What markers shall reach, (batch, 3) [m]; None: the task has none.
-    """
+    """One control step, as terms of a reward see it."""
 
     robot: DescribedRobot
-    dt: float
+    dt: float  # control period [s]
+    # x_before, x: nodes at its start and end, (batch, num_nodes, 3) [m]
     x_before: Tensor
     x: Tensor
+    # action, action_before: of this step and of the one before, (batch, num_actions) [-]
     action: Tensor
     action_before: Tensor
+    # command, command_before: the same in their units, as they reached the drives
     command: Tensor
     command_before: Tensor
-    physics: soft.Physics
-    goal: Tensor | None
+    physics: soft.Physics  # parameters of the body
+    goal: Tensor | None  # what markers shall reach, (batch, 3) [m]; None: the task has none
     goal_markers: tuple[str, ...]
 
     def velocity(self) -> Tensor:

@@ -25,18 +25,12 @@ _UNITS = {"axis": ("m", "position"), "about": ("rad", "angle")}
 
 @dataclass(frozen=True, eq=False)
 class FoundRobot:
-    """A soft body with the causes that a diagnosis named.
-
-    Attributes:
-        model: Plain model with its causes, at the file's values.
-        plain: The body without them.
-        run: Stands for a run of a study: facts of its set-up.
-    """
+    """A soft body with the causes that a diagnosis named."""
 
     saved: SavedModel
-    model: ExtendedModel
-    plain: DescribedRobot
-    run: Run
+    model: ExtendedModel  # plain model with its causes, at the file's values
+    plain: DescribedRobot  # the body without them
+    run: Run  # stands for a run of a study: facts of its set-up
 
     @classmethod
     def read(

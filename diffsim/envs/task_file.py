@@ -31,16 +31,11 @@ class ChangedTaskError(ValueError):
 
 @dataclass(frozen=True)
 class TaskFile:
-    """Content of a task file.
-
-    Attributes:
-        task: Name of the kind of task.
-        options: All other keys.
-    """
+    """Content of a task file."""
 
     path: Path
-    task: str
-    options: Mapping[str, Any]
+    task: str  # name of the kind of task
+    options: Mapping[str, Any]  # all other keys
 
     def record(self) -> dict[str, Any]:
         """What a controller remembers of the file: its keys, and digests of the files it names."""

@@ -30,21 +30,16 @@ from diffsim.identify.numerics import Numerics
 
 @dataclass(frozen=True, eq=False)
 class Finer:
-    """One setting refined.
+    """One setting refined."""
 
-    Attributes:
-        numerics: Settings, finer than the coarse ones in one respect.
-        shift: What coarse simulations add to the base parameters for it, standardized, (num_base,).
-        before: Settings that are coarser than these; None: nothing is extrapolated.
-        beyond: How much farther records go than from ``before`` to these, as a share of that.
-        like: Settings whose own records are like those; None: ``numerics``.
-    """
-
-    numerics: Numerics
+    numerics: Numerics  # settings, finer than the coarse ones in one respect
+    # what coarse simulations add to the base parameters for it, standardized, (num_base,)
     shift: Array
+    # settings that are coarser than these; None: nothing is extrapolated
     before: Numerics | None = None
+    # how much farther records go than from ``before`` to these, as a share of that
     beyond: float = 0.0
-    like: Numerics | None = None
+    like: Numerics | None = None  # settings whose own records are like those; None: ``numerics``
 
     def predict(self, problem: Any, run: Run, point: Tensor) -> Tensor:
         """Records of a run of a problem at a point, extrapolated, (num_samples, num_channels)."""

@@ -42,18 +42,12 @@ def needs_nothing(study: Study) -> str | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Locator:
-    """How an effect finds where it lies.
+    """How an effect finds where it lies."""
 
-    Attributes:
-        course: Effect whose components are values at the knots, in the order of ``times``.
-        times: Time of each knot in the runs' clock, (K,) [s].
-        acts_in: Whether the effect acts in a run.
-        propose: Places worth a simulation, best first, given what any course would gain.
-    """
-
-    course: Effect
-    times: Array
-    acts_in: Callable[[Run], bool]
+    course: Effect  # effect whose components are values at the knots, in the order of ``times``
+    times: Array  # time of each knot in the runs' clock, (K,) [s]
+    acts_in: Callable[[Run], bool]  # whether the effect acts in a run
+    # places worth a simulation, best first, given what any course would gain
     propose: Callable[[Course], Sequence[Proposal]]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.identify.effect import Effect, effect_coordinates
 from diffsim.identify.fitting import Fit
 from diffsim.identify.model import Parameter, Scene, SimModel
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from diffsim.data.study import Run
 
 
+@checked_methods
 class ExtendedModel(SimModel):
     """A model whose base parameters are those of another one, then the sizes of effects.
 
@@ -42,7 +43,6 @@ class ExtendedModel(SimModel):
         self.simulations, self.frame, self.cuts = inner.simulations, inner.frame, inner.cuts
         self._components = [effect_coordinates([e]) for e in effects]
 
-    @checked(kinds_only=True)
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction: those of the plain model."""
         return self.inner.cost(run, self._settings(numerics))
@@ -55,7 +55,6 @@ class ExtendedModel(SimModel):
             scene = effect.act(scene, size, run, values)
         return scene
 
-    @checked(kinds_only=True)
     def predict(
         self,
         run: Run,
@@ -67,7 +66,6 @@ class ExtendedModel(SimModel):
         own = self._settings(numerics)
         return self.inner.predict(run, self._inner_q(q), self._sizes(q, sizes), own)
 
-    @checked(kinds_only=True)
     def predict_many(
         self,
         run: Run,
@@ -101,18 +99,15 @@ class ExtendedModel(SimModel):
             sizes[effect] = torch.stack([self.base[i].value_at(q[..., i]) for i in own], dim=-1)
         return sizes | dict(more or {})
 
-    @checked(kinds_only=True)
     def num_fitted_inside(self, run: Run) -> int:
         """Values that the plain model fits to a run inside, such as its start state."""
         inside = getattr(self.inner, "num_fitted_inside", None)
         return int(inside(run)) if callable(inside) else 0
 
-    @checked(kinds_only=True)
     def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
         """Windows of the plain model that had to be short, by run [s]."""
         return self.inner.short_windows(runs)
 
-    @checked(kinds_only=True)
     def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with the plain model prepared at the values of its own parameters at ``q``."""
         inner = self.inner.prepared_at(self._inner_q(q), runs)
@@ -145,8 +140,6 @@ def extended_at(
     """A model with effects built in, at given values.
 
     Args:
-        inner: The plain model.
-        effects: Effects to build in.
         values, sd: Center and width of the new priors by name of base parameter or component, each
             in its unit.
         numerics: Refined numerical settings; None: the plain model's own.

@@ -20,17 +20,11 @@ from diffsim.identify.whitening import gram_of
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """log p = level + slope v - v curvature v / 2 of coordinates v, without powers of 2 pi.
+    """log p = level + slope v - v curvature v / 2 of coordinates v, without powers of 2 pi."""
 
-    Attributes:
-        curvature: Precision, (n, n).
-        slope: At v = 0, (n,).
-        level: At v = 0 [nats].
-    """
-
-    curvature: Array
-    slope: Array
-    level: float = 0.0
+    curvature: Array  # precision, (n, n)
+    slope: Array  # at v = 0, (n,)
+    level: float = 0.0  # at v = 0 [nats]
 
     @classmethod
     def of(cls, jacobian: Array, residual: Array, x: Array | None = None) -> Gaussian:

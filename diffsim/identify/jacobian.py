@@ -22,15 +22,11 @@ METHODS = ("auto", "differences", "forward_mode")
 
 @dataclass(frozen=True)
 class Stencil:
-    """A difference formula: the slope at 0 is the sum of weight * f(offset).
+    """A difference formula: the slope at 0 is the sum of weight * f(offset)."""
 
-    Attributes:
-        offsets: Points of the formula along one coordinate, in prior standard deviations.
-        weights: Weights of the values at the offsets, equally many.
-    """
-
+    # points of the formula along one coordinate, in prior standard deviations
     offsets: tuple[float, ...]
-    weights: tuple[float, ...]
+    weights: tuple[float, ...]  # weights of the values at the offsets, equally many
 
     @classmethod
     def central(cls, h: float) -> Stencil:

@@ -123,17 +123,12 @@ def _times(other: Variable) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """What a unit at an entry does in a run, at its samples, where the simulation is.
+    """What a unit at an entry does in a run, at its samples, where the simulation is."""
 
-    Attributes:
-        rates: To each rate that has a course (``LawPort.drives``), (num_samples, num_courses).
-        readings: To each channel at once, (num_samples, num_channels).
-        left: What the model's own start states leave of changes of all readings, sample by sample,
-            (num_samples * num_channels, ...); None: all of it.
-    """
-
-    rates: Array
-    readings: Array
+    rates: Array  # to each rate that has a course (``LawPort.drives``), (num_samples, num_courses)
+    readings: Array  # to each channel at once, (num_samples, num_channels)
+    # what the model's own start states leave of changes of all readings, sample by sample,
+    # (num_samples * num_channels, ...); None: all of it
     left: Callable[[sparse.csr_array], sparse.csr_array] | None = None
 
 

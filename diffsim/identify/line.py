@@ -13,27 +13,17 @@ from diffsim.identify.jacobian import Stencil
 
 @dataclass(frozen=True)
 class ModelPoint:
-    """Values of base parameters and effects at which a model is simulated.
+    """Values of base parameters and effects at which a model is simulated."""
 
-    Attributes:
-        q: Standardized base parameters, (num_base,).
-        sizes: Size of each effect, (num_components,) in the effect's unit.
-    """
-
-    q: Tensor
-    sizes: Mapping[Effect, Tensor]
+    q: Tensor  # standardized base parameters, (num_base,)
+    sizes: Mapping[Effect, Tensor]  # size of each effect, (num_components,) in the effect's unit
 
 
 @dataclass(frozen=True)
 class DifferenceLine:
-    """One coordinate that a model is differentiated along.
+    """One coordinate that a model is differentiated along."""
 
-    Attributes:
-        stencil: The difference formula for what is cheap to evaluate at its points.
-        points: Points at the stencil's offsets along the line.
-        effect: Effect whose size the coordinate is; None: the coordinate is a base parameter.
-    """
-
-    stencil: Stencil
-    points: tuple[ModelPoint, ...]
+    stencil: Stencil  # the difference formula for what is cheap to evaluate at its points
+    points: tuple[ModelPoint, ...]  # points at the stencil's offsets along the line
+    # effect whose size the coordinate is; None: the coordinate is a base parameter
     effect: Effect | None

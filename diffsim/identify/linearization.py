@@ -27,20 +27,14 @@ class Linearization:
 
     Slopes are by the scaled coordinates u (``Problem.scaled``), in which records are nearly linear:
     slopes of a size elsewhere need no rescaling.
-
-    Attributes:
-        x: Standardized coordinates of the problem, (n,).
-        record: Predicted samples of all channels, (N,) [unit of the channel].
-        idx: Coordinates whose slopes are known.
-        columns: Slopes by these scaled coordinates, (N, len(idx)).
-        slope_error: Summed relative error of the linear prediction over the steps taken since the
-            slopes were simulated [-]; 0: they were simulated at this x.
     """
 
-    x: Array
-    record: Array
-    idx: tuple[int, ...]
-    columns: Aside = Aside()
+    x: Array  # standardized coordinates of the problem, (n,)
+    record: Array  # predicted samples of all channels, (N,) [unit of the channel]
+    idx: tuple[int, ...]  # coordinates whose slopes are known
+    columns: Aside = Aside()  # slopes by these scaled coordinates, (N, len(idx))
+    # summed relative error of the linear prediction over the steps taken since the slopes were
+    # simulated [-]; 0: they were simulated at this x
     slope_error: float = 0.0
 
     def slopes(self, wanted: Sequence[int]) -> Array:

@@ -56,12 +56,8 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """A place in time that is worth a simulation.
+    """A place in time that is worth a simulation."""
 
-    Attributes:
-        sizes: Sizes of the effect's components, (num_components,) [unit].
-        parameters: Base parameters by name that go with them, such as onset and width.
-    """
-
-    sizes: Array
+    sizes: Array  # sizes of the effect's components, (num_components,) [unit]
+    # base parameters by name that go with them, such as onset and width
     parameters: Mapping[str, float] = field(default_factory=dict)

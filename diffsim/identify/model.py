@@ -15,7 +15,7 @@ import torch
 from scipy import sparse
 from torch import Tensor
 
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.identify.effect import Effect
 from diffsim.identify.numerics import NumericalEffect, Numerics
 
@@ -174,15 +174,10 @@ class Scene(Protocol):
 
 
 class Work(NamedTuple):
-    """What was simulated, in counts: the same on every machine.
+    """What was simulated, in counts: the same on every machine."""
 
-    Attributes:
-        simulations: Predictions of one run at one point.
-        steps: Their weighted steps (``SimModel.cost``), derivatives included.
-    """
-
-    simulations: int
-    steps: int
+    simulations: int  # predictions of one run at one point
+    steps: int  # their weighted steps (``SimModel.cost``), derivatives included
 
 
 NOTHING = Work(0, 0)
@@ -231,6 +226,7 @@ TOGETHER = 0.25  # of a simulation, that one more point or direction of a batch 
 Build = Callable[[Mapping[str, Tensor], "Run", Numerics], Scene]
 
 
+@checked_methods
 class SimModel:
     """A simulator with base parameters.
 
@@ -289,14 +285,12 @@ class SimModel:
         self.values = BaseValues(self.base)
         self.simulations = Tally()
 
-    @checked(kinds_only=True)
     def with_base(self, base: Sequence[Parameter]) -> SimModel:
         """The same simulator with further base parameters after its own."""
         made = copy(self)
         made.base, made.values = tuple(base), BaseValues(base)
         return made
 
-    @checked(kinds_only=True)
     def with_shapes_of(self, effects: Sequence[Effect]) -> SimModel:
         """The same simulator, in which further numbers of effects are base parameters."""
         shapes = {name: shape for effect in effects for name, shape in effect.shapes.items()}
@@ -317,7 +311,6 @@ class SimModel:
         ]
         return self.with_base((*self.base, *more))
 
-    @checked(kinds_only=True)
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction: what budgets count, the same on every machine.
 
@@ -329,18 +322,15 @@ class SimModel:
         finer = n.time_step * n.mesh**self.mesh_power
         return self.run_cost + len(run.time_s) * self.step_cost / finer
 
-    @checked(kinds_only=True)
     def note_simulations(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
         """Count predictions of a run; of a batch all but the first are cheaper."""
         more = (TOGETHER if self.batched else 1.0) * (number - 1)
         self.simulations.add(number, round(self.cost(run, numerics) * (1.0 + more)))
 
-    @checked(kinds_only=True)
     def note_derivatives(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
         """Count the model's own derivatives of a prediction along some coordinates."""
         self.simulations.add(0, round(self.cost(run, numerics) * (1.0 + TOGETHER * number)))
 
-    @checked(kinds_only=True)
     def predict(
         self,
         run: Run,
@@ -366,7 +356,6 @@ class SimModel:
                 out = out + size[..., None] * (refined - plain)
         return out
 
-    @checked(kinds_only=True)
     def predict_many(
         self,
         run: Run,
@@ -397,7 +386,6 @@ class SimModel:
                 out = out.index_add(0, rows, size[rows, :, None] * change)
         return out
 
-    @checked(kinds_only=True)
     def left_of_readings(
         self, scene: Callable[[], Scene], change: sparse.csr_array
     ) -> sparse.csr_array:
@@ -409,7 +397,6 @@ class SimModel:
         """
         return change
 
-    @checked(kinds_only=True)
     def scene(
         self,
         run: Run,
@@ -425,7 +412,6 @@ class SimModel:
             scene = effect.act(scene, size, run, values)
         return scene
 
-    @checked(kinds_only=True)
     def simulate_many(
         self,
         run: Run,
@@ -491,12 +477,10 @@ class SimModel:
             for a in asked
         ]
 
-    @checked(kinds_only=True)
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes of one run; models that have a faster way override this."""
         return [scene.simulate() for scene in scenes]
 
-    @checked(kinds_only=True)
     def tangents(
         self,
         run: Run,
@@ -518,7 +502,6 @@ class SimModel:
         """
         return None
 
-    @checked(kinds_only=True)
     def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
         """The body or vehicle as channels show it, where they tell its pose.
 
@@ -531,7 +514,6 @@ class SimModel:
         """
         return None
 
-    @checked(kinds_only=True)
     def shape_at(
         self,
         run: Run,
@@ -545,7 +527,6 @@ class SimModel:
         """
         return None
 
-    @checked(kinds_only=True)
     def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with whatever it prepares once prepared again at these base coordinates.
 
@@ -559,7 +540,6 @@ class SimModel:
         """
         return self
 
-    @checked(kinds_only=True)
     def shortened(self, runs: Sequence[Run]) -> SimModel | None:
         """The model with shorter windows of its own, where it cuts runs and starts anew in each.
 
@@ -571,7 +551,6 @@ class SimModel:
         """
         return None
 
-    @checked(kinds_only=True)
     def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
         """Length of the windows [s] by run, where the model's own windows had to be short."""
         return {}

@@ -53,43 +53,35 @@ _ENTRY_KEYS = ("value", "sd", "unit")
 
 @dataclass(frozen=True)
 class SavedModel:
-    """Content of an ``extended_model.yaml``.
+    """Content of an ``extended_model.yaml``."""
 
-    Attributes:
-        path: File that the model was read from.
-        values, sd: Fitted value and its standard deviation by name of parameter or component, each
-            in its unit.
-        parameters: Names of the plain model's parameters.
-        components: Names of the effects' components.
-        verdict: Verdict of the diagnosis that fitted the model.
-        units: Unit by name of parameter or component.
-        prepared_at: Standardized parameters at which the model prepared what it prepares once.
-        plain: Parameters of the plain model at its own fit, by name, in their units; empty in
-            files of before.
-        facts: What judging new runs needs beside the model: noise floor, fitted runs, their range.
-        numerics: Refined numerical settings of the fits; None: the model's own.
-        frame: What the causes took from the fitted runs, for a study of other runs.
-        correlation: Of the posterior, by name with names before it; what is not there is 0.
-        model, study: Names of the plain model and of the study that it was fitted to.
-        ranges: 90 % intervals as the answer states them, by name: over all sets of causes, with
-            what is left over. ``sd`` is of the fit alone. Empty in files of before.
-    """
-
-    path: Path
+    path: Path  # file that the model was read from
+    # values, sd: fitted value and its standard deviation by name of parameter or component, each in
+    # its unit
     values: Mapping[str, float]
     sd: Mapping[str, float]
-    parameters: tuple[str, ...]
-    components: tuple[str, ...]
-    verdict: str = ""
-    units: Mapping[str, str] = field(default_factory=dict)
+    parameters: tuple[str, ...]  # names of the plain model's parameters
+    components: tuple[str, ...]  # names of the effects' components
+    verdict: str = ""  # verdict of the diagnosis that fitted the model
+    units: Mapping[str, str] = field(default_factory=dict)  # unit by name of parameter or component
+    # standardized parameters at which the model prepared what it prepares once
     prepared_at: Mapping[str, float] | None = None
+    # parameters of the plain model at its own fit, by name, in their units; empty in files of
+    # before
     plain: Mapping[str, float] = field(default_factory=dict)
+    # what judging new runs needs beside the model: noise floor, fitted runs, their range
     facts: Mapping[str, Any] = field(default_factory=dict)
+    # refined numerical settings of the fits; None: the model's own
     numerics: Numerics | None = None
+    # what the causes took from the fitted runs, for a study of other runs
     frame: Mapping[str, Any] = field(default_factory=dict)
+    # of the posterior, by name with names before it; what is not there is 0
     correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    # model, study: names of the plain model and of the study that it was fitted to
     model: str = ""
     study: str = ""
+    # 90 % intervals as the answer states them, by name: over all sets of causes, with what is left
+    # over. ``sd`` is of the fit alone. Empty in files of before.
     ranges: Mapping[str, Range] = field(default_factory=dict)
 
     def correlation_of(self, a: str, b: str) -> float:
@@ -123,7 +115,6 @@ class SavedModel:
         Args:
             base: Parameters of the rebuilt model; those without an interval in the file, such as
                 nuisances of a new run, are drawn from their priors.
-            count: Number of draws.
             rng: Source of chance.
         """
         normal = self._normal([p.name for p in base], count, rng)

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import LARGEST
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked_methods
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Memo, memo_field
 from diffsim.core.numbers import anywhere
@@ -53,6 +53,7 @@ class PredictionError(DiffsimError):
     """A simulation left the range of numbers."""
 
 
+@checked_methods
 class Coordinates:
     """Standardized coordinates of base parameters, then of the components of effects."""
 
@@ -79,7 +80,6 @@ class Coordinates:
         """Names of the coordinates; components of vector effects as "wind.x"."""
         return (*(p.name for p in self.model.base), *effect_coordinates(self.effects))
 
-    @checked(kinds_only=True)
     def columns_of(self, effect: Effect) -> list[int]:
         """Indices of the coordinates of an effect."""
         return [self.num_base + i for i, (e, _) in enumerate(self.owners) if e is effect]
@@ -94,19 +94,16 @@ class Coordinates:
             np.concatenate([base.high, np.full(len(owners), np.inf)]),
         )
 
-    @checked(kinds_only=True)
     def scaled(self, x: Array) -> Array:
         """Scaled coordinates: sizes in units of ``PRIOR_WIDTH`` typical ones, (n,)."""
         n = self.num_base
         return np.concatenate([x[:n], scaled_at(x[n:])])
 
-    @checked(kinds_only=True)
     def standardized(self, scaled: Array) -> Array:
         """Standardized coordinates of scaled ones, the inverse of ``scaled``, (n,)."""
         n = self.num_base
         return np.concatenate([scaled[:n], coordinate_of(scaled[n:])])
 
-    @checked(kinds_only=True)
     def stretch(self, x: Array) -> Array:
         """Derivative of the scaled coordinates by the standardized ones, (n,)."""
         n = self.num_base
@@ -117,12 +114,10 @@ class Coordinates:
         """Size of each component at the scaled coordinate one, (num_components,) [unit]."""
         return np.array([PRIOR_WIDTH * e.typical for e, _ in self.owners])
 
-    @checked(kinds_only=True)
     def sizes_at(self, x: Tensor) -> dict[Effect, Tensor]:
         """Sizes [unit] of the effects at standardized coordinates."""
         return self.sizes_of(scaled_at(x[..., self.num_base :]))
 
-    @checked(kinds_only=True)
     def sizes_of(self, scaled: Tensor) -> dict[Effect, Tensor]:
         """Sizes [unit] of the effects from their own scaled coordinates."""
         sizes, k = {}, 0
@@ -133,6 +128,7 @@ class Coordinates:
         return sizes
 
 
+@checked_methods
 @dataclass(frozen=True, eq=False)
 class Problem(Coordinates, WhitenedRuns):
     """Residuals r = W (y - S(x)) of several runs and their derivatives.
@@ -180,7 +176,6 @@ class Problem(Coordinates, WhitenedRuns):
         if bad:
             raise PredictionError(f"run {run.name}: {', '.join(bad)} left the range of numbers")
 
-    @checked(kinds_only=True)
     def predict(self, run: Run, x: Tensor) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
         sizes = self.sizes_at(x)
@@ -188,7 +183,6 @@ class Problem(Coordinates, WhitenedRuns):
         out = self.model.predict(run, self._simulated_at(x), sizes, self.numerics)
         return self._add_correction(run, self._of_shape(run, out, run.measured.shape))
 
-    @checked(kinds_only=True)
     def shape_at(self, run: Run, x: Tensor) -> MovingShape | None:
         """What moves in the run as it is simulated; None where models show nothing."""
         q, sizes = self._simulated_at(x), self.sizes_at(x)
@@ -202,7 +196,6 @@ class Problem(Coordinates, WhitenedRuns):
     def _add_correction(self, run: Run, out: Tensor) -> Tensor:
         return out if self.correction is None else out + self.correction.of(run)
 
-    @checked(kinds_only=True)
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points."""
         x = torch.stack(list(points))
@@ -254,7 +247,6 @@ class Problem(Coordinates, WhitenedRuns):
             )
         return out
 
-    @checked(kinds_only=True)
     def record(self, x: Array) -> Array:
         """Predicted samples of all runs at x, (N,) [unit of the channel].
 
@@ -275,7 +267,6 @@ class Problem(Coordinates, WhitenedRuns):
 
         return np.concatenate(self._compute_parts(each))
 
-    @checked(kinds_only=True)
     def residual(self, x: Array) -> Array:
         """(num_valid,) whitened residual of all runs."""
         return self.residual_of(self.record(x))
@@ -284,7 +275,6 @@ class Problem(Coordinates, WhitenedRuns):
         """Weighted steps of one simulation of all runs."""
         return sum(self.model.cost(run, self.numerics) for run in self.runs)
 
-    @checked(kinds_only=True)
     def cost_of_table(self, more: float = 0.0, *, each: float | None = None) -> float:
         """Weighted steps of simulations along all coordinates that move a run, and of one more.
 
@@ -302,7 +292,6 @@ class Problem(Coordinates, WhitenedRuns):
             for run in self.runs
         )
 
-    @checked(kinds_only=True)
     def records(self, points: Array) -> Array:
         """Predicted samples of all runs at K points, (K, N) [unit of the channel].
 
@@ -317,7 +306,6 @@ class Problem(Coordinates, WhitenedRuns):
 
         return np.concatenate(self._compute_each(one), axis=1)
 
-    @checked(kinds_only=True)
     def linearize(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
@@ -336,7 +324,6 @@ class Problem(Coordinates, WhitenedRuns):
         slopes *= stretch if only is None else stretch[list(dict.fromkeys(only))]
         return residual, slopes
 
-    @checked(kinds_only=True)
     def linearize_scaled(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
@@ -344,7 +331,6 @@ class Problem(Coordinates, WhitenedRuns):
         record, columns = self.linearize_record(x, screen=screen, only=only)
         return self.residual_of(record), self.whiten_all(columns)
 
-    @checked(kinds_only=True)
     def linearize_record(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
     ) -> tuple[Array, Array]:
@@ -465,7 +451,6 @@ class Problem(Coordinates, WhitenedRuns):
         points = tuple(self._point(at + offset * unit) for offset in stencil.offsets)
         return DifferenceLine(stencil, points, self._effect_of_each[i])
 
-    @checked(kinds_only=True)
     def gradient(self, x: Array) -> tuple[float, Array]:
         """½ |r|² and its gradient by reverse mode: one backward pass per run."""
 
@@ -476,7 +461,6 @@ class Problem(Coordinates, WhitenedRuns):
 
         return self._pull_back(x, one)
 
-    @checked(kinds_only=True)
     def pullback(self, x: Array, cotangent: Array) -> Array:
         """A'c by reverse mode, A = d(W S)/dx, (n,): one backward pass per run.
 

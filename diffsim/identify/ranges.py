@@ -69,14 +69,10 @@ class Numbers(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FittedNumbers:
-    """Numbers of a fit with the intervals of an answer.
-
-    Attributes:
-        ranges: 90 % intervals by name.
-    """
+    """Numbers of a fit with the intervals of an answer."""
 
     fit: Fit
-    ranges: Mapping[str, Range]
+    ranges: Mapping[str, Range]  # 90 % intervals by name
 
     @property
     def values(self) -> Mapping[str, float]:

@@ -45,18 +45,12 @@ class DiagnosisSetup:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LawPort(ABC):
-    """What a system offers to laws that nobody listed.
+    """What a system offers to laws that nobody listed."""
 
-    Attributes:
-        model: Plain model.
-        study: Study with the recordings as the system cuts it.
-        whole: Study as it was recorded, with the runs to test by.
-        make: Function (study) -> setup, of a study whose frame holds laws.
-    """
-
-    model: SimModel
-    study: Study
-    whole: Study
+    model: SimModel  # plain model
+    study: Study  # study with the recordings as the system cuts it
+    whole: Study  # study as it was recorded, with the runs to test by
+    # function (study) -> setup, of a study whose frame holds laws
     make: Callable[[Study], DiagnosisSetup]
 
     @property

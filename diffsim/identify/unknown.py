@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from diffsim.core.arrays import Array
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.identify.effect import Effect
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model import has_tangents
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from diffsim.data.study import Run
 
 
+@checked_methods
 class Unknown(ABC):
     """A generic cause: any smooth force or drift, without a named form.
 
@@ -38,12 +39,10 @@ class Unknown(ABC):
     def slopes(self, problem: Problem, x: Array) -> Array:
         """(N, k) change of all samples of all runs per component, at x, not whitened."""
 
-    @checked(kinds_only=True)
     def mix(self, slopes: Array) -> Array:
         """(N, m) of (N, k): from components to independent coefficients."""
         return slopes
 
-    @checked(kinds_only=True)
     def suited(self, num_cosines: int) -> Unknown:
         """The cause as fast as that many cosines over the longest run; itself if it is as it is."""
         return self
@@ -53,18 +52,17 @@ class Unknown(ABC):
         """Name under which what was simulated for it is kept."""
         return self.name
 
-    @checked(kinds_only=True)
     def responses(self, problem: Problem, x: Array) -> Array:
         """(num_valid, m * num_groups) whitened responses at x, rows in the order of
         ``problem.runs``; one block of columns per command."""
         return self.spread(problem, self.slopes(problem, x))
 
-    @checked(kinds_only=True)
     def spread(self, problem: Problem, slopes: Array) -> Array:
         """Whitened responses by the slopes of its components, (N, k) not whitened."""
         return by_group(problem, self.mix(slopes))
 
 
+@checked_methods
 class UnknownForce(Unknown):
     """A smooth force, the same in all repeats of a command, different between commands.
 
@@ -96,7 +94,6 @@ class UnknownForce(Unknown):
         # by a secant, one simulation each, where slopes need simulations: only the shape matters
         self._secant = replace(effect, smooth=False)
 
-    @checked(kinds_only=True)
     def suited(self, num_cosines: int) -> Unknown:
         """With three knots for each cosine, of which a correlation over two leaves a tenth of the
         power of the fastest."""
@@ -110,12 +107,10 @@ class UnknownForce(Unknown):
         """Its name and the number of its components."""
         return f"{self.name} of {len(self.effect.components)}"
 
-    @checked(kinds_only=True)
     def mix(self, slopes: Array) -> Array:
         """Components drawn from their covariance."""
         return slopes @ self._root
 
-    @checked(kinds_only=True)
     def slopes(self, problem: Problem, x: Array) -> Array:
         """Per standardized component of the effect; simulated for one run of each command, as
         repeats differ by their nuisances only."""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from diffsim.core.arrays import Array
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.core.memo import Memo
 from diffsim.data.study import Channel, Run
 
@@ -71,6 +71,7 @@ class WhiteNoise:
         return sparse.csr_array(sparse.diags_array(weight).tocsr()[np.flatnonzero(valid)])
 
 
+@checked_methods
 class WhitenedRuns:
     """Recorded runs and their noise: rows of whitened samples, run by run."""
 
@@ -82,13 +83,11 @@ class WhitenedRuns:
         """Measured samples of each run, all channels together."""
         return [int(np.isfinite(run.measured).sum()) for run in self.runs]
 
-    @checked(kinds_only=True)
     def by_run(self, rows: Array) -> list[Array]:
         """Whitened rows of all runs, (num_valid, ...), by run."""
         counts = self.num_valid
         return np.split(rows, np.cumsum(counts)[:-1])
 
-    @checked(kinds_only=True)
     def on_grid(self, run: Run, rows: Array) -> Array:
         """(num_samples, num_channels) of whitened rows of a run, (num_valid,): each stands at its
         newest sample, the largest column that it uses; 0 where nothing was measured."""
@@ -97,7 +96,6 @@ class WhitenedRuns:
         grid[np.maximum.reduceat(matrix.indices, matrix.indptr[:-1])] = rows
         return grid.reshape(run.measured.shape)
 
-    @checked(kinds_only=True)
     def whiten(self, run: Run, record: Array) -> Array:
         """(num_valid, ...) of a flattened record (num_samples * num_channels, ...)."""
         matrix = self.whitener.matrix(run)
@@ -107,14 +105,12 @@ class WhitenedRuns:
         out[:, used] = matrix @ record[:, used]
         return out
 
-    @checked(kinds_only=True)
     def whiten_all(self, rows: Array) -> Array:
         """Rows of the samples of all runs, (N, ...), whitened: (num_valid, ...)."""
         parts = np.split(rows, np.cumsum([run.measured.size for run in self.runs])[:-1])
         pairs = zip(self.runs, parts, strict=True)
         return np.concatenate([self.whiten(run, part) for run, part in pairs])
 
-    @checked(kinds_only=True)
     def residual_of(self, record: Array) -> Array:
         """Measured less predicted samples of all runs, whitened; 0 where nothing was measured.
 

@@ -24,8 +24,6 @@ def make_open_loop(kind: str, task: Task, seed: int) -> OpenLoop:
 
     Args:
         kind: "sinusoid", or "knots" (20 over an episode).
-        task: The task to be controlled.
-        seed: Seed of the guess.
     """
     rng = np.random.default_rng([seed, 4])
     n, dt = task.num_actions, task.dt
@@ -47,9 +45,7 @@ def fit_open_loop(
     """Maximize the mean reward of fixed episodes with L-BFGS; changes ``controller``.
 
     Args:
-        task: The task to be controlled.
         controller: First guess, which the fit changes.
-        seed: Seed of the episodes' starts.
         batch: Number of episodes side by side.
         max_iterations: Largest number of iterations of L-BFGS.
 

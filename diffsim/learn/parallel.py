@@ -27,16 +27,11 @@ class LostProcessError(ConnectionError):
 
 @dataclass(frozen=True)
 class Batch:
-    """What a differentiated batch of episodes leaves besides its gradient.
+    """What a differentiated batch of episodes leaves besides its gradient."""
 
-    Attributes:
-        reward: Mean over steps and episodes, without gradient.
-        seen: (n, num_observations) before failures.
-        scalars: Numbers for the log, beside those of all batches.
-    """
-
-    reward: Tensor
-    seen: Tensor
+    reward: Tensor  # mean over steps and episodes, without gradient
+    seen: Tensor  # (n, num_observations) before failures
+    # numbers for the log, beside those of all batches
     scalars: dict[str, float] = field(default_factory=dict)
 
 
@@ -77,7 +72,6 @@ def merged(batch: Batch | None, parameters: Iterable[nn.Parameter], share: float
 
     Args:
         batch: This process's part, its gradient in ``parameters``; None where it broke down.
-        parameters: Parameters of the network.
         share: Part of the batch's episodes that this process has.
 
     Returns:

@@ -28,17 +28,11 @@ RESULTS = "results.jsonl"
 
 @dataclass
 class Update:
-    """What one update of a method used and measured.
+    """What one update of a method used and measured."""
 
-    Attributes:
-        steps: Number of simulation steps that it took.
-        gradient_steps: How many of them were differentiated.
-        scalars: Numbers for the log, by name.
-    """
-
-    steps: int
-    gradient_steps: int = 0
-    scalars: dict[str, float] = field(default_factory=dict)
+    steps: int  # number of simulation steps that it took
+    gradient_steps: int = 0  # how many of them were differentiated
+    scalars: dict[str, float] = field(default_factory=dict)  # numbers for the log, by name
 
 
 class Learner(Protocol):

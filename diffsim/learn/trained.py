@@ -94,17 +94,11 @@ class Trained:
 
 
 class Replay(NamedTuple):
-    """The episodes of a rating, step by step.
+    """The episodes of a rating, step by step."""
 
-    Attributes:
-        states: At every step and at the end, (episodes, ...).
-        commands: (steps, episodes, num_actions).
-        rewards: (steps, episodes); zero once an episode has failed.
-    """
-
-    states: list[TaskState]
-    commands: Tensor
-    rewards: Tensor
+    states: list[TaskState]  # at every step and at the end, (episodes, ...)
+    commands: Tensor  # (steps, episodes, num_actions)
+    rewards: Tensor  # (steps, episodes); zero once an episode has failed
 
 
 def replay(trained: Trained, task: Task) -> Replay:

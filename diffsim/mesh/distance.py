@@ -24,21 +24,13 @@ _FEW_PAIRS = 500_000
 
 
 class Nearest(NamedTuple):
-    """The closest feature of a surface for each point.
+    """The closest feature of a surface for each point."""
 
-    Attributes:
-        face: Index of the closest triangle, (N,) int64.
-        feature: Its corner 0..2, edge 01, 12, 20 as 3..5, or 6 for its inside, (N,) int64.
-        sign: -1 inside the surface, 1 outside, (N,).
-        distance: Not signed, (N,) [m].
-        normal: Pseudonormal of the feature, not normalized, (N, 3).
-    """
-
-    face: IntArray
-    feature: IntArray
-    sign: Array
-    distance: Array
-    normal: Array
+    face: IntArray  # index of the closest triangle, (N,) int64
+    feature: IntArray  # its corner 0..2, edge 01, 12, 20 as 3..5, or 6 for its inside, (N,) int64
+    sign: Array  # -1 inside the surface, 1 outside, (N,)
+    distance: Array  # not signed, (N,) [m]
+    normal: Array  # pseudonormal of the feature, not normalized, (N, 3)
 
 
 class SurfaceDistance:

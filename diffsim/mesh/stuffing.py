@@ -85,7 +85,7 @@ def fill(
 class _Lattice:
     """Nodes near the solid and the tetrahedra that touch its inside."""
 
-    x: Array  # (V, 3) [m]
+    x: Array  # places of the nodes, (V, 3) [m]
     side: IntArray  # (V,) inside, on, outside
     center: np.ndarray  # (V,) bool: center of a cube rather than corner; long edges join equals
     tets: IntArray  # (T, 4)
@@ -97,7 +97,7 @@ class _Cuts:
 
     edges: IntArray  # (C, 2) inside node, outside node
     t: Array  # (C,) place of the cut from the inside node [-]
-    x: Array  # (C, 3) [m]
+    x: Array  # places of the cuts, (C, 3) [m]
     keys: IntArray  # (C,) ascending, of the sorted edge
     num_nodes: int
 

@@ -84,16 +84,11 @@ def check_off(path: Path, content: bytes) -> None:
 
 @dataclass
 class _Element:
-    """What a PLY header says of one kind of its content.
+    """What a PLY header says of one kind of its content."""
 
-    Attributes:
-        name: "vertex", "face" or another.
-        count: Of its entries.
-        sizes: Bytes of each property by name; of a list those of its count and of an entry.
-    """
-
-    name: str
-    count: int
+    name: str  # "vertex", "face" or another
+    count: int  # of its entries
+    # bytes of each property by name; of a list those of its count and of an entry
     sizes: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     @property

@@ -205,7 +205,6 @@ def integrated(
     """``Ode.solve`` of what is known to fit, for callers that ask thousands of times.
 
     Args:
-        ode: What is integrated.
         problem: Of ``Ode.problem``.
         start, inputs, parameters: As ``Ode.solve`` takes them; both of the latter are there.
 

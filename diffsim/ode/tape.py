@@ -32,22 +32,15 @@ _PARTS = {"time": _DRIVEN, "input": _DRIVEN, "state": _MOVING}
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """Formulas of rates and of readings on the same registers.
+    """Formulas of rates and of readings on the same registers."""
 
-    Attributes:
-        constants: Values of the constant registers, (num_constants,) float64.
-        code: Instructions, (num_code, 4) int64: operation, a, b, c.
-        ends: (4,) int64, where parts of the code end: what needs parameters alone; for the rates,
-            what needs time and inputs besides, then all else; what only readings need.
-        rates: Registers of the rates, (num_rates,) int64.
-        readings: Registers of the readings, (num_readings,) int64.
-    """
-
-    constants: Tensor
-    code: Tensor
+    constants: Tensor  # values of the constant registers, (num_constants,) float64
+    code: Tensor  # instructions, (num_code, 4) int64: operation, a, b, c
+    # (4,) int64, where parts of the code end: what needs parameters alone; for the rates, what
+    # needs time and inputs besides, then all else; what only readings need
     ends: Tensor
-    rates: Tensor
-    readings: Tensor
+    rates: Tensor  # registers of the rates, (num_rates,) int64
+    readings: Tensor  # registers of the readings, (num_readings,) int64
 
 
 def make_tape(

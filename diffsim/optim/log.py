@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from diffsim.core.arrays import Array
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.core.files import append_atomic, to_plain, write_bytes_atomic
 from diffsim.optim.evaluation import Evaluation
 
@@ -22,6 +22,7 @@ class LogError(ValueError):
     """A file that a log cannot go on from; the message says why and what to do."""
 
 
+@checked_methods
 class Log:
     """Entries in named lists; each is on disk before ``append`` returns, none is ever changed.
 
@@ -52,12 +53,10 @@ class Log:
         """Entries of a list, in order; empty where there is none."""
         return tuple(self._lists.get(name, ()))
 
-    @checked(kinds_only=True)
     def find(self, name: str, x: Array) -> Mapping[str, Any] | None:
         """The entry of a list at the point x, (n,), the same to the last bit; None if none is."""
         return self._at.get(_key(name, x))
 
-    @checked(kinds_only=True)
     def append(self, name: str, entry: Mapping[str, Any]) -> Mapping[str, Any]:
         """Add an entry to a list, and to the file.
 
@@ -76,7 +75,6 @@ class Log:
             self._has_header = True
         return self._keep(json.loads(line))
 
-    @checked(kinds_only=True)
     def part(self, name: str) -> Log:
         """A log in memory that holds one list only: what a worker goes on from."""
         out = Log()
@@ -84,7 +82,6 @@ class Log:
             out.append(name, entry)
         return out
 
-    @checked(kinds_only=True)
     def take(self, name: str, part: Log) -> None:
         """Add what a worker appended to the list since ``part`` was made."""
         for entry in part[name][len(self[name]) :]:

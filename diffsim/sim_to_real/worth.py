@@ -86,19 +86,13 @@ class Worth:
 
 @dataclass(frozen=True)
 class TaskByShare(Generic[Found]):
-    """What is asked of a model in which causes act with a share of their sizes.
+    """What is asked of a model in which causes act with a share of their sizes."""
 
-    Attributes:
-        best: Function (share, causes, best command so far or None) -> the best command.
-        score: Function of it: what it reached in its own model.
-        unaware: Function of it: what it reaches where causes act in full.
-        of: What scores are.
-    """
-
+    # function (share, causes, best command so far or None) -> the best command
     best: Callable[[float, Collection[str], Found | None], Found]
-    score: Callable[[Found], float]
-    unaware: Callable[[Found], float]
-    of: str = MISS
+    score: Callable[[Found], float]  # function of it: what it reached in its own model
+    unaware: Callable[[Found], float]  # function of it: what it reaches where causes act in full
+    of: str = MISS  # what scores are
 
     def worth(self, causes: Sequence[str]) -> tuple[Worth, ...]:
         """What each cause costs, and all causes together where there are several."""

@@ -28,14 +28,11 @@ def _spec(*shape: str | int, **properties: Any) -> dict[str, Array]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arrays:
-    """A record of float64 tensors.
+    """A record of float64 tensors."""
 
-    Attributes:
-        specs: What holds for each tensor by name, in the order of the ops' arguments. "batch" leads
-            what differs between the items of a batch; all else is shared, "...", or given for each
-            of them (:attr:`per_member`).
-    """
-
+    # what holds for each tensor by name, in the order of the ops' arguments. "batch" leads what
+    # differs between the items of a batch; all else is shared, "...", or given for each of them
+    # (:attr:`per_member`).
     specs: ClassVar[Mapping[str, Array]] = {}
 
     def __init_subclass__(cls) -> None:
@@ -121,30 +118,26 @@ class Arrays:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EnergyArrays(Arrays):
-    """Parameters of the elastic, damping and pressure energies.
+    """Parameters of the elastic, damping and pressure energies."""
 
-    Attributes:
-        weights: Of the solid, (num_weights, num_elements) [Pa], see
-            :mod:`diffsim.soft.materials`. These, ``fiber_stiffness``, ``damp_mu`` and
-            ``damp_lambda`` may all lead with a batch axis.
-        fiber_stiffness: Stiffness of each fiber, (num_fibers,) [Pa].
-        activation: Target stretch of each fiber, (batch, num_fibers) [-].
-        damp_mu, damp_lambda: Weights of damping, (num_elements,) [Pa].
-        x_frame: Positions of the frame that damping refers to, (batch, num_nodes, 3) [m].
-        x_velocity: Positions that velocity is measured from, (batch, num_nodes, 3) [m].
-        pressure: Gauge pressures, (batch, num_chambers) [Pa].
-        tables: What the kernels know of the rest shape, (num_tables,), see
-            :mod:`diffsim.soft.rest_shape`; empty: that of the mesh.
-    """
-
+    # of the solid, (num_weights, num_elements) [Pa], see :mod:`diffsim.soft.materials`. These,
+    # ``fiber_stiffness``, ``damp_mu`` and ``damp_lambda`` may all lead with a batch axis.
     weights: Tensor = field(metadata=_spec("...", "num_weights", "num_elements"))
+    # stiffness of each fiber, (num_fibers,) [Pa]
     fiber_stiffness: Tensor = field(metadata=_spec("...", "num_fibers"))
+    # target stretch of each fiber, (batch, num_fibers) [-]
     activation: Tensor = field(metadata=_spec("batch", "num_fibers"))
+    # damp_mu, damp_lambda: weights of damping, (num_elements,) [Pa]
     damp_mu: Tensor = field(metadata=_spec("...", "num_elements", optional="damp_mu"))
     damp_lambda: Tensor = field(metadata=_spec("...", "num_elements", optional="damp_mu"))
+    # positions of the frame that damping refers to, (batch, num_nodes, 3) [m]
     x_frame: Tensor = field(metadata=_spec(*NODAL, optional="damp_mu"))
+    # positions that velocity is measured from, (batch, num_nodes, 3) [m]
     x_velocity: Tensor = field(metadata=_spec(*NODAL, optional="damp_mu"))
+    # gauge pressures, (batch, num_chambers) [Pa]
     pressure: Tensor = field(metadata=_spec("batch", "num_chambers"))
+    # what the kernels know of the rest shape, (num_tables,), see :mod:`diffsim.soft.rest_shape`;
+    # empty: that of the mesh
     tables: Tensor = field(metadata=_spec("num_tables", optional="tables"))
 
     @property
@@ -160,40 +153,32 @@ class EnergyArrays(Arrays):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StepArrays(EnergyArrays):
-    """The problem of one implicit step, see csrc/kernels/soft/implicit_step.h.
+    """The problem of one implicit step, see csrc/kernels/soft/implicit_step.h."""
 
-    Attributes:
-        y: Inertial positions, (batch, num_nodes, 3) [m].
-        force: Force on each node, (batch, num_nodes, 3) [N].
-        target: Positions of Dirichlet nodes, (batch, num_nodes, 3) [m].
-        guess: Start of the iteration, (batch, num_nodes, 3) [m]; its gradient is zero but in
-            linearly implicit steps.
-        inertia: Mass over the squared time step of each node, (num_nodes,) [N/m].
-    """
-
-    y: Tensor = field(metadata=_spec(*NODAL))
-    force: Tensor = field(metadata=_spec(*NODAL))
+    y: Tensor = field(metadata=_spec(*NODAL))  # inertial positions, (batch, num_nodes, 3) [m]
+    force: Tensor = field(metadata=_spec(*NODAL))  # force on each node, (batch, num_nodes, 3) [N]
+    # positions of Dirichlet nodes, (batch, num_nodes, 3) [m]
     target: Tensor = field(metadata=_spec(*NODAL))
+    # start of the iteration, (batch, num_nodes, 3) [m]; its gradient is zero but in linearly
+    # implicit steps
     guess: Tensor = field(metadata=_spec(*NODAL))
+    # mass over the squared time step of each node, (num_nodes,) [N/m]
     inertia: Tensor = field(metadata=_spec("...", "num_nodes"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactArrays(Arrays):
-    """Half spaces of the nodes that may touch, see :class:`diffsim.contact.ContactPlanes`.
+    """Half spaces of the nodes that may touch, see :class:`diffsim.contact.ContactPlanes`."""
 
-    Attributes:
-        normal: Normal of each contact, (batch, num_contacts, 3) [-].
-        reference: Place that sticking holds each node at, (batch, num_contacts, 3) [m].
-        offset: Least normal displacement of each contact, (batch, num_contacts) [m].
-        friction: Friction coefficient of each contact, (batch, num_contacts) [-].
-        force_guess: Contact forces to start from, (batch, num_contacts, 3) [N]; no gradient.
-    """
-
+    # normal of each contact, (batch, num_contacts, 3) [-]
     normal: Tensor = field(metadata=_spec(*CONTACTS, 3))
+    # place that sticking holds each node at, (batch, num_contacts, 3) [m]
     reference: Tensor = field(metadata=_spec(*CONTACTS, 3))
+    # least normal displacement of each contact, (batch, num_contacts) [m]
     offset: Tensor = field(metadata=_spec(*CONTACTS))
+    # friction coefficient of each contact, (batch, num_contacts) [-]
     friction: Tensor = field(metadata=_spec(*CONTACTS))
+    # contact forces to start from, (batch, num_contacts, 3) [N]; no gradient
     force_guess: Tensor = field(metadata=_spec(*CONTACTS, 3, smooth=False))
 
 

@@ -57,23 +57,15 @@ def require_element(element: str | None, mesh: HexMesh | TetMesh) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElementTables:
-    """What the kernels read of a mesh's elements.
+    """What the kernels read of a mesh's elements."""
 
-    Attributes:
-        kind: By the kernels' name.
-        elements: Nodes that an element's deformation gradient depends on, (num_elements, k) int64.
-        class_idx: Row of the others that an element uses, (num_elements,) int64.
-        grad: Their shape gradients at the samples, (num_classes, num_samples, k, 3) [1/m].
-        weight: Volume of each sample, (num_classes, num_samples) [m^3].
-        hourglass: (num_classes, 95) of kind ``mean_hex``, else (num_classes, 0).
-    """
-
-    kind: str
+    kind: str  # by the kernels' name
+    # nodes that an element's deformation gradient depends on, (num_elements, k) int64
     elements: Tensor
-    class_idx: Tensor
-    grad: Tensor
-    weight: Tensor
-    hourglass: Tensor
+    class_idx: Tensor  # row of the others that an element uses, (num_elements,) int64
+    grad: Tensor  # their shape gradients at the samples, (num_classes, num_samples, k, 3) [1/m]
+    weight: Tensor  # volume of each sample, (num_classes, num_samples) [m^3]
+    hourglass: Tensor  # (num_classes, 95) of kind ``mean_hex``, else (num_classes, 0)
 
     def by_element(self) -> Tensor:
         """The tables of each element as one row, as kernels take them, where none share theirs."""

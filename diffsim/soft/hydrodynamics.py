@@ -38,17 +38,11 @@ class HydroForces(NamedTuple):
 
 
 class SteadyWater(NamedTuple):
-    """Water whose force depends on nothing but where a body is and how it moves.
+    """Water whose force depends on nothing but where a body is and how it moves."""
 
-    Attributes:
-        bound: The kernel with the water's properties.
-        velocity: Of the water, (batch, 3) [m/s].
-        gain: Factor on the forces, broadcastable to them [-]; None: 1.
-    """
-
-    bound: BoundWater
-    velocity: Tensor
-    gain: Tensor | None = None
+    bound: BoundWater  # the kernel with the water's properties
+    velocity: Tensor  # of the water, (batch, 3) [m/s]
+    gain: Tensor | None = None  # factor on the forces, broadcastable to them [-]; None: 1
 
     @classmethod
     def of(

@@ -20,19 +20,12 @@ EMPTY = torch.zeros(0, dtype=torch.float64)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Loads:
-    """What acts on a body in one step, checked, with the batch axes of the state.
+    """What acts on a body in one step, checked, with the batch axes of the state."""
 
-    Attributes:
-        force: External forces and weight, (..., num_nodes, 3) [N].
-        target: Positions of Dirichlet nodes, (..., num_nodes, 3) [m].
-        activation: Activations of the muscles, (..., num_muscles) [-].
-        pressure: Gauge pressures of the chambers, (..., num_chambers) [Pa].
-    """
-
-    force: Tensor
-    target: Tensor
-    activation: Tensor
-    pressure: Tensor
+    force: Tensor  # external forces and weight, (..., num_nodes, 3) [N]
+    target: Tensor  # positions of Dirichlet nodes, (..., num_nodes, 3) [m]
+    activation: Tensor  # activations of the muscles, (..., num_muscles) [-]
+    pressure: Tensor  # gauge pressures of the chambers, (..., num_chambers) [Pa]
     prepared: PreparedBody
 
     @property
@@ -51,17 +44,11 @@ class Loads:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DampingFrame:
-    """What stiffness-proportional damping refers to, see csrc/kernels/soft/damping.h.
+    """What stiffness-proportional damping refers to, see csrc/kernels/soft/damping.h."""
 
-    Attributes:
-        weights: Of the elements; None: no damping.
-        x_frame: Positions that define the frame, (..., num_nodes, 3) [m].
-        x_velocity: Positions that velocity is measured from, (..., num_nodes, 3) [m].
-    """
-
-    weights: DampingWeights | None
-    x_frame: Tensor
-    x_velocity: Tensor
+    weights: DampingWeights | None  # of the elements; None: no damping
+    x_frame: Tensor  # positions that define the frame, (..., num_nodes, 3) [m]
+    x_velocity: Tensor  # positions that velocity is measured from, (..., num_nodes, 3) [m]
 
 
 def check_inputs(

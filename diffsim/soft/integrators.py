@@ -24,15 +24,10 @@ WITH_CONTACT = ("implicit_euler", "bdf2")
 
 
 class Rates(NamedTuple):
-    """What an integrator's problems have of the time step.
+    """What an integrator's problems have of the time step."""
 
-    Attributes:
-        c: Inertia per mass [1/s^2].
-        kappa: Velocity per displacement [1/s].
-    """
-
-    c: float
-    kappa: float
+    c: float  # inertia per mass [1/s^2]
+    kappa: float  # velocity per displacement [1/s]
 
 
 VELOCITY = Rates(c=0.0, kappa=1.0)  # of explicit steps: displacements stand for velocities
@@ -40,21 +35,15 @@ VELOCITY = Rates(c=0.0, kappa=1.0)  # of explicit steps: displacements stand for
 
 @dataclass(frozen=True)
 class ImplicitStage:
-    """The implicit problem of one step.
+    """The implicit problem of one step."""
 
-    Attributes:
-        rates: Inertia per mass, and velocity per displacement.
-        y: Inertial position, (..., num_nodes, 3) [m].
-        x_velocity: Position that velocity is measured from, (..., num_nodes, 3) [m].
-            The frame of stiffness-proportional damping is y: it predicts the unknown to second
-            order, so that damping keeps the integrator's order.
-        midpoint: The unknown is the position in the middle of the step.
-    """
-
-    rates: Rates
-    y: Tensor
+    rates: Rates  # inertia per mass, and velocity per displacement
+    y: Tensor  # inertial position, (..., num_nodes, 3) [m]
+    # position that velocity is measured from, (..., num_nodes, 3) [m]. The frame of
+    # stiffness-proportional damping is y: it predicts the unknown to second order, so that damping
+    # keeps the integrator's order.
     x_velocity: Tensor
-    midpoint: bool = False
+    midpoint: bool = False  # the unknown is the position in the middle of the step
 
 
 def rates_of(integrator: str, dt: float) -> tuple[Rates, ...]:

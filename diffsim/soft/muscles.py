@@ -90,15 +90,10 @@ class Muscle:
 
 
 class FiberValues(NamedTuple):
-    """What the fibers of one step have.
+    """What the fibers of one step have."""
 
-    Attributes:
-        stiffness: Stiffness of each fiber, (num_fibers,) [Pa].
-        stretch: Target stretch, (..., num_fibers) [-].
-    """
-
-    stiffness: Tensor
-    stretch: Tensor
+    stiffness: Tensor  # stiffness of each fiber, (num_fibers,) [Pa]
+    stretch: Tensor  # target stretch, (..., num_fibers) [-]
 
 
 class MuscleSet:

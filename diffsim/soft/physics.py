@@ -124,17 +124,11 @@ PARAMETERS = tuple(f.name for f in fields(PhysicalValues) if f.name != "constant
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LumpedVolume:
-    """Volume of a mesh, lumped to its nodes.
+    """Volume of a mesh, lumped to its nodes."""
 
-    Attributes:
-        elements: Nodes of each element, (num_elements, 8 or 4) int64.
-        shares: Volume of each element lumped to its nodes, (num_elements, 8 or 4) [m^3].
-        nodal: Volume of each node, (num_nodes,) [m^3].
-    """
-
-    elements: Tensor
-    shares: Tensor
-    nodal: Tensor
+    elements: Tensor  # nodes of each element, (num_elements, 8 or 4) int64
+    shares: Tensor  # volume of each element lumped to its nodes, (num_elements, 8 or 4) [m^3]
+    nodal: Tensor  # volume of each node, (num_nodes,) [m^3]
 
     def mass(self, density: Tensor, batch: int | None = None) -> Tensor:
         """Lumped mass, (num_nodes,), or (batch, num_nodes) of a density per member [kg].

@@ -25,19 +25,12 @@ from diffsim.soft.solid import Solid
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StageTerms:
-    """What no state changes in the problem of a step.
+    """What no state changes in the problem of a step."""
 
-    Attributes:
-        alpha: Mass-proportional damping per displacement, (..., 1, 1) [1/s^2].
-        total: Inertia per mass with that damping, (..., 1, 1) [1/s^2].
-        inertia: The same of each node, (num_nodes,) [N/m].
-        damping: Weights of stiffness-proportional damping; None: none.
-    """
-
-    alpha: Tensor
-    total: Tensor
-    inertia: Tensor
-    damping: DampingWeights | None
+    alpha: Tensor  # mass-proportional damping per displacement, (..., 1, 1) [1/s^2]
+    total: Tensor  # inertia per mass with that damping, (..., 1, 1) [1/s^2]
+    inertia: Tensor  # the same of each node, (num_nodes,) [N/m]
+    damping: DampingWeights | None  # weights of stiffness-proportional damping; None: none
 
     @classmethod
     def of(cls, physics: Physics, rates: Rates) -> StageTerms:
@@ -158,17 +151,11 @@ class PreparedBody:
 
 
 class KeptBody(NamedTuple):
-    """What was prepared last with a body's own parameters, and what they were.
+    """What was prepared last with a body's own parameters, and what they were."""
 
-    Attributes:
-        settings: Integrator, time step, solver, handle and names of the parameters.
-        values: Copies of the parameters.
-        prepared: What was prepared, without its body, which it would keep alive.
-    """
-
-    settings: tuple[Any, ...]
-    values: tuple[Tensor, ...]
-    prepared: PreparedBody
+    settings: tuple[Any, ...]  # integrator, time step, solver, handle and names of the parameters
+    values: tuple[Tensor, ...]  # copies of the parameters
+    prepared: PreparedBody  # what was prepared, without its body, which it would keep alive
 
 
 def prepare(body: Solid, physics: Physics | None) -> PreparedBody:

@@ -16,21 +16,15 @@ class StepProblem:
     """argmin 1/2 |x - y|^2_inertia - force.x + E(x) + D(x) - p V(x), x = target where fixed.
 
     The layer under every integrator and under statics; see csrc/kernels/soft/implicit_step.h.
-
-    Attributes:
-        y: Inertial positions, (..., num_nodes, 3) [m].
-        guess: Start of the iteration, (..., num_nodes, 3) [m]; no gradient but in linearly
-            implicit steps, which are one Newton step from it.
-        inertia: Inertia per displacement of each node, (num_nodes,) [N/m].
-        loads: Forces, targets, activations, pressures and physics.
-        frame: Reference of the damping energy D; None: undamped.
     """
 
-    y: Tensor
+    y: Tensor  # inertial positions, (..., num_nodes, 3) [m]
+    # start of the iteration, (..., num_nodes, 3) [m]; no gradient but in linearly implicit steps,
+    # which are one Newton step from it
     guess: Tensor
-    inertia: Tensor
-    loads: Loads
-    frame: DampingFrame | None = None
+    inertia: Tensor  # inertia per displacement of each node, (num_nodes,) [N/m]
+    loads: Loads  # forces, targets, activations, pressures and physics
+    frame: DampingFrame | None = None  # reference of the damping energy D; None: undamped
 
     def arrays(self) -> StepArrays:
         """The tensors that the ops take, batch axes flattened."""

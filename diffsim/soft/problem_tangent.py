@@ -19,15 +19,10 @@ from diffsim.soft.state import State
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChangingTerms:
-    """Directions of :class:`~diffsim.soft.prepared.StageTerms`.
+    """Directions of :class:`~diffsim.soft.prepared.StageTerms`."""
 
-    Attributes:
-        total: Of the inertia per mass, (K, 1, 1) [1/s^2].
-        rates: Of inertia and weights of damping, by name, as kernels take them.
-    """
-
-    total: Tensor
-    rates: Mapping[str, Tensor]
+    total: Tensor  # of the inertia per mass, (K, 1, 1) [1/s^2]
+    rates: Mapping[str, Tensor]  # of inertia and weights of damping, by name, as kernels take them
 
     @classmethod
     def of(cls, physics: Physics, changing: Physics, stage: Rates) -> ChangingTerms:

@@ -26,22 +26,14 @@ from diffsim.soft.muscles import MuscleSet
 
 
 class RestShape(NamedTuple):
-    """A rest shape and what follows from it.
+    """A rest shape and what follows from it."""
 
-    Attributes:
-        x_rest: Positions, (num_nodes, 3) [m].
-        shares: Volume of each element lumped to its nodes, (num_elements, 8 or 4) [m^3].
-        nodal: Volume of each node, (num_nodes,) [m^3].
-        tables: Of all elements, then the directions of all fibers, (num_tables,); empty: those of
-            the mesh.
-        fiber_weights: Of all fibers in place of their own, (num_fibers,), see ``Muscle``; None:
-            those.
-    """
-
-    x_rest: Tensor
-    shares: Tensor
-    nodal: Tensor
+    x_rest: Tensor  # positions, (num_nodes, 3) [m]
+    shares: Tensor  # volume of each element lumped to its nodes, (num_elements, 8 or 4) [m^3]
+    nodal: Tensor  # volume of each node, (num_nodes,) [m^3]
+    # of all elements, then the directions of all fibers, (num_tables,); empty: those of the mesh
     tables: Tensor
+    # of all fibers in place of their own, (num_fibers,), see ``Muscle``; None: those
     fiber_weights: Tensor | None
 
 

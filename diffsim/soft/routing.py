@@ -18,17 +18,11 @@ _SAMPLES = 33  # per segment and hexahedron, before the crossings are bisected
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """Pieces of a path, ordered along it; one per element and segment.
+    """Pieces of a path, ordered along it; one per element and segment."""
 
-    Attributes:
-        elements: Element of each piece, (num_pieces,) int64.
-        direction: Unit vector of the piece, (num_pieces, 3) [-].
-        length: Its length [m]; the lengths sum to that of the path.
-    """
-
-    elements: IntArray
-    direction: Array
-    length: Array
+    elements: IntArray  # element of each piece, (num_pieces,) int64
+    direction: Array  # unit vector of the piece, (num_pieces, 3) [-]
+    length: Array  # its length [m]; the lengths sum to that of the path
 
 
 def route(mesh: HexMesh | TetMesh, path: Array) -> Route:

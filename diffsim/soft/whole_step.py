@@ -63,19 +63,12 @@ def whole_step(state: State, loads: Loads, water: SteadyWater | None = None) -> 
 
 
 class _Parts(NamedTuple):
-    """A step without its derivatives.
+    """A step without its derivatives."""
 
-    Attributes:
-        end: The state after it.
-        bound: The kernel with the parameters of its problem.
-        arrays: Of the problem.
-        rates: Of its stage.
-    """
-
-    end: State
-    bound: BoundStep
-    arrays: StepArrays
-    rates: Rates
+    end: State  # the state after it
+    bound: BoundStep  # the kernel with the parameters of its problem
+    arrays: StepArrays  # of the problem
+    rates: Rates  # of its stage
 
     @classmethod
     def of(cls, state: State, loads: Loads, water: SteadyWater | None, *, keep: bool) -> _Parts:

@@ -26,24 +26,15 @@ LOADS = ("wall_velocity", "body_force", "traction")
 
 
 class FlowInputs(NamedTuple):
-    """What drives a flow, and through which shape; also the gradients of these.
+    """What drives a flow, and through which shape; also the gradients of these."""
 
-    Attributes:
-        phi: Level set, (num_nodes,), > 0 in the fluid.
-        viscosity: Viscosity, (1,) [Pa s].
-        prescribed: Velocities, (cases, num_nodes, dim), read at prescribed components [m/s].
-        wall_velocity: Velocity of the embedded wall, (1 or cases, num_nodes, dim) [m/s]; empty
-            at rest.
-        body_force: Per volume, the same shapes [N/m^dim]; empty without.
-        traction: On open faces, the same shapes [N/m^(dim-1)]; empty without.
-    """
-
-    phi: Tensor
-    viscosity: Tensor
-    prescribed: Tensor
+    phi: Tensor  # level set, (num_nodes,), > 0 in the fluid
+    viscosity: Tensor  # viscosity, (1,) [Pa s]
+    prescribed: Tensor  # velocities, (cases, num_nodes, dim), read at prescribed components [m/s]
+    # velocity of the embedded wall, (1 or cases, num_nodes, dim) [m/s]; empty at rest
     wall_velocity: Tensor
-    body_force: Tensor
-    traction: Tensor
+    body_force: Tensor  # per volume, the same shapes [N/m^dim]; empty without
+    traction: Tensor  # on open faces, the same shapes [N/m^(dim-1)]; empty without
 
     @property
     def loads(self) -> dict[str, Tensor]:
@@ -52,19 +43,12 @@ class FlowInputs(NamedTuple):
 
 
 class FlowOutputs(NamedTuple):
-    """A solved flow.
+    """A solved flow."""
 
-    Attributes:
-        velocity: Velocity at each node, (cases, num_nodes, dim) [m/s].
-        pressure: Pressure of each cell, (cases, num_cells) [Pa].
-        fraction: Fluid share of every cell, (num_cells,) [-].
-        stats: ``STATS`` of every case, (cases, len(STATS)); no gradient.
-    """
-
-    velocity: Tensor
-    pressure: Tensor
-    fraction: Tensor
-    stats: Tensor
+    velocity: Tensor  # velocity at each node, (cases, num_nodes, dim) [m/s]
+    pressure: Tensor  # pressure of each cell, (cases, num_cells) [Pa]
+    fraction: Tensor  # fluid share of every cell, (num_cells,) [-]
+    stats: Tensor  # ``STATS`` of every case, (cases, len(STATS)); no gradient
 
 
 def _context(options: Mapping[str, Any]) -> StokesContext:

@@ -22,23 +22,15 @@ UNITS = {"m": 1.0, "mm": 1e3, "um": 1e6}
 
 @dataclass(frozen=True, kw_only=True)
 class FabricationReport:
-    """What can be said of a solid before it is printed.
+    """What can be said of a solid before it is printed."""
 
-    Attributes:
-        is_watertight: Every edge has two triangles, all facing outwards.
-        volume: Volume of the solid [m^3].
-        part_volumes: Volumes of the separate parts, largest first [m^3]; all but the first are
-            loose.
-        cavity_volumes: Volumes of voids without a way out, largest first [m^3]: resin or powder
-            stays in.
-        size: Size of the bounding box [m].
-    """
-
-    is_watertight: bool
-    volume: float
+    is_watertight: bool  # every edge has two triangles, all facing outwards
+    volume: float  # volume of the solid [m^3]
+    # volumes of the separate parts, largest first [m^3]; all but the first are loose
     part_volumes: tuple[float, ...]
+    # volumes of voids without a way out, largest first [m^3]: resin or powder stays in
     cavity_volumes: tuple[float, ...]
-    size: tuple[float, float, float]
+    size: tuple[float, float, float]  # size of the bounding box [m]
 
     @property
     def num_parts(self) -> int:

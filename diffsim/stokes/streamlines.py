@@ -39,21 +39,13 @@ _ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1
 
 @dataclass(frozen=True, kw_only=True)
 class Streamline:
-    """One line.
+    """One line."""
 
-    Attributes:
-        points: Points of the line, (n, dim) [m], in the direction of the flow.
-        speed: Speed at the points, (n,) [m/s].
-        time: Time along the line from its first point, (n,) [s].
-        end: Why it ended downstream, one of ``ENDS``.
-        start: Why it ended upstream; "seed" where it was not followed there.
-    """
-
-    points: Array
-    speed: Array
-    time: Array
-    end: str
-    start: str = "seed"
+    points: Array  # points of the line, (n, dim) [m], in the direction of the flow
+    speed: Array  # speed at the points, (n,) [m/s]
+    time: Array  # time along the line from its first point, (n,) [s]
+    end: str  # why it ended downstream, one of ``ENDS``
+    start: str = "seed"  # why it ended upstream; "seed" where it was not followed there
 
     @property
     def length(self) -> float:
@@ -130,7 +122,6 @@ def inlet_seeds(field: FlowField, count: int, *, case: int = 0) -> Tensor:
     strips, and those into pieces.
 
     Args:
-        count: Number of seeds.
         case: Index of one of the field's cases.
 
     Returns:

@@ -163,7 +163,6 @@ def missing_commands(
 
     Args:
         wanted: Keys that name a command each, and that; None: the key names none.
-        runs: Recorded runs.
     """
     for key, name in wanted:
         run = next((r for r in runs if name is not None and name not in r.command), None)
@@ -481,9 +480,7 @@ def chosen_effects(
     """Effects of a library as a description chooses them, and those that it adds by rows.
 
     Args:
-        library: All effects of the system.
         choice: The description's ``effects``.
-        study: Study with the recordings, of which rows are.
         plant: What the system offers to rows of a user; None: nothing.
 
     Raises:

@@ -141,7 +141,6 @@ def chooser(
         labels: Entries of the menu; the first is shown at the start.
         owners: Index of the label that each line belongs to, in the order of the lines.
         num_always: Number of lines before them that always show.
-        name: What is chosen.
     """
     buttons = [
         {

@@ -18,6 +18,7 @@ from diffsim.core.expression import Name, Node, NumberNode, parse_expression
 from diffsim.core.figures import figure, unit_of, with_interval
 from diffsim.core.optional import optional
 from diffsim.data.study import Study
+from diffsim.diagnose.discover.answer import PERIODS_SHOWN
 from diffsim.diagnose.discover.stage import TABLE
 from diffsim.diagnose.judge.records import HALF_LEVEL
 from diffsim.diagnose.say.law_records import DescribedLaw, LawAnswer, LawCurve, Number, ScreenRow
@@ -30,7 +31,6 @@ from diffsim.viz.charts import EXTENDED
 from diffsim.viz.figures import INK, LINE
 
 MOST_ROWS = 15  # of the table of all that was weighed
-PERIODS = 3.0  # of a law that repeats, in its picture: more of them are a grey wall
 NUM_FINE = 400  # points of a formula's line
 #: one for each run, told apart without red and green
 RUN_COLORS = ("#4477aa", "#ccbb44", "#aa3377", "#66ccee", "#228833", "#ee6677", "#777777")
@@ -86,7 +86,7 @@ def _seen_part(law: DescribedLaw, u: Array) -> Mask:
     number = law.numbers.get("wave_number")
     if number is None:
         return np.ones(len(u), dtype=bool)
-    half = 0.5 * PERIODS * 2.0 * np.pi / abs(number.value)
+    half = 0.5 * PERIODS_SHOWN * 2.0 * np.pi / abs(number.value)
     return np.abs(u - 0.5 * (u[0] + u[-1])) <= half
 
 
@@ -101,7 +101,6 @@ def law_over_variable(
 
     Args:
         study: Study that knows units.
-        law: The law.
         curve: The term before it has a form.
         values: Numbers of the formula by name; None: it is not drawn.
         kept: Points of the curve that are drawn.
@@ -283,15 +282,10 @@ _CALLED = {"abs": "Abs", "min": "Min", "max": "Max"}  # where sympy has another 
 
 @dataclass(frozen=True)
 class WrittenFormula:
-    """A formula with its numbers put in.
+    """A formula with its numbers put in."""
 
-    Attributes:
-        text: As text.
-        latex: As LaTeX.
-    """
-
-    text: str
-    latex: str
+    text: str  # as text
+    latex: str  # as LaTeX
 
 
 def write_formula(
@@ -301,7 +295,6 @@ def write_formula(
 
     Args:
         formula: Such as ``"size*sin(k*u)"``.
-        values: Numbers by name.
         words: What other names are called, such as "heat of current^2".
 
     Returns:

@@ -80,7 +80,6 @@ def runs_section(
     """Runs over time, measured and predicted.
 
     Args:
-        title: Heading.
         runs: Runs with their predictions, one or more.
         channels: Channels of the study with their noise.
         view: What moved in these runs; None: nothing to see.

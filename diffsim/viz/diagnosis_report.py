@@ -19,7 +19,7 @@ from diffsim.diagnose.judge.records import CERTAIN
 from diffsim.diagnose.say.force_map import ForceMap
 from diffsim.diagnose.say.law_records import DESCRIBED
 from diffsim.diagnose.say.report import Report
-from diffsim.diagnose.say.wording import component_words
+from diffsim.diagnose.say.wording import MOST_LISTED, component_words
 from diffsim.viz import diagnosis_charts as draw
 from diffsim.viz import diagnosis_tables as tables
 from diffsim.viz import report as page
@@ -62,7 +62,6 @@ LIKELY_ONLY = {
     "named": "one or more causes are likely, none is certain",
     DESCRIBED: "a law that is not in the library; likely, not certain",
 }
-MAX_LISTED = 3  # names or sets in a sentence; the tables have all
 
 
 def write_diagnosis(report: Report, path: str | Path) -> Path:
@@ -275,7 +274,7 @@ def _data_sheet(r: Report) -> page.Section:
     if names := list(dict.fromkeys(words_of(stem) for stem in stems)):
         whole = {words_of(row.name.partition("@")[0].partition("[")[0]) for row in told}
         some = ["some of " * (name in whole) + name for name in names]
-        text.append(f"These runs say nothing of {list_first(some, MAX_LISTED * 2)}.")
+        text.append(f"These runs say nothing of {list_first(some, MOST_LISTED * 2)}.")
     content = [tables.base(shown)] if shown else []
     return page.Section(title=title, text=text, content=content)
 
@@ -287,7 +286,7 @@ def _confounding(r: Report) -> page.Section:
     blocks = blocks_of(r.confounding)
     words = [_component_of(name) for name in r.confounding_names]
     sets = [" and ".join(words[i] for i in block) for block in blocks]
-    text = [f"These data hardly part {list_first(sets, MAX_LISTED, '; ')}."] if blocks else []
+    text = [f"These data hardly part {list_first(sets, MOST_LISTED, '; ')}."] if blocks else []
     caption = (
         f"Boxed: sets linked by cosines beyond ±{CONFOUNDED}. Of one set only a set can be "
         "named, not a member."

@@ -20,19 +20,15 @@ CONFOUNDED = 0.95  # cosine beyond which two components are hardly told apart
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PredictedRun(Run):
-    """A recorded run with what the models predict for it.
+    """A recorded run with what the models predict for it."""
 
-    Attributes:
-        null: Prediction of the fitted model without effects, (num_samples, num_channels).
-        extended: Prediction with the named effects, same shape; None where nothing was named.
-        band: Half of the width of the band around the last of these, same shape; None: no band.
-        null_at, extended_at: Coordinates of the fits in this run, its own nuisances fitted to it;
-            None: unknown.
-    """
-
-    null: Array
+    null: Array  # prediction of the fitted model without effects, (num_samples, num_channels)
+    # prediction with the named effects, same shape; None where nothing was named
     extended: Array | None = None
+    # half of the width of the band around the last of these, same shape; None: no band
     band: Array | None = None
+    # null_at, extended_at: coordinates of the fits in this run, its own nuisances fitted to it;
+    # None: unknown
     null_at: Array | None = None
     extended_at: Array | None = None
 
@@ -50,7 +46,6 @@ def predicted_runs(
         study: Recorded runs with their channels.
         null: Fit without effects.
         extended: Fit with effects; None where nothing was named.
-        uses: Uses of the runs to predict.
         bands: Half of the width of the band by run.
     """
     return [
@@ -95,7 +90,6 @@ def with_noise(channels: Sequence[Channel], sd: Mapping[str, float]) -> list[Cha
     """Channels with the noise that was estimated.
 
     Args:
-        channels: Channels of a study.
         sd: Standard deviation by name of the channel [unit of the channel].
     """
     return [replace(c, sd=float(sd[c.name])) for c in channels]

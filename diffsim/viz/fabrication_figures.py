@@ -39,7 +39,6 @@ def view(meshes: Mapping[str, trimesh.Trimesh], kinds: Mapping[str, str]) -> Fig
 
     Args:
         meshes: Surfaces by part, NED [m].
-        kinds: Kind of each part.
     """
     width, height = 9.6, 5.8
     figure = optional("matplotlib.figure", purpose="a figure").Figure(figsize=(width, height))
@@ -59,7 +58,6 @@ def wiring(
     """Motors from above: numbers, senses of rotation, front.
 
     Args:
-        motors: Motors of the plan.
         shapes: Kind and triangles of structural parts, front-right-down relative to the center of
             mass, (num_triangles, 3, 3) [m].
     """

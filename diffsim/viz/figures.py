@@ -66,7 +66,6 @@ def uri_of(content: bytes, kind: str) -> str:
     """A picture's file as a data URI.
 
     Args:
-        content: Content of the file.
         kind: Its kind: "png", "svg+xml".
     """
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"

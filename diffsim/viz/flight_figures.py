@@ -20,10 +20,6 @@ def motor_outputs(flights: Sequence[tuple[str, FlightLog]], *, columns: int = 2)
     """Pulse widths of all motors over time, one panel per flight, with the clamp.
 
     Bars above the clamp show when a motor was asked for more than it may give.
-
-    Args:
-        flights: Title and log of each flight.
-        columns: Number of columns of panels.
     """
     columns = min(columns, len(flights))
     rows = -(-len(flights) // columns)

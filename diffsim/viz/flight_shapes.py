@@ -27,21 +27,13 @@ _HUB = 0.25  # radius of the body over the mean length of the arms
 
 @dataclass(frozen=True, eq=False)
 class FlightShapes:
-    """Surfaces of a vehicle and what moves them.
+    """Surfaces of a vehicle and what moves them."""
 
-    Attributes:
-        vehicle: Mass properties and rotors.
-        rotors: One model per rotor.
-        rotor_names: One per rotor; the mesh ``NAME__propeller`` turns.
-        center_of_mass: In the frame of the meshes, (3,) [m].
-        meshes: Closed surfaces by name, forward, right, down [m].
-    """
-
-    vehicle: Multicopter
-    rotors: tuple[RotorModel, ...]
-    rotor_names: tuple[str, ...]
-    center_of_mass: Array
-    meshes: dict[str, trimesh.Trimesh]
+    vehicle: Multicopter  # mass properties and rotors
+    rotors: tuple[RotorModel, ...]  # one model per rotor
+    rotor_names: tuple[str, ...]  # one per rotor; the mesh ``NAME__propeller`` turns
+    center_of_mass: Array  # in the frame of the meshes, (3,) [m]
+    meshes: dict[str, trimesh.Trimesh]  # closed surfaces by name, forward, right, down [m]
 
 
 def shapes_of(design: Design | FlyingVehicle) -> FlightShapes:

@@ -61,7 +61,6 @@ def compare(
     """Flows side by side on one color scale, such as the initial and the optimized design.
 
     Args:
-        panels: Title and flow of each panel.
         case: Index of the inlet case.
         plane: Plane of 3D flows, such as ("z", 0.5): axis and position in the box [share of its
             side].

@@ -36,7 +36,6 @@ def write_rerun(
     Args:
         path: File name with the extension .rrd; folders are made.
         field: The flow; one in 2D lies in z = 0 with its wall extruded.
-        title: Title of the recording.
         case: Index of the inlet case.
         lines: Streamlines, or how many to start where fluid enters.
         num_arrows: Approximate number of arrows.

@@ -28,44 +28,27 @@ _LEVELS = 65535
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Deforming:
-    """A surface whose nodes move.
+    """A surface whose nodes move."""
 
-    Attributes:
-        name: What the button that hides it says.
-        color: Color of the part, as ``#rrggbb``.
-        triangles: Node indices, (num_triangles, 3).
-        nodes_m: Positions over time, z up, (num_frames, num_nodes, 3) [m].
-        opacity: Less than 1 where another surface shows through.
-        closed: Its triangles are seen counter-clockwise from outside, and only from there.
-    """
-
-    name: str
-    color: str
-    triangles: Ints
-    nodes_m: Array
-    opacity: float = 1.0
+    name: str  # what the button that hides it says
+    color: str  # color of the part, as ``#rrggbb``
+    triangles: Ints  # node indices, (num_triangles, 3)
+    nodes_m: Array  # positions over time, z up, (num_frames, num_nodes, 3) [m]
+    opacity: float = 1.0  # less than 1 where another surface shows through
+    # its triangles are seen counter-clockwise from outside, and only from there
     closed: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rigid:
-    """A surface that moves as a whole.
+    """A surface that moves as a whole."""
 
-    Attributes:
-        name: What the button that hides it says; parts of one name share a button.
-        color: Color of the part, as ``#rrggbb``.
-        triangles: Node indices, (num_triangles, 3).
-        nodes_m: Positions in its own frame, (num_nodes, 3) [m].
-        turns: Rotations to the world, z up, (num_frames, 3, 3).
-        places_m: Its origin in the world, (num_frames, 3) [m].
-    """
-
-    name: str
-    color: str
-    triangles: Ints
-    nodes_m: Array
-    turns: Array
-    places_m: Array
+    name: str  # what the button that hides it says; parts of one name share a button
+    color: str  # color of the part, as ``#rrggbb``
+    triangles: Ints  # node indices, (num_triangles, 3)
+    nodes_m: Array  # positions in its own frame, (num_nodes, 3) [m]
+    turns: Array  # rotations to the world, z up, (num_frames, 3, 3)
+    places_m: Array  # its origin in the world, (num_frames, 3) [m]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,19 +64,14 @@ class Line:
 class Moving:
     """A view of things that move on one clock.
 
-    Attributes:
-        time_s: Times of the frames, (num_frames,) [s], ascending.
-        parts: What is shown.
-        caption: What to see.
-
     Raises:
         ValueError: frames that do not fit the times, positions that are not finite, no parts, or
             more triangles than a page draws.
     """
 
-    time_s: Array
-    parts: Sequence[Deforming | Rigid | Line]
-    caption: str
+    time_s: Array  # times of the frames, (num_frames,) [s], ascending
+    parts: Sequence[Deforming | Rigid | Line]  # what is shown
+    caption: str  # what to see
 
     def __post_init__(self) -> None:
         count = len(self.time_s)
@@ -139,15 +117,10 @@ class Moving:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovingChoice:
-    """Views in one place, with a menu to choose by.
+    """Views in one place, with a menu to choose by."""
 
-    Attributes:
-        views: Views by name, such as runs; one or more.
-        caption: What to see.
-    """
-
-    views: Mapping[str, Moving]
-    caption: str
+    views: Mapping[str, Moving]  # views by name, such as runs; one or more
+    caption: str  # what to see
 
     def __post_init__(self) -> None:
         if not self.views:

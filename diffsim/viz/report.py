@@ -54,15 +54,10 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True)
 class Chart:
-    """An interactive figure.
+    """An interactive figure."""
 
-    Attributes:
-        figure: Figure of plotly.
-        caption: What to see, and how to read it.
-    """
-
-    figure: Any
-    caption: str
+    figure: Any  # figure of plotly
+    caption: str  # what to see, and how to read it
 
     @property
     def html(self) -> str:
@@ -72,23 +67,15 @@ class Chart:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of finished strings; the first column is the row's name.
+    """A table of finished strings; the first column is the row's name."""
 
-    Attributes:
-        columns: Headings of the columns, with units.
-        rows: Cells, as many as columns.
-        caption: What the table shows.
-        emphasis: Indices of rows to stress.
-        folded: Indices of rows that stand in a part of their own, which a click opens.
-        folded_words: What these rows are, as "refuted".
-    """
-
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    caption: str = ""
-    emphasis: Sequence[int] = ()
+    columns: Sequence[str]  # headings of the columns, with units
+    rows: Sequence[Sequence[str]]  # cells, as many as columns
+    caption: str = ""  # what the table shows
+    emphasis: Sequence[int] = ()  # indices of rows to stress
+    # indices of rows that stand in a part of their own, which a click opens
     folded: Sequence[int] = ()
-    folded_words: str = ""
+    folded_words: str = ""  # what these rows are, as "refuted"
 
     def __post_init__(self) -> None:
         for i, row in enumerate(self.rows):

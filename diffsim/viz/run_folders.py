@@ -25,23 +25,14 @@ _MOST_LETTERS = 2_000  # of a sentence
 
 @dataclass(frozen=True)
 class RunFolder:
-    """One run.
+    """One run."""
 
-    Attributes:
-        path: Folder, relative to the folder of all runs.
-        kind: Such as "diagnosis"; "files" where it is not recognized.
-        said: Result of the run, in one line.
-        progress: How far it is: "finished", or what is done so far.
-        changed: Time of the last change [s since 1970].
-        files: All files in it that a browser or a viewer shows, by name.
-    """
-
-    path: str
-    kind: str
-    said: str
-    progress: str
-    changed: float
-    files: tuple[str, ...]
+    path: str  # folder, relative to the folder of all runs
+    kind: str  # such as "diagnosis"; "files" where it is not recognized
+    said: str  # result of the run, in one line
+    progress: str  # how far it is: "finished", or what is done so far
+    changed: float  # time of the last change [s since 1970]
+    files: tuple[str, ...]  # all files in it that a browser or a viewer shows, by name
 
     def of_kind(self, endings: tuple[str, ...]) -> list[str]:
         """Files with one of the endings."""
@@ -49,11 +40,7 @@ class RunFolder:
 
 
 def run_folders(root: Path) -> list[RunFolder]:
-    """All runs below a folder, the latest first.
-
-    Args:
-        root: Folder of all runs.
-    """
+    """All runs below a folder, the latest first."""
     root = root.resolve()
     made: list[RunFolder | None] = []
     for name, inner, _ in os.walk(root):  # follows no links, and what vanishes meanwhile is none

@@ -37,7 +37,6 @@ def render_index(root: Path, runs: Sequence[RunFolder], viewer: str | None, base
     """The page as text; names of files and folders are escaped.
 
     Args:
-        root: Folder of all runs.
         runs: As ``run_folders`` gives them.
         viewer: Address of rerun's web viewer; None: recordings are links to the files.
         base: Address of this server.
@@ -60,7 +59,6 @@ def make_server(root: Path, port: int, viewer: str | None = None) -> ThreadingHT
     """A server of the runs below a folder, on this machine's own address only.
 
     Args:
-        root: Folder of all runs.
         port: Port; 0: any that is free.
         viewer: Address of rerun's web viewer, which may read recordings from here.
 

@@ -17,21 +17,13 @@ from diffsim.core.optional import optional
 
 @dataclass(frozen=True, kw_only=True)
 class MovingSurface:
-    """A triangulated surface over time.
+    """A triangulated surface over time."""
 
-    Attributes:
-        path: Entity path, such as ``gravity/identified``.
-        time_s: Times of the frames, (T,) [s].
-        nodes_m: Positions of the nodes, (T, N, 3) [m].
-        triangles: Node indices of the triangles, (F, 3).
-        color: Color of the surface as ``#rrggbb``.
-    """
-
-    path: str
-    time_s: Array
-    nodes_m: NDArray[np.float32]
-    triangles: IntArray
-    color: str
+    path: str  # entity path, such as ``gravity/identified``
+    time_s: Array  # times of the frames, (T,) [s]
+    nodes_m: NDArray[np.float32]  # positions of the nodes, (T, N, 3) [m]
+    triangles: IntArray  # node indices of the triangles, (F, 3)
+    color: str  # color of the surface as ``#rrggbb``
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -103,21 +103,16 @@ def identification(
 
 @dataclass(frozen=True, kw_only=True)
 class Visibility:
-    """What a motion shows of log E and log nu, linearized.
+    """What a motion shows of log E and log nu, linearized."""
 
-    Attributes:
-        metric: (2, 2) [m^2]; ``p @ metric @ p`` is the mean square displacement of the nodes over
-            the whole motion when (log E, log nu) change by p. Half the Hessian of the loss at a
-            perfect fit, per node and step.
-        alone: RMS displacement per unit of log E and of log nu, the other held [m].
-        together: The same with the other chosen to hide it as well as it can [m].
-        weak: The combination of (log E, log nu), of length one, that shows least, and how much it
-            moves the nodes [m].
-    """
-
+    # (2, 2) [m^2]; ``p @ metric @ p`` is the mean square displacement of the nodes over the whole
+    # motion when (log E, log nu) change by p. Half the Hessian of the loss at a perfect fit, per
+    # node and step.
     metric: Array
-    alone: Array
-    together: Array
+    alone: Array  # RMS displacement per unit of log E and of log nu, the other held [m]
+    together: Array  # the same with the other chosen to hide it as well as it can [m]
+    # the combination of (log E, log nu), of length one, that shows least, and how much it moves the
+    # nodes [m]
     weak: tuple[Array, float]
 
     def uncertainty(self, off: float) -> Array:

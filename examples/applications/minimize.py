@@ -37,22 +37,15 @@ class Evaluation:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Where an optimization ended.
+    """Where an optimization ended."""
 
-    Attributes:
-        best: The evaluation of the smallest loss.
-        evaluations: All of them, in order; those of the starts that were only tried come first.
-        num_starts: How many of them were tries of a start.
-        num_warm_up: How many evaluations of the application's warm-up came before (not listed).
-        converged: The optimizer ended by its own criteria, not by the limit of evaluations.
-        message: The optimizer's reason to stop.
-    """
-
-    best: Evaluation
+    best: Evaluation  # the evaluation of the smallest loss
+    # all of them, in order; those of the starts that were only tried come first
     evaluations: list[Evaluation]
-    num_starts: int
-    converged: bool
-    message: str
+    num_starts: int  # how many of them were tries of a start
+    converged: bool  # the optimizer ended by its own criteria, not by the limit of evaluations
+    message: str  # the optimizer's reason to stop
+    # how many evaluations of the application's warm-up came before (not listed)
     num_warm_up: int = 0
 
 

@@ -56,21 +56,13 @@ LIMITS = Limits(clearance=0.005)
 
 @dataclass(frozen=True)
 class Choice:
-    """One combination.
+    """One combination."""
 
-    Attributes:
-        rotors: How many.
-        rotor: Name of the rotor model.
-        battery: Mass [kg].
-        torque: To be left at full load [N m].
-        width: Of the vehicle with its propellers, at most [m].
-    """
-
-    rotors: int
-    rotor: str
-    battery: float
-    torque: float
-    width: float = math.inf
+    rotors: int  # how many
+    rotor: str  # name of the rotor model
+    battery: float  # mass [kg]
+    torque: float  # to be left at full load [N m]
+    width: float = math.inf  # of the vehicle with its propellers, at most [m]
 
     @property
     def fits(self) -> bool:

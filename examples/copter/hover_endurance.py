@@ -51,24 +51,17 @@ BATTERY = Battery.lipo(cells=3, capacity_mah=2200.0)
 
 
 class Hovering(NamedTuple):
-    """Five minutes of one vehicle.
+    """Five minutes of one vehicle."""
 
-    Attributes:
-        time: (seconds,) [s].
-        power: Mean over each second, (seconds,) [W].
-        voltage, current: Of the battery, (seconds,).
-        charge: At the end, at constant power and, of the kernel, at constant current.
-        rms_error: From the place held [m].
-        cpu_time: Of the flight [s].
-    """
-
-    time: NDArray[np.float64]
-    power: NDArray[np.float64]
+    time: NDArray[np.float64]  # (seconds,) [s]
+    power: NDArray[np.float64]  # mean over each second, (seconds,) [W]
+    # voltage, current: of the battery, (seconds,)
     voltage: NDArray[np.float64]
     current: NDArray[np.float64]
+    # at the end, at constant power and, of the kernel, at constant current
     charge: tuple[float, float]
-    rms_error: float
-    cpu_time: float
+    rms_error: float  # from the place held [m]
+    cpu_time: float  # of the flight [s]
 
 
 def gusts(seconds: int, seed: int) -> Tensor:

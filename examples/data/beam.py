@@ -89,41 +89,27 @@ class BeamGeometry:
 
 @dataclass(frozen=True)
 class BeamTrial:
-    """One recording, in the model frame.
+    """One recording, in the model frame."""
 
-    Attributes:
-        name: File stem, such as ``load52_a``.
-        case: Recordings of equal case are repeats of each other.
-        tip_load_N: Weight hanging from the tip.
-        tip_load_mass_kg: Mass hung from the tip until the release [kg].
-        recording: Marker positions as the file has them, in the axes of the laboratory [m].
-        rot_model_from_data: Rotation from the axes of the laboratory to those of the model, (3, 3).
-        release_frame: First frame in which the tip is clearly on the way down, as stated in the
-            metadata.
-        release_frame_detected: The release that ``detect_release`` finds in the data; within 2
-            frames of ``release_frame``.
-        release_s: Time of release between frames, on the recording's clock [s].
-        time_s: (T,) since release [s], without the first 0.15 s of the recording.
-        markers: Names of the markers at the tip that are compared with the simulation.
-        marker_displacement_m: (T, num_markers, 3) from the held state.
-        clamp_displacement_m: (T, 3) mean over the clamp's markers; NaN if it has none.
-        support_displacement_m: (T, 3) of the point between the clamp's first two markers, nominally
-            on the bar's axis (the third jumps in the load cases); NaN if it has none.
-    """
-
-    name: str
-    case: str
-    tip_load_N: float
-    tip_load_mass_kg: float
-    recording: Recording
+    name: str  # file stem, such as ``load52_a``
+    case: str  # recordings of equal case are repeats of each other
+    tip_load_N: float  # weight hanging from the tip
+    tip_load_mass_kg: float  # mass hung from the tip until the release [kg]
+    recording: Recording  # marker positions as the file has them, in the axes of the laboratory [m]
+    # rotation from the axes of the laboratory to those of the model, (3, 3)
     rot_model_from_data: Array
+    # first frame in which the tip is clearly on the way down, as stated in the metadata
     release_frame: int
+    # the release that ``detect_release`` finds in the data; within 2 frames of ``release_frame``
     release_frame_detected: int
-    release_s: float
-    time_s: Array
+    release_s: float  # time of release between frames, on the recording's clock [s]
+    time_s: Array  # (T,) since release [s], without the first 0.15 s of the recording
+    # names of the markers at the tip that are compared with the simulation
     markers: tuple[str, ...]
-    marker_displacement_m: Array
-    clamp_displacement_m: Array
+    marker_displacement_m: Array  # (T, num_markers, 3) from the held state
+    clamp_displacement_m: Array  # (T, 3) mean over the clamp's markers; NaN if it has none
+    # (T, 3) of the point between the clamp's first two markers, nominally on the bar's axis (the
+    # third jumps in the load cases); NaN if it has none
     support_displacement_m: Array
 
     @property
@@ -144,21 +130,13 @@ class BeamTrial:
 
 @dataclass(frozen=True)
 class BeamStudy:
-    """All recordings of one beam.
+    """All recordings of one beam."""
 
-    Attributes:
-        trials: Recordings, in the order of the metadata.
-        geometry: Length, width, height and clamp of the bar.
-        folder: Folder that the study was read from.
-        metadata: Everything that ``metadata.yaml`` holds.
-        is_virtual: Made by a bundled virtual laboratory, not measured.
-    """
-
-    trials: tuple[BeamTrial, ...]
-    geometry: BeamGeometry
-    folder: Path
-    metadata: dict[str, Any]
-    is_virtual: bool
+    trials: tuple[BeamTrial, ...]  # recordings, in the order of the metadata
+    geometry: BeamGeometry  # length, width, height and clamp of the bar
+    folder: Path  # folder that the study was read from
+    metadata: dict[str, Any]  # everything that ``metadata.yaml`` holds
+    is_virtual: bool  # made by a bundled virtual laboratory, not measured
 
     def repeats(self) -> dict[str, tuple[BeamTrial, ...]]:
         """Recordings by name of the case, repeats together."""

@@ -23,31 +23,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Decay:
-    """A fitted x(s) = offset + drift d(s) + exp(-sigma s) (a cos ws + b sin ws), s = t - t[0].
+    """A fitted x(s) = offset + drift d(s) + exp(-sigma s) (a cos ws + b sin ws), s = t - t[0]."""
 
-    Attributes:
-        frequency_Hz: Damped frequency w / (2 pi) [Hz].
-        damping_ratio: sigma / sqrt(sigma^2 + w^2).
-        amplitude: Amplitude of the oscillation at s = 0 [unit of x].
-        phase: atan2(-b, a): x ~ amplitude cos(ws + phase) [rad].
-        offset: The level at the end of the record towards which the oscillation settles.
-        drift: Change of that level over the record (creep); 0 if not fitted.
-        rms: Root mean square of what the fit leaves, unit of x.
-        frequency_std_Hz, damping_ratio_std: One standard deviation, taking what is left as white
-            noise; an underestimate where the model itself is wrong.
-        num_samples: Number of samples fitted.
-    """
-
-    frequency_Hz: float
-    damping_ratio: float
-    amplitude: float
-    phase: float
-    offset: float
-    drift: float
-    rms: float
+    frequency_Hz: float  # damped frequency w / (2 pi) [Hz]
+    damping_ratio: float  # sigma / sqrt(sigma^2 + w^2)
+    amplitude: float  # amplitude of the oscillation at s = 0 [unit of x]
+    phase: float  # atan2(-b, a): x ~ amplitude cos(ws + phase) [rad]
+    offset: float  # the level at the end of the record towards which the oscillation settles
+    drift: float  # change of that level over the record (creep); 0 if not fitted
+    rms: float  # root mean square of what the fit leaves, unit of x
+    # frequency_std_Hz, damping_ratio_std: one standard deviation, taking what is left as white
+    # noise; an underestimate where the model itself is wrong
     frequency_std_Hz: float
     damping_ratio_std: float
-    num_samples: int
+    num_samples: int  # number of samples fitted
 
 
 def fit_decay(
@@ -170,21 +159,13 @@ def decay_by_window(
 
 @dataclass(frozen=True)
 class Swings:
-    """Turning points of an oscillation, located between samples by a cubic spline.
+    """Turning points of an oscillation, located between samples by a cubic spline."""
 
-    Attributes:
-        time_s: (N,) times of the turning points [s].
-        value: Value of x at each turning point, (N,) [unit of x].
-        height: (N-1,) |difference| of neighbors: free of the level the oscillation settles to.
-        frequency_Hz: Frequency from the mean time between turning points [Hz].
-        damping_ratio: Damping ratio from the slope of log(height) over turning points (logarithmic
-            decrement) [-].
-    """
-
-    time_s: Array
-    value: Array
-    height: Array
-    frequency_Hz: float
+    time_s: Array  # (N,) times of the turning points [s]
+    value: Array  # value of x at each turning point, (N,) [unit of x]
+    height: Array  # (N-1,) |difference| of neighbors: free of the level the oscillation settles to
+    frequency_Hz: float  # frequency from the mean time between turning points [Hz]
+    # damping ratio from the slope of log(height) over turning points (logarithmic decrement) [-]
     damping_ratio: float
 
 
@@ -255,20 +236,14 @@ def amplitude_spectrum(time_s: Array, x: Array, *, pad: int = 4) -> tuple[Array,
 
 @dataclass(frozen=True)
 class Level:
-    """Level at which a record settles.
+    """Level at which a record settles."""
 
-    Attributes:
-        value: Mean over the last ``span_s`` seconds.
-        std: Scatter there, drift removed.
-        creep_per_decade: Change of the level per tenfold time since release, by a fit in log time
-            over the last two thirds of the record; a rubber creeps by a few per cent.
-        span_s: Length of the stretch that was averaged [s].
-    """
-
-    value: float
-    std: float
+    value: float  # mean over the last ``span_s`` seconds
+    std: float  # scatter there, drift removed
+    # change of the level per tenfold time since release, by a fit in log time over the last two
+    # thirds of the record; a rubber creeps by a few per cent
     creep_per_decade: float
-    span_s: float
+    span_s: float  # length of the stretch that was averaged [s]
 
 
 def settled_level(time_s: Array, x: Array, *, span_s: float = 1.0, release_s: float = 0.0) -> Level:
@@ -292,24 +267,16 @@ def settled_level(time_s: Array, x: Array, *, span_s: float = 1.0, release_s: fl
 
 @dataclass(frozen=True)
 class RepeatFloor:
-    """Difference of two recordings of the same case: the best that any simulation can promise.
+    """Difference of two recordings of the same case: the best that any simulation can promise."""
 
-    Attributes:
-        rms: (num_coordinates,) root mean square of the difference, aligned at release.
-        rms_best: (num_coordinates,) root mean square after the extra shift ``lag_s`` that makes the
-            whole difference least.
-        lag_s: That shift: positive if the second recording runs late.
-        peak: (num_coordinates,) largest difference, aligned at release.
-        difference: (N, num_coordinates) first minus second, aligned at release.
-        time_s: Times since the release, (N,) [s].
-    """
-
-    rms: Array
+    rms: Array  # (num_coordinates,) root mean square of the difference, aligned at release
+    # (num_coordinates,) root mean square after the extra shift ``lag_s`` that makes the whole
+    # difference least
     rms_best: Array
-    lag_s: float
-    peak: Array
-    difference: Array
-    time_s: Array
+    lag_s: float  # that shift: positive if the second recording runs late
+    peak: Array  # (num_coordinates,) largest difference, aligned at release
+    difference: Array  # (N, num_coordinates) first minus second, aligned at release
+    time_s: Array  # times since the release, (N,) [s]
 
     @property
     def total_rms(self) -> float:

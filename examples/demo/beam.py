@@ -61,16 +61,11 @@ class Setup:
 
 @dataclass(frozen=True)
 class Release:
-    """A simulated release of the bar.
+    """A simulated release of the bar."""
 
-    Attributes:
-        time_s: Times of the samples after the release, (N,) [s].
-        tip_m: (N, 3) displacement of the mean tip marker [m]; carries the gradient.
-        nodes_m: (N, num_nodes, 3) places of the kept nodes, without gradient; None: not kept.
-    """
-
-    time_s: Array
-    tip_m: Tensor
+    time_s: Array  # times of the samples after the release, (N,) [s]
+    tip_m: Tensor  # (N, 3) displacement of the mean tip marker [m]; carries the gradient
+    # (N, num_nodes, 3) places of the kept nodes, without gradient; None: not kept
     nodes_m: Tensor | None = None
 
 

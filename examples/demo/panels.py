@@ -26,22 +26,15 @@ LEGEND_ROW_POINTS = 15.0  # height of a row of a legend above its panel
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """One labeled line of a figure.
+    """One labeled line of a figure."""
 
-    Attributes:
-        x, y: (N,) in SI units.
-        label: Text in the legend; empty: no entry.
-        role: Key of ``COLORS``, or a color.
-        dashed: Whether the line is dashed.
-        points: Draw the samples as dots, too.
-    """
-
+    # x, y: (N,) in SI units
     x: Array
     y: Array
-    label: str = ""
-    role: str = "measured"
-    dashed: bool = False
-    points: bool = False
+    label: str = ""  # text in the legend; empty: no entry
+    role: str = "measured"  # key of ``COLORS``, or a color
+    dashed: bool = False  # whether the line is dashed
+    points: bool = False  # draw the samples as dots, too
 
     @property
     def color(self) -> str:

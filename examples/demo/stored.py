@@ -22,15 +22,10 @@ STAGES = ("identified", "joint", "diagnosis")
 
 @dataclass(frozen=True)
 class Stored:
-    """Answers of some stages.
+    """Answers of some stages."""
 
-    Attributes:
-        commit: Commit whose code computed them; empty without answers.
-        results: By stage.
-    """
-
-    commit: str = ""
-    results: Mapping[str, Any] = field(default_factory=dict)
+    commit: str = ""  # commit whose code computed them; empty without answers
+    results: Mapping[str, Any] = field(default_factory=dict)  # by stage
 
     def words(self) -> list[str]:
         """Where they come from, for the page; nothing without answers."""

@@ -34,15 +34,10 @@ def sampling_matrix(model_time_s: Array, time_s: Array) -> Array:
 
 @dataclass(frozen=True)
 class Window:
-    """Measured tip motion on a stretch of time, to be compared with a simulation.
+    """Measured tip motion on a stretch of time, to be compared with a simulation."""
 
-    Attributes:
-        time_s: Times since the release, (N,) [s].
-        tip_m: (N, 3) displacement from the held state [m].
-    """
-
-    time_s: Array
-    tip_m: Array
+    time_s: Array  # times since the release, (N,) [s]
+    tip_m: Array  # (N, 3) displacement from the held state [m]
 
     def residual(self, model_time_s: Array, model_tip_m: Tensor, shift_s: float = 0.0) -> Tensor:
         """(N, 3) simulated minus measured [m]; the model is released ``shift_s`` later.

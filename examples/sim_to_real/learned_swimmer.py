@@ -80,21 +80,13 @@ SPEED_S = 2.0 * STROKE_S  # speeds are counted over whole periods of the clock
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How much is trained and recorded.
+    """How much is trained and recorded."""
 
-    Attributes:
-        updates: Updates of the network.
-        episode_s: Length of an episode [s].
-        record_s: Length of a recording [s].
-        repeats: Recordings of each controller whose mean speed counts.
-        fit: How body and water are identified.
-    """
-
-    updates: int = 16
-    episode_s: float = 3.3
-    record_s: float = 4.4
-    repeats: int = 2
-    fit: FitSettings = FIT
+    updates: int = 16  # updates of the network
+    episode_s: float = 3.3  # length of an episode [s]
+    record_s: float = 4.4  # length of a recording [s]
+    repeats: int = 2  # recordings of each controller whose mean speed counts
+    fit: FitSettings = FIT  # how body and water are identified
 
 
 QUICK = Effort(updates=2, episode_s=1.2, fit=replace(FIT, duration_s=0.6, max_evaluations=2))

@@ -60,17 +60,11 @@ DIAMETER, MASS = 0.06858, 0.0577  # [m], [kg]
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is tried.
+    """How much is tried."""
 
-    Attributes:
-        starts: Random samples.
-        rounds: Of Gauss-Newton; progress is kept after each.
-        evaluations: In each round.
-    """
-
-    starts: int
-    rounds: int
-    evaluations: int
+    starts: int  # random samples
+    rounds: int  # of Gauss-Newton; progress is kept after each
+    evaluations: int  # in each round
 
 
 QUICK, FULL = Effort(8, 1, 6), Effort(24, 3, 5)

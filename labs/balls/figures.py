@@ -27,17 +27,12 @@ SEEN = "#e8b800"
 
 @dataclass(frozen=True, eq=False)
 class ShownBall:
-    """One row of pictures: a title, outlines and centers of the balls.
+    """One row of pictures: a title, outlines and centers of the balls."""
 
-    Attributes:
-        title: Title above the row.
-        outlines: (num_frames, num_balls, n, 2) of the balls [px]; None: only what was seen.
-        centers: Centers of the balls in the picture, (num_frames, num_balls, 2) [px].
-    """
-
-    title: str
+    title: str  # title above the row
+    # (num_frames, num_balls, n, 2) of the balls [px]; None: only what was seen
     outlines: Array | None
-    centers: Array
+    centers: Array  # centers of the balls in the picture, (num_frames, num_balls, 2) [px]
 
 
 def simulated(name: str, model: SoftBallModel, x: Array, seen: Array) -> ShownBall:

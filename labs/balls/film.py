@@ -32,16 +32,11 @@ _OUTLINE = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pinhole camera that films the balls.
+    """A pinhole camera that films the balls."""
 
-    Attributes:
-        project: Places (n, 3) [m] to (n, 2), u to the right and v down [px].
-        eye: Place of the camera, (3,) [m].
-        width_px, height_px: Width and height of the picture [px].
-    """
-
-    project: Callable[[Array], Array]
-    eye: Array
+    project: Callable[[Array], Array]  # places (n, 3) [m] to (n, 2), u to the right and v down [px]
+    eye: Array  # place of the camera, (3,) [m]
+    # width_px, height_px: width and height of the picture [px]
     width_px: int = 1280
     height_px: int = 720
 

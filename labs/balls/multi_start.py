@@ -20,15 +20,10 @@ TURN_BACK = 1e3  # cost of a point that cannot be simulated, over that of the st
 
 @dataclass(frozen=True, eq=False)
 class RandomStarts:
-    """Random start points, best first.
+    """Random start points, best first."""
 
-    Attributes:
-        x: (count, n) standardized coordinates.
-        cost: (count,) ½ |r|² + ½ |x|²; infinite where the simulation failed.
-    """
-
-    x: Array
-    cost: Array
+    x: Array  # (count, n) standardized coordinates
+    cost: Array  # (count,) ½ |r|² + ½ |x|²; infinite where the simulation failed
 
 
 def random_starts(
@@ -74,17 +69,12 @@ def random_starts(
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Result of a descent from one start.
+    """Result of a descent from one start."""
 
-    Attributes:
-        x: Best point visited, (n,) standardized.
-        cost: ½ |r|² + ½ |x|² of every evaluation; infinite where the simulation failed.
-        message: Reason for the end, in words.
-    """
-
-    x: Array
+    x: Array  # best point visited, (n,) standardized
+    # ½ |r|² + ½ |x|² of every evaluation; infinite where the simulation failed
     cost: tuple[float, ...]
-    message: str
+    message: str  # reason for the end, in words
 
 
 def descend(

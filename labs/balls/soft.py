@@ -135,21 +135,13 @@ def ball_mesh(radius: float, subdivisions: int) -> mesh.TetMesh:
 
 @dataclass(frozen=True, eq=False)
 class SoftBallScene:
-    """A part of the video, and the corners clicked in it.
+    """A part of the video, and the corners clicked in it."""
 
-    Attributes:
-        values: ``MOTION``, the camera's numbers, () each.
-        frames: (T,) int64, samples as frames since the start.
-        rotation: (3, 3) of the camera before its small turn.
-        corners: (T, 3) places of the clicked corners [m], one per sample.
-        balls: Simulator of both balls.
-    """
-
-    values: Mapping[str, Tensor]
-    frames: Tensor
-    rotation: Tensor
-    corners: Tensor
-    balls: SoftBalls
+    values: Mapping[str, Tensor]  # ``MOTION``, the camera's numbers, () each
+    frames: Tensor  # (T,) int64, samples as frames since the start
+    rotation: Tensor  # (3, 3) of the camera before its small turn
+    corners: Tensor  # (T, 3) places of the clicked corners [m], one per sample
+    balls: SoftBalls  # simulator of both balls
 
     def with_number(self, name: str, change: Callable[[Tensor], Tensor]) -> SoftBallScene:
         """A copy in which one number is f(number)."""

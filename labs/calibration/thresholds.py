@@ -21,20 +21,13 @@ FACTORS = (0.5, 2.0)
 
 @dataclass(frozen=True)
 class Threshold:
-    """A constant of a module that decides verdicts.
+    """A constant of a module that decides verdicts."""
 
-    Attributes:
-        module: Its module, below ``diffsim``.
-        name: Of the constant.
-        decides: What it decides.
-        chosen: Cases that chose it, as far as comments and history say.
-        of_rest: Whether what lies between it and one is halved and doubled, as of a probability.
-    """
-
-    module: str
-    name: str
-    decides: str
-    chosen: str = ""
+    module: str  # its module, below ``diffsim``
+    name: str  # of the constant
+    decides: str  # what it decides
+    chosen: str = ""  # cases that chose it, as far as comments and history say
+    # whether what lies between it and one is halved and doubled, as of a probability
     of_rest: bool = False
 
     @property

@@ -30,19 +30,12 @@ MIDDLE, TIP = 0.0381, 0.0666  # places of the markers, mean of the upper and the
 
 @dataclass(frozen=True, eq=False)
 class Quarter:
-    """A quarter of the starfish on one mesh.
+    """A quarter of the starfish on one mesh."""
 
-    Attributes:
-        body: Soft body with one muscle, which stands for both half tendons.
-        rail: (num_nodes,) shares of the nodes that the rail holds; they sum to 1.
-        rows: (2, n) weights of ``nodes``: marker at the middle of a leg, marker at its tip.
-        nodes: (n,) along the leg's edge on the flat side.
-    """
-
-    body: soft.SoftBody
-    rail: Tensor
-    rows: Tensor
-    nodes: Tensor
+    body: soft.SoftBody  # soft body with one muscle, which stands for both half tendons
+    rail: Tensor  # (num_nodes,) shares of the nodes that the rail holds; they sum to 1
+    rows: Tensor  # (2, n) weights of ``nodes``: marker at the middle of a leg, marker at its tip
+    nodes: Tensor  # (n,) along the leg's edge on the flat side
 
     def look(self, x: Tensor) -> Tensor:
         """Channels (..., 3) [m]: the tip's x and z less those of the middle; the middle's x."""

@@ -39,35 +39,25 @@ class FitSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """Parameters with what is known of them.
+    """Parameters with what is known of them."""
 
-    Attributes:
-        values: By name, clocks of runs included.
-        sd: Posterior standard deviations, by name; see :func:`identify`.
-        names: Order of ``correlation``.
-        correlation: Posterior, rows of lists.
-        loss_before, loss_after: L_theta, thesis eq. 5.8, sum of squared displacement errors of the
-            markers at the start of the fit and at its end [m^2].
-        rms_before, rms_after: Root mean square of a marker's coordinate [m].
-        at_bound, undetermined: Names, as in :class:`diffsim.identify.Fit`.
-        num_evaluations: Number of evaluations of the misfit and its gradient.
-        message: The solver's reason to stop.
-        spread: Factor on the variance of a sample, see :func:`identify`.
-    """
-
-    values: dict[str, float]
-    sd: dict[str, float]
-    names: tuple[str, ...]
-    correlation: list[list[float]]
+    values: dict[str, float]  # by name, clocks of runs included
+    sd: dict[str, float]  # posterior standard deviations, by name; see :func:`identify`
+    names: tuple[str, ...]  # order of ``correlation``
+    correlation: list[list[float]]  # posterior, rows of lists
+    # loss_before, loss_after: L_theta, thesis eq. 5.8, sum of squared displacement errors of the
+    # markers at the start of the fit and at its end [m^2].
     loss_before: float
     loss_after: float
+    # rms_before, rms_after: root mean square of a marker's coordinate [m]
     rms_before: float
     rms_after: float
+    # at_bound, undetermined: names, as in :class:`diffsim.identify.Fit`
     at_bound: tuple[str, ...]
     undetermined: tuple[str, ...]
-    num_evaluations: int
-    message: str
-    spread: float
+    num_evaluations: int  # number of evaluations of the misfit and its gradient
+    message: str  # the solver's reason to stop
+    spread: float  # factor on the variance of a sample, see :func:`identify`
 
     def plain(self) -> dict[str, Any]:
         """For JSON."""

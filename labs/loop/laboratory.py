@@ -22,29 +22,17 @@ SETTLE_S = 1.0  # the servo goes to the first value and waits
 
 @dataclass(frozen=True, kw_only=True)
 class Rig:
-    """Servo and camera.
+    """Servo and camera."""
 
-    Attributes:
-        step_m: The servo goes to whole multiples of this pull [m].
-        lag_s: First-order lag of the servo [s].
-        rate_m_s: Greatest speed [m/s].
-        backlash_m: Play between servo and cable [m].
-        noise_m: Noise of a tracked marker, sd [m].
-        pixel_m: Places come in multiples of this [m].
-        tilt_rad: Angle of the camera about its axis [rad].
-        scale: Scale of the picture [-].
-        lost: Share of places that the tracker loses.
-    """
-
-    step_m: float = 1.6e-4
-    lag_s: float = 0.035
-    rate_m_s: float = 0.25
-    backlash_m: float = 3e-4
-    noise_m: float = 8e-5
-    pixel_m: float = 2e-5
-    tilt_rad: float = 0.01
-    scale: float = 1.005
-    lost: float = 0.002
+    step_m: float = 1.6e-4  # the servo goes to whole multiples of this pull [m]
+    lag_s: float = 0.035  # first-order lag of the servo [s]
+    rate_m_s: float = 0.25  # greatest speed [m/s]
+    backlash_m: float = 3e-4  # play between servo and cable [m]
+    noise_m: float = 8e-5  # noise of a tracked marker, sd [m]
+    pixel_m: float = 2e-5  # places come in multiples of this [m]
+    tilt_rad: float = 0.01  # angle of the camera about its axis [rad]
+    scale: float = 1.005  # scale of the picture [-]
+    lost: float = 0.002  # share of places that the tracker loses
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,36 +51,25 @@ class Iteration:
     """One row of Table 5.2, with what it was made from.
 
     Iteration 0 is bl-ctrl: the first guesses and the hand-made command. Iteration 1 is bl-one-iter.
-
-    Attributes:
-        idx: Number of the iteration, from 0.
-        values: theta, by name, that ``command`` was optimized for.
-        identified: How theta was found, from the recordings before; None in iteration 0.
-        loss_theta: L_theta [m^2]: of theta on the recordings that it was fitted to; in iteration 0
-            of the first guesses on the recording of this command.
-        loss_action: L_a of ``command`` with theta [m].
-        loss_action_before: L_a of the command before, with theta [m].
-        command: Executed in this iteration.
-        run: Recording of that command.
-        center_m: (num_samples,) x of the center of mass, simulated with theta for ``command``, from
-            its start [m].
-        markers_m: (num_samples, 8) displacements of the markers, simulated, as ``center_m``.
-        speed_simulated: v_s, predicted before the experiment [m/s].
-        speed_measured: v_r [m/s].
     """
 
-    idx: int
-    values: dict[str, float]
+    idx: int  # number of the iteration, from 0
+    values: dict[str, float]  # theta, by name, that ``command`` was optimized for
+    # how theta was found, from the recordings before; None in iteration 0
     identified: Identified | None
+    # L_theta [m^2]: of theta on the recordings that it was fitted to; in iteration 0 of the first
+    # guesses on the recording of this command
     loss_theta: float
-    loss_action: float
-    loss_action_before: float
-    command: Command
-    run: Run
+    loss_action: float  # L_a of ``command`` with theta [m]
+    loss_action_before: float  # L_a of the command before, with theta [m]
+    command: Command  # executed in this iteration
+    run: Run  # recording of that command
+    # (num_samples,) x of the center of mass, simulated with theta for ``command``, from its start
+    # [m]
     center_m: Array
-    markers_m: Array
-    speed_simulated: float
-    speed_measured: float
+    markers_m: Array  # (num_samples, 8) displacements of the markers, simulated, as ``center_m``
+    speed_simulated: float  # v_s, predicted before the experiment [m/s]
+    speed_measured: float  # v_r [m/s]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

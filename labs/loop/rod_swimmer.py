@@ -35,71 +35,47 @@ CABLE_SPEED = 5e-3  # of the cable, beyond which its friction has all of its dir
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """What only the laboratory knows, SI units.
+    """What only the laboratory knows, SI units."""
 
-    Attributes:
-        youngs_modulus: Modulus of the relaxed foam [Pa].
-        density: Ballasted to float [kg/m^3].
-        relaxing_share, relaxation_s: Maxwell branch: its stiffness over the relaxed modulus, and
-            its time.
-        stiffening: Moment times 1 + this turning angle squared.
-        viscous_s: Kelvin-Voigt time [s].
-        cable_stiffness: [N/m], cable with sheath and servo arm.
-        capstan: Friction of the cable on the foam [-].
-        slack_m: Pull that moves nothing [m].
-        crossflow_flat, crossflow_top: Drag coefficients of a leg that moves towards its flat side
-            and towards its top [-].
-        skin: Friction coefficient along a leg [-].
-        core_drag: Drag coefficient of the core [-].
-        added: Inertia across a leg, over that of a water cylinder of the leg's width [-].
-        wake_share, wake_s: Water takes that share of the leg's velocity, so late [s].
-        rail_friction: Coulomb [N].
-        current: Velocity of the tank's water along x [m/s].
-        leg_stiffness: (4,) factors: upper, lower, two sides.
-    """
-
-    youngs_modulus: float = 4.3e5
-    density: float = 990.0
+    youngs_modulus: float = 4.3e5  # modulus of the relaxed foam [Pa]
+    density: float = 990.0  # ballasted to float [kg/m^3]
+    # relaxing_share, relaxation_s: maxwell branch: its stiffness over the relaxed modulus, and its
+    # time
     relaxing_share: float = 0.35
     relaxation_s: float = 0.06
-    stiffening: float = 0.4
-    viscous_s: float = 1.5e-4
-    cable_stiffness: float = 9e3
-    capstan: float = 0.12
-    slack_m: float = 4e-4
+    stiffening: float = 0.4  # moment times 1 + this turning angle squared
+    viscous_s: float = 1.5e-4  # Kelvin-Voigt time [s]
+    cable_stiffness: float = 9e3  # [N/m], cable with sheath and servo arm
+    capstan: float = 0.12  # friction of the cable on the foam [-]
+    slack_m: float = 4e-4  # pull that moves nothing [m]
+    # crossflow_flat, crossflow_top: drag coefficients of a leg that moves towards its flat side and
+    # towards its top [-]
     crossflow_flat: float = 2.1
     crossflow_top: float = 1.5
-    skin: float = 0.02
-    core_drag: float = 1.1
+    skin: float = 0.02  # friction coefficient along a leg [-]
+    core_drag: float = 1.1  # drag coefficient of the core [-]
+    # inertia across a leg, over that of a water cylinder of the leg's width [-]
     added: float = 0.85
+    # wake_share, wake_s: water takes that share of the leg's velocity, so late [s]
     wake_share: float = 0.2
     wake_s: float = 0.12
-    rail_friction: float = 2e-3
-    current: float = 0.0
+    rail_friction: float = 2e-3  # Coulomb [N]
+    current: float = 0.0  # velocity of the tank's water along x [m/s]
+    # (4,) factors: upper, lower, two sides
     leg_stiffness: tuple[float, float, float, float] = (1.03, 0.96, 1.01, 0.99)
 
 
 @dataclass
 class RodState:
-    """The robot in motion; places, momenta and velocities along x and outwards.
+    """The robot in motion; places, momenta and velocities along x and outwards."""
 
-    Attributes:
-        at: (4, NUM_EDGES + 1, 2) places of the rods [m].
-        momentum: (4, NUM_EDGES, 2) of the nodes beyond the core [kg m/s].
-        velocity: (4, NUM_EDGES + 1, 2) [m/s].
-        relaxed: (4, NUM_EDGES) turn at which the Maxwell branch rests [rad].
-        wake: (4, NUM_EDGES) velocity of the water that is carried along [m/s].
-        core_momentum: Along x [kg m/s].
-        pull: Of the servo arm, last [m].
-    """
-
-    at: Array
-    momentum: Array
-    velocity: Array
-    relaxed: Array
-    wake: Array
-    core_momentum: float = 0.0
-    pull: float = 0.0
+    at: Array  # (4, NUM_EDGES + 1, 2) places of the rods [m]
+    momentum: Array  # (4, NUM_EDGES, 2) of the nodes beyond the core [kg m/s]
+    velocity: Array  # (4, NUM_EDGES + 1, 2) [m/s]
+    relaxed: Array  # (4, NUM_EDGES) turn at which the Maxwell branch rests [rad]
+    wake: Array  # (4, NUM_EDGES) velocity of the water that is carried along [m/s]
+    core_momentum: float = 0.0  # along x [kg m/s]
+    pull: float = 0.0  # of the servo arm, last [m]
 
 
 class RodSwimmer:

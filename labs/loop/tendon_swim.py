@@ -45,17 +45,11 @@ FAST_M_S = 0.1  # of a leg; scales what is sensed
 
 @dataclass(frozen=True, kw_only=True)
 class Servo:
-    """What is known of the servo.
+    """What is known of the servo."""
 
-    Attributes:
-        lag_s: Time constant of its lag [s]; 0: it follows at once.
-        rate_m_s: Its greatest speed [m/s]; None: there is no limit.
-        slack_m: Pull that moves nothing [m].
-    """
-
-    lag_s: float = 0.0
-    rate_m_s: float | None = None
-    slack_m: float = 0.0
+    lag_s: float = 0.0  # time constant of its lag [s]; 0: it follows at once
+    rate_m_s: float | None = None  # its greatest speed [m/s]; None: there is no limit
+    slack_m: float = 0.0  # pull that moves nothing [m]
 
     def dynamics(self) -> soft.ActuatorDynamics:
         """Lag and limited speed."""

@@ -44,20 +44,14 @@ class TrajectorySettings:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OptimizedCommand:
-    """A command with what the simulation promises.
+    """A command with what the simulation promises."""
 
-    Attributes:
-        command: Within bounds and rate.
-        loss_before, loss_after: L_a, thesis eq. 5.11 [m]; negative is forwards.
-        num_evaluations: Number of evaluations of L_a and its gradient.
-        message: The solver's reason to stop.
-    """
-
-    command: Command
+    command: Command  # within bounds and rate
+    # loss_before, loss_after: L_a, thesis eq. 5.11 [m]; negative is forwards.
     loss_before: float
     loss_after: float
-    num_evaluations: int
-    message: str
+    num_evaluations: int  # number of evaluations of L_a and its gradient
+    message: str  # the solver's reason to stop
 
     def plain(self) -> dict[str, Any]:
         """For JSON, the command apart."""

@@ -17,24 +17,17 @@ Record = Callable[[Run], Array]  # what the outside simulator gives, without noi
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What is diagnosed, and apart from it what was hidden.
+    """What is diagnosed, and apart from it what was hidden."""
 
-    Attributes:
-        study: Noisy recordings with the description of the system; all that a diagnosis sees.
-        clean: The same without noise.
-        kind: "single", "null" or "outside" (beyond the library).
-        hidden: Size of what was hidden by name of the cause; None: the size has no number.
-        also: Other names that say the same: no data of this study could tell them apart.
-        findings: Base parameters that are far off their data sheet.
-        base: True base parameters by the description's names, as far as they are known.
-    """
-
-    study: Study
-    clean: Study
-    kind: str
+    study: Study  # noisy recordings with the description of the system; all that a diagnosis sees
+    clean: Study  # the same without noise
+    kind: str  # "single", "null" or "outside" (beyond the library)
+    # size of what was hidden by name of the cause; None: the size has no number
     hidden: Mapping[str, float | None] = field(default_factory=dict)
+    # other names that say the same: no data of this study could tell them apart
     also: tuple[str, ...] = ()
-    findings: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()  # base parameters that are far off their data sheet
+    # True base parameters by the description's names, as far as they are known
     base: Mapping[str, float] = field(default_factory=dict)
 
 

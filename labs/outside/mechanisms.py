@@ -38,19 +38,12 @@ def commands(most: float, rng: np.random.Generator) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Rig:
-    """A MuJoCo model with what was hidden in it.
+    """A MuJoCo model with what was hidden in it."""
 
-    Attributes:
-        xml: The model.
-        late_s: Time by which commands come later [s].
-        push: Function (model, data, time) that adds forces before a step.
-        read: Sensors of the model, in the order of the channels.
-    """
-
-    xml: str
-    late_s: float = 0.0
-    push: Push | None = None
-    read: tuple[str, ...] = ("angle",)
+    xml: str  # the model
+    late_s: float = 0.0  # time by which commands come later [s]
+    push: Push | None = None  # function (model, data, time) that adds forces before a step
+    read: tuple[str, ...] = ("angle",)  # sensors of the model, in the order of the channels
 
     def record(self, run: Run) -> Array:
         """(num_samples, num_channels) without noise."""

@@ -55,24 +55,16 @@ CHANGES: Mapping[str, Change] = {
 
 @dataclass(frozen=True)
 class ForceStand:
-    """A stand that reads a force y = c x^power of what was set.
+    """A stand that reads a force y = c x^power of what was set."""
 
-    Attributes:
-        name: Of the stand.
-        coefficient: Of its data sheet.
-        power: Of the law.
-        low, high: Ends of a sweep.
-        noise: Of the reading.
-        units: Of reading and setting.
-    """
-
-    name: str
-    coefficient: float
-    power: int
+    name: str  # of the stand
+    coefficient: float  # of its data sheet
+    power: int  # of the law
+    # low, high: ends of a sweep
     low: float
     high: float
-    noise: float
-    units: tuple[str, str]
+    noise: float  # of the reading
+    units: tuple[str, str]  # of reading and setting
     setup_file: Path | None = None
     disturbances: tuple[str, ...] = (LOST_ROWS, COLOR, TAILS)
 

@@ -19,27 +19,16 @@ ROW, FAMILY = "row", "family"  # what a denied library lacks: the cause's row, i
 
 @dataclass(frozen=True)
 class Draw:
-    """The content of a case.
+    """The content of a case."""
 
-    Attributes:
-        rig: Machine that is recorded.
-        kind: One of ``KINDS``.
-        hidden: Name of the hidden cause, as the rig calls it; empty: none.
-        direction: Its components at a size of one.
-        wanted: Visibility that it should have.
-        trouble: Disturbance of the recordings; empty: none.
-        denies: Whether a denied library lacks the row or the family of what is hidden.
-        seed: Of the rig's true parameters, commands and noise.
-    """
-
-    rig: Rig
-    kind: str
-    hidden: str
-    direction: Size
-    wanted: float
-    trouble: str
-    denies: str
-    seed: int
+    rig: Rig  # machine that is recorded
+    kind: str  # one of ``KINDS``
+    hidden: str  # name of the hidden cause, as the rig calls it; empty: none
+    direction: Size  # its components at a size of one
+    wanted: float  # visibility that it should have
+    trouble: str  # disturbance of the recordings; empty: none
+    denies: str  # whether a denied library lacks the row or the family of what is hidden
+    seed: int  # of the rig's true parameters, commands and noise
 
     @property
     def cause(self) -> Cause:

@@ -36,57 +36,34 @@ DRIVE, FORCE, READING = "drive", "force", "reading"
 
 @dataclass(frozen=True)
 class Acts:
-    """Where a cause acts, and what it may be called.
+    """Where a cause acts, and what it may be called."""
 
-    Attributes:
-        on: Drive, force at a place, or reading of a channel.
-        form: What it does, a key of the tables below.
-        at: Number of the place or the channel.
-        cause: What libraries call it, and how large it may be.
-    """
-
-    on: str
-    form: str
-    cause: Cause
-    at: int = 0
+    on: str  # drive, force at a place, or reading of a channel
+    form: str  # what it does, a key of the tables below
+    cause: Cause  # what libraries call it, and how large it may be
+    at: int = 0  # number of the place or the channel
 
 
 @dataclass(frozen=True)
 class EquationRig:
-    """A rig of ordinary differential equations with one input.
+    """A rig of ordinary differential equations with one input."""
 
-    Attributes:
-        name: Of the rig.
-        model: Description that goes into its study, with the data sheet.
-        rates: The same equations for scipy.
-        shown: State, numbers -> what the channels show.
-        channels: Channels with the noise of their sensors.
-        start: State at rest.
-        step_s: Time between samples.
-        count: Number of samples of a run.
-        reach: Largest command.
-        speed: Usual velocity of the places.
-        acts: Causes by the library's names.
-        lifted: Whether commands are around a level above zero, as of a pump, instead of around it.
-        setup_file: Model of its own; none.
-        disturbances: Troubles of its recordings.
-    """
-
-    name: str
-    model: Mapping[str, Any]
-    rates: Rates
-    shown: Callable[[Array, Mapping[str, float]], Array]
-    channels: tuple[Channel, ...]
-    start: tuple[float, ...]
-    step_s: float
-    count: int
-    reach: float
-    acts: Mapping[str, Acts]
-    speed: float = 1.0
+    name: str  # of the rig
+    model: Mapping[str, Any]  # description that goes into its study, with the data sheet
+    rates: Rates  # the same equations for scipy
+    shown: Callable[[Array, Mapping[str, float]], Array]  # state, numbers -> what the channels show
+    channels: tuple[Channel, ...]  # channels with the noise of their sensors
+    start: tuple[float, ...]  # state at rest
+    step_s: float  # time between samples
+    count: int  # number of samples of a run
+    reach: float  # largest command
+    acts: Mapping[str, Acts]  # causes by the library's names
+    speed: float = 1.0  # usual velocity of the places
+    # whether commands are around a level above zero, as of a pump, instead of around it
     lifted: bool = False
     places: tuple[tuple[int, int], ...] = ((0, 1),)
-    setup_file: Path | None = None
-    disturbances: tuple[str, ...] = field(default=TROUBLES)
+    setup_file: Path | None = None  # model of its own; none
+    disturbances: tuple[str, ...] = field(default=TROUBLES)  # troubles of its recordings
 
     @property
     def causes(self) -> Mapping[str, Cause]:

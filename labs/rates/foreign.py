@@ -27,18 +27,12 @@ Hide = Callable[[float], Mapping[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class ForeignRig:
-    """A machine in somebody else's simulator.
+    """A machine in somebody else's simulator."""
 
-    Attributes:
-        name: Of the machine.
-        package: Package of the simulator.
-        make: Maker of its recordings.
-        hides: Causes by the library's names, and how the maker hides them.
-    """
-
-    name: str
-    package: str
-    make: Callable[..., Any]
+    name: str  # of the machine
+    package: str  # package of the simulator
+    make: Callable[..., Any]  # maker of its recordings
+    # causes by the library's names, and how the maker hides them
     hides: Mapping[str, tuple[Cause, Hide]]
     setup_file: Path | None = None
     disturbances: tuple[str, ...] = ()

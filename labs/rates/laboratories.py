@@ -26,15 +26,10 @@ TROUBLES = ("heavy_tails", "spikes", "colored_noise", "gaps")  # decoys that are
 
 @dataclass(frozen=True)
 class LabRig:
-    """A virtual laboratory, diagnosed with the model of ``labs.systems``.
+    """A virtual laboratory, diagnosed with the model of ``labs.systems``."""
 
-    Attributes:
-        name: Of the laboratory, for its setup.
-        lab: Class of the laboratory.
-    """
-
-    name: str
-    lab: type[Lab]
+    name: str  # of the laboratory, for its setup
+    lab: type[Lab]  # class of the laboratory
     disturbances: tuple[str, ...] = TROUBLES
 
     @property

@@ -18,42 +18,28 @@ Size = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause that a rig can hide.
+    """A cause that a rig can hide."""
 
-    Attributes:
-        typical: A size to begin the search for a wanted visibility with.
-        signed: Whether its size may be negative.
-        components: Number of its amplitudes; several are drawn in a random direction.
-        one_place: Whether only one of its components differs from zero.
-        names: What libraries call it, the first of them with the generator's sizes; the others say
-            exactly the same. Empty: its own name.
-        known: Whether libraries hold it at all.
-        sized: Whether its size is one of the library's; else no interval can be held against it.
-        most: Largest size that makes sense.
-    """
-
-    typical: float
-    signed: bool = False
-    components: int = 1
-    one_place: bool = False
+    typical: float  # a size to begin the search for a wanted visibility with
+    signed: bool = False  # whether its size may be negative
+    components: int = 1  # number of its amplitudes; several are drawn in a random direction
+    one_place: bool = False  # whether only one of its components differs from zero
+    # what libraries call it, the first of them with the generator's sizes; the others say exactly
+    # the same. Empty: its own name.
     names: tuple[str, ...] = ()
-    known: bool = True
+    known: bool = True  # whether libraries hold it at all
+    # whether its size is one of the library's; else no interval can be held against it
     sized: bool = True
-    most: float = np.inf
+    most: float = np.inf  # largest size that makes sense
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Recordings of a rig, with and without the noise of its sensors.
+    """Recordings of a rig, with and without the noise of its sensors."""
 
-    Attributes:
-        study: What a diagnosis sees.
-        clean: The same samples without noise.
-        base: True base parameters by the model's names, as far as they are known.
-    """
-
-    study: Study
-    clean: Study
+    study: Study  # what a diagnosis sees
+    clean: Study  # the same samples without noise
+    # True base parameters by the model's names, as far as they are known
     base: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -41,17 +41,11 @@ STILL = {
 
 @dataclass(frozen=True, eq=False)
 class RodBalance:
-    """A rod under two tensions, with what is wrong about it.
+    """A rod under two tensions, with what is wrong about it."""
 
-    Attributes:
-        modulus: Young's modulus [Pa].
-        density: [kg/m^3].
-        hidden: Sizes of causes; zeros where none is hidden.
-    """
-
-    modulus: float
-    density: float
-    hidden: Mapping[str, Size]
+    modulus: float  # Young's modulus [Pa]
+    density: float  # [kg/m^3]
+    hidden: Mapping[str, Size]  # sizes of causes; zeros where none is hidden
 
     def markers(self, tensions: Array) -> Array:
         """Places of the markers, (num_poses, 3 num_markers), under tensions (num_poses, 2) [N]."""

@@ -24,16 +24,11 @@ EDGES = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)  # bins of stated probab
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something happened.
+    """How often something happened."""
 
-    Attributes:
-        what: What is counted.
-        goal: What it should be, in words.
-        hits, count: How often, of how many.
-    """
-
-    what: str
-    goal: str
+    what: str  # what is counted
+    goal: str  # what it should be, in words
+    # hits, count: how often, of how many
     hits: int
     count: int
 

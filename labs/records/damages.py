@@ -19,16 +19,11 @@ FACTORS = (1000.0, 180.0 / np.pi, 60.0 / (2.0 * np.pi), 9.80665, 100.0)
 
 @dataclass(frozen=True)
 class Damage:
-    """A kind of fault.
+    """A kind of fault."""
 
-    Attributes:
-        name: Short name.
-        remedy: What the right remedy has in it, as a regular expression.
-        make: The damaged copy; None where this folder cannot have it.
-    """
-
-    name: str
-    remedy: str
+    name: str  # short name
+    remedy: str  # what the right remedy has in it, as a regular expression
+    # the damaged copy; None where this folder cannot have it
     make: Callable[[Folder, Rng], Folder | None]
 
 

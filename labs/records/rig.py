@@ -18,19 +18,12 @@ RUNS = ("a", "b", "c", "d", "e")
 
 @dataclass(frozen=True)
 class Folder:
-    """A study as a user has it.
+    """A study as a user has it."""
 
-    Attributes:
-        rig: Name of the rig.
-        study: Content of study.yaml.
-        tables: Columns by run, the clock first.
-        digits: Format of the numbers, by column.
-    """
-
-    rig: str
-    study: Mapping[str, Any]
-    tables: Tables
-    digits: Mapping[str, str]
+    rig: str  # name of the rig
+    study: Mapping[str, Any]  # content of study.yaml
+    tables: Tables  # columns by run, the clock first
+    digits: Mapping[str, str]  # format of the numbers, by column
 
     def write(self, folder: Path) -> Path:
         """Write study.yaml and the tables."""

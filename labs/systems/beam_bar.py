@@ -28,21 +28,15 @@ POWER_ITERATIONS = 4  # each leaves a fortieth of the second mode
 
 @dataclass(frozen=True)
 class BarShape:
-    """Along x, bending in y; SI units.
+    """Along x, bending in y; SI units."""
 
-    Attributes:
-        length, depth, width: Length along x, depth in the plane of bending and width across it [m].
-        density: Density of the material [kg/m^3].
-        poissons_ratio: Poisson's ratio of the material [-].
-        youngs_modulus: That corrections are made for; they hardly depend on it [Pa].
-    """
-
+    # length, depth, width: length along x, depth in the plane of bending and width across it [m]
     length: float
     depth: float
     width: float
-    density: float
-    poissons_ratio: float
-    youngs_modulus: float
+    density: float  # density of the material [kg/m^3]
+    poissons_ratio: float  # Poisson's ratio of the material [-]
+    youngs_modulus: float  # that corrections are made for; they hardly depend on it [Pa]
 
     @property
     def inertia(self) -> float:

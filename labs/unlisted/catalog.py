@@ -19,19 +19,13 @@ COLOR, LOST_ROWS, FAR_SHEET, PLAIN = "colored noise", "lost rows", "data sheet o
 
 @dataclass(frozen=True)
 class Kind:
-    """Cases of one kind.
+    """Cases of one kind."""
 
-    Attributes:
-        group: ``unlisted``, ``listed`` (the library has it) or ``sound`` (nothing is hidden).
-        machines: Machines that may have it, by name.
-        law: Draws the hidden law; none: nothing is hidden.
-        dirt: Trouble of the recordings that is no cause.
-    """
-
-    group: str
-    machines: tuple[str, ...]
+    group: str  # ``unlisted``, ``listed`` (the library has it) or ``sound`` (nothing is hidden)
+    machines: tuple[str, ...]  # machines that may have it, by name
+    # draws the hidden law; none: nothing is hidden
     law: Callable[[np.random.Generator, Machine], Law] | None = None
-    dirt: str = PLAIN
+    dirt: str = PLAIN  # trouble of the recordings that is no cause
 
 
 def _unlisted(law: Callable[[np.random.Generator, Machine], Law], *machines: str) -> Kind:

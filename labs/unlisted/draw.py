@@ -28,29 +28,20 @@ COARSE = 4  # substeps of the search for a size
 
 @dataclass(frozen=True)
 class Case:
-    """A case before its size is known.
+    """A case before its size is known."""
 
-    Attributes:
-        name, kind: Of the case.
-        machine, numbers: With its data sheet, and its true numbers.
-        law: What is hidden; none: nothing.
-        uses: Of the runs.
-        courses: What happens in them, decoy columns among it.
-        repeats: Whether the fifth run executes the first one's commands again.
-        wanted: Visibility.
-        noise: Seed of noise and dirt.
-    """
-
+    # name, kind: of the case
     name: str
     kind: Kind
+    # machine, numbers: with its data sheet, and its true numbers
     machine: Machine
     numbers: Mapping[str, float]
-    law: Law | None
-    uses: tuple[str, ...]
-    courses: Courses
-    repeats: bool
-    wanted: float
-    noise: int
+    law: Law | None  # what is hidden; none: nothing
+    uses: tuple[str, ...]  # of the runs
+    courses: Courses  # what happens in them, decoy columns among it
+    repeats: bool  # whether the fifth run executes the first one's commands again
+    wanted: float  # visibility
+    noise: int  # seed of noise and dirt
 
 
 def drawn(master: int, kind: str, turn: int) -> Case:
@@ -90,14 +81,10 @@ def drawn(master: int, kind: str, turn: int) -> Case:
 
 @dataclass(frozen=True)
 class Misfit:
-    """What the plain machine leaves of a law.
+    """What the plain machine leaves of a law."""
 
-    Attributes:
-        strength: Lambda over the runs to fit.
-        rms: Of the unseen runs by channel, in SI units: what a diagnosis can gain.
-    """
-
-    strength: float
+    strength: float  # lambda over the runs to fit
+    # of the unseen runs by channel, in SI units: what a diagnosis can gain
     rms: Mapping[str, float]
 
 

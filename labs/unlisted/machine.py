@@ -21,17 +21,11 @@ Numbers = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Sheet:
-    """A number of the data sheet, in SI units.
+    """A number of the data sheet, in SI units."""
 
-    Attributes:
-        value: What the sheet says.
-        unit: Its unit.
-        percent: How well it is known; 0: exactly.
-    """
-
-    value: float
-    unit: str
-    percent: float = 0.0
+    value: float  # what the sheet says
+    unit: str  # its unit
+    percent: float = 0.0  # how well it is known; 0: exactly
 
 
 @dataclass(frozen=True)
@@ -45,53 +39,33 @@ class Drive:
 
 @dataclass(frozen=True)
 class Dial:
-    """A channel of the recording.
+    """A channel of the recording."""
 
-    Attributes:
-        formula: Of states and numbers, as the study says it.
-        unit: Of the file.
-        per_si: What a reading in SI units is multiplied by for the file.
-        sd: Noise in SI units.
-    """
-
-    formula: str
-    unit: str
-    per_si: float
-    sd: float
+    formula: str  # of states and numbers, as the study says it
+    unit: str  # of the file
+    per_si: float  # what a reading in SI units is multiplied by for the file
+    sd: float  # noise in SI units
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine as its owner describes it, with the same equations in numpy.
+    """A machine as its owner describes it, with the same equations in numpy."""
 
-    Attributes:
-        name: Of the machine.
-        states: Names of the states, with their start values.
-        numbers: Its data sheet.
-        drives: Commands by name.
-        dials: Channels by name.
-        places: Where forces act, as the study says it.
-        rates: What is now -> rates of the states.
-        shows: What is now -> readings in SI units.
-        texts: Rates as formulas for the study; ``more``: further keys of its model.
-        step_s, count: Time between samples, and their number.
-        pace: Usual frequency of the commands [Hz].
-        extents: Low and high end of what the states do in the runs, for laws that act within.
-    """
-
-    name: str
-    states: Numbers
-    numbers: Mapping[str, Sheet]
-    drives: Mapping[str, Drive]
-    dials: Mapping[str, Dial]
-    rates: Callable[[Now], dict[str, Any]]
-    shows: Callable[[Now], dict[str, Any]]
-    texts: Mapping[str, str]
+    name: str  # of the machine
+    states: Numbers  # names of the states, with their start values
+    numbers: Mapping[str, Sheet]  # its data sheet
+    drives: Mapping[str, Drive]  # commands by name
+    dials: Mapping[str, Dial]  # channels by name
+    rates: Callable[[Now], dict[str, Any]]  # what is now -> rates of the states
+    shows: Callable[[Now], dict[str, Any]]  # what is now -> readings in SI units
+    texts: Mapping[str, str]  # rates as formulas for the study; ``more``: further keys of its model
+    # step_s, count: time between samples, and their number
     step_s: float
     count: int
-    pace: float
-    places: tuple[Mapping[str, str], ...] = ()
+    pace: float  # usual frequency of the commands [Hz]
+    places: tuple[Mapping[str, str], ...] = ()  # where forces act, as the study says it
     more: Mapping[str, Any] = field(default_factory=dict)
+    # low and high end of what the states do in the runs, for laws that act within
     extents: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -160,15 +134,10 @@ def driven_place(machine: Machine) -> tuple[str, tuple[tuple[str, str], ...]]:
 
 @dataclass(frozen=True)
 class Courses:
-    """What happens in all runs: commands held from sample to sample, columns straight between.
+    """What happens in all runs: commands held from sample to sample, columns straight between."""
 
-    Attributes:
-        commands: (num_runs, num_samples) by name.
-        columns: The same for what was recorded besides.
-    """
-
-    commands: Mapping[str, Array]
-    columns: Mapping[str, Array]
+    commands: Mapping[str, Array]  # (num_runs, num_samples) by name
+    columns: Mapping[str, Array]  # the same for what was recorded besides
 
 
 def with_extents(machine: Machine, numbers: Numbers, courses: Courses) -> Machine:

@@ -24,19 +24,13 @@ AUTOCORRELATION, LOST = 0.6, 0.02  # of colored noise from sample to sample; of 
 
 @dataclass(frozen=True)
 class Recording:
-    """A case that was recorded.
+    """A case that was recorded."""
 
-    Attributes:
-        study: Content of ``study.yaml``.
-        tables: Columns by name, by file.
-        clean: The same, without the noise of unseen runs: for the score alone.
-        truth: What is hidden.
-    """
-
-    study: Mapping[str, Any]
-    tables: Mapping[str, Mapping[str, Array]]
+    study: Mapping[str, Any]  # content of ``study.yaml``
+    tables: Mapping[str, Mapping[str, Array]]  # columns by name, by file
+    # the same, without the noise of unseen runs: for the score alone
     clean: Mapping[str, Mapping[str, Array]]
-    truth: Mapping[str, Any]
+    truth: Mapping[str, Any]  # what is hidden
 
 
 def recorded(case: Case, size: float | None = None) -> Recording:

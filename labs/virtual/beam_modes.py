@@ -43,24 +43,16 @@ class BeamShape:
 
 @dataclass(frozen=True)
 class BeamModes:
-    """Mass-normalized modes of a bar.
+    """Mass-normalized modes of a bar."""
 
-    Attributes:
-        x: Nodes without the clamped one, (n,) [m].
-        omega: Angular eigenfrequencies of m modes, ascending, (m,) [rad/s].
-        deflection, rotation: At the nodes per modal coordinate, (n, m).
-        curvature: Curvature of each mode in the n cells, (n, m) [1/m].
-        cell: Length of a cell along the bar [m].
-        node_volume: Volume of the bar that belongs to each node, (n,) [m^3].
-    """
-
-    x: Array
-    omega: Array
+    x: Array  # nodes without the clamped one, (n,) [m]
+    omega: Array  # angular eigenfrequencies of m modes, ascending, (m,) [rad/s]
+    # deflection, rotation: at the nodes per modal coordinate, (n, m)
     deflection: Array
     rotation: Array
-    curvature: Array
-    cell: float
-    node_volume: Array
+    curvature: Array  # curvature of each mode in the n cells, (n, m) [1/m]
+    cell: float  # length of a cell along the bar [m]
+    node_volume: Array  # volume of the bar that belongs to each node, (n,) [m^3]
 
     def at(self, place: float) -> Array:
         """Deflection at a place [m] per modal coordinate, (m,)."""

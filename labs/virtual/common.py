@@ -36,21 +36,13 @@ SCATTER_GAIN = 0.10
 
 @dataclass(frozen=True)
 class LabEffect:
-    """A cause that a laboratory can hide in its data.
+    """A cause that a laboratory can hide in its data."""
 
-    Attributes:
-        unit: SI unit of every component, "-" if none.
-        typical: A size that would be no surprise.
-        form: What the effect does at a given size, in a line.
-        components: Number of amplitudes that the effect has.
-        outside: It is in no library of candidates; the right verdict is ``unknown``.
-    """
-
-    unit: str
-    typical: float
-    form: str
-    components: int = 1
-    outside: bool = False
+    unit: str  # SI unit of every component, "-" if none
+    typical: float  # a size that would be no surprise
+    form: str  # what the effect does at a given size, in a line
+    components: int = 1  # number of amplitudes that the effect has
+    outside: bool = False  # it is in no library of candidates; the right verdict is ``unknown``
 
 
 @dataclass(frozen=True)

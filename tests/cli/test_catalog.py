@@ -6,12 +6,12 @@ import sys
 import pytest
 
 from diffsim import cli
-from diffsim.cli import catalog
+from diffsim.cli import examples
 from tests import warm
 
 
 def test_every_example_opens_with_a_question():
-    found = catalog.examples()
+    found = examples.examples()
     assert {"routing_tendon", "muscle_arm", "amplifier"} <= set(found)
     for example in found.values():
         assert example.question.endswith(("?", ".")), example
@@ -19,13 +19,13 @@ def test_every_example_opens_with_a_question():
 
 def test_scripts_of_training_have_their_short_version():
     """Its option is one that they share: it stands in their docstrings only."""
-    trainers = {n: e for n, e in catalog.examples().items() if n.startswith("train_")}
+    trainers = {n: e for n, e in examples.examples().items() if n.startswith("train_")}
     assert len(trainers) > 5
     assert {e.quick for e in trainers.values()} == {"--quick"}
 
 
 def test_names_are_unique():
-    paths = [p for p in catalog.FOLDER.glob("*/*.py") if "__main__" in p.read_text()]
+    paths = [p for p in examples.FOLDER.glob("*/*.py") if "__main__" in p.read_text()]
     assert len({p.stem for p in paths}) == len(paths)
 
 
@@ -41,7 +41,7 @@ def test_unknown_name_gets_the_closest(capsys):
 
 def test_folder_without_examples_says_how_to_mend_it(tmp_path):
     with pytest.raises(FileNotFoundError, match="clone the repository"):
-        catalog.examples(tmp_path / "none")
+        examples.examples(tmp_path / "none")
 
 
 @pytest.fixture

@@ -54,27 +54,17 @@ def residual(body, before, after, external=None, activation=None, physics=None) 
 
 
 class Violations(NamedTuple):
-    """How far a step is from the contact law; forces by the largest force, lengths by the body.
+    """How far a step is from the contact law; forces by the largest force, lengths by the body."""
 
-    Attributes:
-        equation: Residual minus contact force, at all nodes that are not fixed.
-        gap: Depth below the step's half spaces.
-        pull: Negative normal force.
-        both: min(gap, r_N) over nodes: complementarity.
-        cone: |r_T| - mu r_N.
-        slip: Friction of slipping nodes, |r_T + mu r_N t|; counts less below 1e-6 lengths of slip.
-        num_contacts: Nodes with a contact force.
-        num_slipping: Of these, nodes on the edge of the cone.
-    """
-
-    equation: float
-    gap: float
-    pull: float
-    both: float
-    cone: float
+    equation: float  # residual minus contact force, at all nodes that are not fixed
+    gap: float  # depth below the step's half spaces
+    pull: float  # negative normal force
+    both: float  # min(gap, r_N) over nodes: complementarity
+    cone: float  # |r_T| - mu r_N
+    # friction of slipping nodes, |r_T + mu r_N t|; counts less below 1e-6 lengths of slip
     slip: float
-    num_contacts: int
-    num_slipping: int
+    num_contacts: int  # nodes with a contact force
+    num_slipping: int  # of these, nodes on the edge of the cone
 
     @property
     def worst(self) -> float:

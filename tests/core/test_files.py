@@ -11,6 +11,7 @@ import pytest
 from diffsim.core.files import (
     append_atomic,
     code_digest,
+    csv_text,
     replacing,
     to_plain,
     write_bytes_atomic,
@@ -127,3 +128,11 @@ def test_digest_of_code_sees_every_byte_of_what_computes(tmp_path):
     two = code_digest(tmp_path)
     code_digest.cache_clear()
     assert code_digest(tmp_path) == two
+
+
+def test_a_table_reads_back_as_it_was():
+    rows = [(1, 0.1 + 0.2, "a,b"), (2, float("nan"), ""), (3, np.float64(-0.0), True)]
+    lines = csv_text(["n", "x, in m", "word"], rows).splitlines()
+    assert lines[0] == 'n,"x, in m",word'
+    assert lines[1:] == ['1,0.30000000000000004,"a,b"', "2,,", "3,-0.0,True"]
+    assert csv_text(["x"], [[0.1 + 0.2], [7]], ".3g") == "x\n0.3\n7\n"

@@ -19,17 +19,11 @@ CALLED = ("__call__", "forward")
 
 @dataclass(frozen=True)
 class Public:
-    """A function, or a method of a class (``__init__``: the class itself).
+    """A function, or a method of a class (``__init__``: the class itself)."""
 
-    Attributes:
-        name: Room and name, such as "diffsim.soft.Tendon.tension".
-        function: What is called.
-        owner: The class; None for a function.
-    """
-
-    name: str
-    function: Callable[..., Any]
-    owner: type | None = None
+    name: str  # room and name, such as "diffsim.soft.Tendon.tension"
+    function: Callable[..., Any]  # what is called
+    owner: type | None = None  # the class; None for a function
 
     @property
     def names(self) -> list[str]:

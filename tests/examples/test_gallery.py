@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from diffsim.cli import catalog
+from diffsim.cli import examples
 from diffsim.core.errors import DiffsimError
 from examples import gallery
 
@@ -38,7 +38,7 @@ def scripts(tmp_path, monkeypatch):
     (folder / "walks").mkdir(parents=True)
     (folder / "walks/walk.py").write_text(SCRIPT.replace("{status}", "0"))
     (folder / "gallery.yaml").write_text(ENTRY)
-    monkeypatch.setattr(gallery, "examples", lambda: catalog.examples(folder))
+    monkeypatch.setattr(gallery, "examples", lambda: examples.examples(folder))
     read = gallery.entries
     monkeypatch.setattr(gallery, "entries", lambda: read(folder / "gallery.yaml"))
     return folder

@@ -64,15 +64,10 @@ FEW = 4  # causes beside base parameters
 
 
 class Answers(NamedTuple):
-    """A population.
+    """A population."""
 
-    Attributes:
-        make: Gives named values, in a folder of its own.
-        share: By which each value may differ between machines, of its array's largest.
-    """
-
-    make: Callable[[Path], Mapping[str, Any]]
-    share: float = 1e-7
+    make: Callable[[Path], Mapping[str, Any]]  # gives named values, in a folder of its own
+    share: float = 1e-7  # by which each value may differ between machines, of its array's largest
 
 
 def public_calls(room: str) -> Callable[[Path], Mapping[str, Any]]:

@@ -10,7 +10,7 @@ import torch
 
 from diffsim import mesh as m
 from diffsim.core.errors import MeshError
-from diffsim.mesh.crossings import crossing_triangles
+from diffsim.mesh.closed_surface import crossing_triangles
 from diffsim.mesh.from_surface import grid_inside
 
 

@@ -12,7 +12,7 @@ import torch
 
 from diffsim import mesh
 from diffsim.core import MeshError
-from diffsim.mesh import vtu_size
+from diffsim.mesh import volume_files
 
 PACK = {"vtkZLibDataCompressor": zlib.compress, "vtkLZMADataCompressor": lzma.compress}
 PLACES = ["binary", "base64", "raw"]
@@ -69,9 +69,11 @@ def test_whole_files_are_read_and_counted_to_the_byte(tmp_path, compressor, plac
     points = np.concatenate([np.zeros((1, 3)), np.eye(3), np.random.default_rng(0).random((9, 3))])
     write(path, points, compressor=compressor, place=place, header=header)
     assert torch.equal(mesh.load_arrays(path)[0], torch.from_numpy(points))
-    unpacker = vtu_size._UNPACKERS[compressor]
+    unpacker = volume_files._UNPACKERS[compressor]
     lengths = [
-        n for block in vtu_size._packed_blocks(path) for n in vtu_size._lengths(block, unpacker)
+        n
+        for block in volume_files._packed_blocks(path)
+        for n in volume_files._lengths(block, unpacker)
     ]
     assert sum(lengths) == points.nbytes + 4 * 8 + 8 + 1
 
@@ -80,7 +82,7 @@ def test_whole_files_are_read_and_counted_to_the_byte(tmp_path, compressor, plac
 @pytest.mark.parametrize("compressor", [*PACK, "vtkZLib&#68;ataCompressor"])
 def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, compressor, place):
     """500 MB of zeros in 650 kB took 1.2 GB, and then a sentence of something else."""
-    monkeypatch.setattr(vtu_size, "MOST_UNPACKED", 10**6)  # a hundredth, for the time it takes
+    monkeypatch.setattr(volume_files, "MOST_UNPACKED", 10**6)  # a hundredth, for the time it takes
     path = tmp_path / "a.vtu"
     plain = compressor.replace("&#68;", "D")
     write(path, np.zeros((10**5, 3)), compressor=plain, place=place)
@@ -90,7 +92,7 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, compressor, 
 
 
 def test_streams_of_lzma_behind_each_other_all_count(tmp_path, monkeypatch):
-    monkeypatch.setattr(vtu_size, "MOST_UNPACKED", 10**6)
+    monkeypatch.setattr(volume_files, "MOST_UNPACKED", 10**6)
     monkeypatch.setitem(
         PACK, "vtkLZMADataCompressor", lambda some: 9 * lzma.compress(b"\0" * 10**5)
     )

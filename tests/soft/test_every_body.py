@@ -40,16 +40,11 @@ SIGNALS = ("activation", "pressure", "external_force", "dirichlet_target")
 
 
 class Parts(NamedTuple):
-    """What a body is made of.
+    """What a body is made of."""
 
-    Attributes:
-        mesh: Of a few elements.
-        options: Arguments of ``soft_body``.
-        inputs: Signals and constants of the material that its motion has gradients to, by name.
-    """
-
-    mesh: Any
-    options: dict[str, Any]
+    mesh: Any  # of a few elements
+    options: dict[str, Any]  # arguments of ``soft_body``
+    # signals and constants of the material that its motion has gradients to, by name
     inputs: dict[str, Any]
 
 

@@ -39,7 +39,7 @@ class Dense:
 
     def __init__(self, flow: stokes.StokesFlow, phi: torch.Tensor, inputs: dict):
         self.flow, self.context = flow, flow._context
-        self.inputs = stokes.problem.flow_inputs(
+        self.inputs = stokes.flow.flow_inputs(
             flow.boundary,
             phi,
             inputs["inlet"],

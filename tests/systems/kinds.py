@@ -57,13 +57,9 @@ OWN = {
 
 @dataclass(frozen=True)
 class Ready:
-    """A study and its setup.
+    """A study and its setup."""
 
-    Attributes:
-        study: As described; its last run is for testing.
-    """
-
-    study: Study
+    study: Study  # as described; its last run is for testing
 
     @cached_property
     def setup(self) -> DiagnosisSetup:

@@ -7,9 +7,9 @@ import torch
 
 from diffsim.copter.vehicle.multicopter import GRAVITY
 from diffsim.core.rotation import matrix_from_rpy, quaternion_from_rpy, rpy_from_matrix
+from diffsim.systems.multicopter.cutting import acceleration_of, states_of
 from diffsim.systems.multicopter.frames import BODIES, WORLDS, RecordingFrames
 from diffsim.systems.multicopter.shooting import body_rates_from_rpy_rates
-from diffsim.systems.multicopter.starts import acceleration_of, states_of
 
 DT = 0.02
 TIME = DT * torch.arange(60, dtype=torch.float64)[:, None]

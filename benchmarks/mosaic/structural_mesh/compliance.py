@@ -32,15 +32,10 @@ _SMALL_STRAIN = 1e-4
 
 @dataclass(frozen=True)
 class Groups:
-    """Values on groups of nodes.
+    """Values on groups of nodes."""
 
-    Attributes:
-        mask: Group of each node, (num_nodes,); 0: none, k: that of ``values[k - 1]``.
-        values: (num_groups, 3); None: zeros.
-    """
-
-    mask: Ints
-    values: Floats | None = None
+    mask: Ints  # group of each node, (num_nodes,); 0: none, k: that of ``values[k - 1]``
+    values: Floats | None = None  # (num_groups, 3); None: zeros
 
     def nodal(self, size: int) -> Tensor:
         """Value of each node, zero outside of all groups, (size, 3)."""

@@ -33,21 +33,13 @@ from diffsim.core.runs import run_each
 
 @dataclass(frozen=True)
 class Alternation:
-    """Where one start of Alg. 1 ended.
+    """Where one start of Alg. 1 ended."""
 
-    Attributes:
-        point: Shape, directions, spins; level.
-        u: Thrusts, (n_rotors,) [N].
-        energies: After each round, the first before any.
-        seconds: Wall time of each [s].
-        status: Why it stopped.
-    """
-
-    point: Point
-    u: Array
-    energies: list[float]
-    seconds: list[float]
-    status: str
+    point: Point  # shape, directions, spins; level
+    u: Array  # thrusts, (n_rotors,) [N]
+    energies: list[float]  # after each round, the first before any
+    seconds: list[float]  # wall time of each [s]
+    status: str  # why it stopped
 
 
 def alternate(task: Task, point: Point, options: AlternatingOptions) -> Alternation:

@@ -33,29 +33,18 @@ _START_STEP = 0.3  # of the mean arm, change of shape parameters of random start
 
 
 class Solution(NamedTuple):
-    """A solved program and how it came about.
+    """A solved program and how it came about."""
 
-    Attributes:
-        task: The task that was solved; its start is moved where the given one cannot be controlled.
-        point: The best candidate.
-        program: The program with hard hover.
-        x: Unknowns of the program at the optimum.
-        history: Objective or energy over the iterations.
-        seconds_history: Wall time of each [s].
-        status: Why the search stopped.
-        records: One per start.
-        warnings: What its user must know.
-    """
-
+    # the task that was solved; its start is moved where the given one cannot be controlled
     task: Task
-    point: Point
-    program: Program
-    x: Array
-    history: list[float]
-    seconds_history: list[float]
-    status: str
-    records: list[StartRecord]
-    warnings: list[str]
+    point: Point  # the best candidate
+    program: Program  # the program with hard hover
+    x: Array  # unknowns of the program at the optimum
+    history: list[float]  # objective or energy over the iterations
+    seconds_history: list[float]  # wall time of each [s]
+    status: str  # why the search stopped
+    records: list[StartRecord]  # one per start
+    warnings: list[str]  # what its user must know
 
 
 def joint(

@@ -18,18 +18,13 @@ _OVERSAMPLED = 1.5
 
 @dataclass(frozen=True)
 class Polynomial:
-    """y(s) = sum_k coefficients[:, k] prod_i ((s - origin) / scale)_i^exponents[k, i].
+    """y(s) = sum_k coefficients[:, k] prod_i ((s - origin) / scale)_i^exponents[k, i]."""
 
-    Attributes:
-        origin, scale: (p,) and ().
-        exponents: (num_terms, p).
-        coefficients: (num_values, num_terms).
-    """
-
+    # origin, scale: (p,) and ()
     origin: Array
     scale: float
-    exponents: IntArray
-    coefficients: Array
+    exponents: IntArray  # (num_terms, p)
+    coefficients: Array  # (num_values, num_terms)
 
     def at(self, s: Array) -> tuple[Array, Array]:
         """Values (num_values,) and Jacobian (num_values, p)."""

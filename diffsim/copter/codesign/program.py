@@ -287,24 +287,18 @@ _LEAST_THRUST = 1e-6  # of the limit; keeps second derivatives of u^alpha, alpha
 
 @dataclass(frozen=True)
 class Currents:
-    """Currents in hover and what their derivatives are made of.
+    """Currents in hover and what their derivatives are made of."""
 
-    Attributes:
-        value: Current of each rotor, (n_rotors,) [A].
-        by_v, by_z: First derivatives, (n_rotors,) and (n_rotors, p).
-        by_v_v, by_v_z: Second ones, (n_rotors,) and (n_rotors, p).
-        by_z_z: (n_rotors,) times d_share d_share', d_share (p,).
-        by_mass: (n_rotors,) times the second derivative of m(s) [A/kg].
-    """
-
-    value: Array
+    value: Array  # current of each rotor, (n_rotors,) [A]
+    # by_v, by_z: first derivatives, (n_rotors,) and (n_rotors, p)
     by_v: Array
     by_z: Array
+    # by_v_v, by_v_z: second ones, (n_rotors,) and (n_rotors, p)
     by_v_v: Array
     by_v_z: Array
-    by_z_z: Array
+    by_z_z: Array  # (n_rotors,) times d_share d_share', d_share (p,)
     d_share: Array
-    by_mass: Array
+    by_mass: Array  # (n_rotors,) times the second derivative of m(s) [A/kg]
 
 
 def hover_currents(

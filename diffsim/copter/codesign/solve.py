@@ -24,26 +24,16 @@ from diffsim.core.optional import optional
 
 @dataclass(frozen=True)
 class LocalSolution:
-    """Where a local solve ended.
+    """Where a local solve ended."""
 
-    Attributes:
-        x: All unknowns, (num_all,).
-        value: Objective.
-        violation: Largest of |equalities| and violated inequalities, relative.
-        converged: The solver says so.
-        message: Message of the solver.
-        history: Objective after each iteration.
-        violations: Violation after each iteration.
-        seconds: Wall time since the start after each iteration.
-    """
-
-    x: Array
-    value: float
-    violation: float
-    converged: bool
-    message: str
-    history: list[float] = field(default_factory=list)
-    violations: list[float] = field(default_factory=list)
+    x: Array  # all unknowns, (num_all,)
+    value: float  # objective
+    violation: float  # largest of |equalities| and violated inequalities, relative
+    converged: bool  # the solver says so
+    message: str  # message of the solver
+    history: list[float] = field(default_factory=list)  # objective after each iteration
+    violations: list[float] = field(default_factory=list)  # violation after each iteration
+    # wall time since the start after each iteration
     seconds: list[float] = field(default_factory=list)
     num_iters: int = 0
 

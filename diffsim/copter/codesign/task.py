@@ -24,19 +24,12 @@ from diffsim.core.arrays import Array
 
 @dataclass(frozen=True)
 class Point:
-    """A candidate: shape, directions, spins and gravity's direction in the body frame.
+    """A candidate: shape, directions, spins and gravity's direction in the body frame."""
 
-    Attributes:
-        s: (num_params,).
-        d: (n_rotors, 3).
-        spins: (n_rotors,).
-        gamma: (3,).
-    """
-
-    s: Array
-    d: Array
-    spins: Array
-    gamma: Array
+    s: Array  # (num_params,)
+    d: Array  # (n_rotors, 3)
+    spins: Array  # (n_rotors,)
+    gamma: Array  # (3,)
 
     @staticmethod
     def of(program: Program, x: Array, spins: Array) -> Point:

@@ -23,51 +23,32 @@ from diffsim.core.arrays import Array
 
 @dataclass(frozen=True)
 class Rotors:
-    """Constants of the rotors and units.
+    """Constants of the rotors and units."""
 
-    Attributes:
-        max_thrusts: Largest thrust of each rotor, (n_rotors,) [N].
-        reaction: b_i lambda_i, (n_rotors,) [m].
-        mass: m0 [kg].
-        weight: m0 g [N].
-        length: L [m].
-    """
-
-    max_thrusts: Array
-    reaction: Array
-    mass: float
-    weight: float
-    length: float
+    max_thrusts: Array  # largest thrust of each rotor, (n_rotors,) [N]
+    reaction: Array  # b_i lambda_i, (n_rotors,) [m]
+    mass: float  # m0 [kg]
+    weight: float  # m0 g [N]
+    length: float  # L [m]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One thing that the rotors have to be able to do at the same time as all other cases.
+    """One thing that the rotors have to be able to do at the same time as all other cases."""
 
-    Attributes:
-        name: Name of the case in messages.
-        lift_only: Balance force along gravity only.
-        axes: Body axes whose torque is prescribed.
-        torque: tau, (3,), relative; with ``inertia_axis`` it is J(s) e instead.
-        aux: Name of the unknown q that tau is multiplied with; None: 1.
-        cap: Name of the unknown that bounds v; None: 1.
-        load: Extra weight over m0 g.
-        fixed_weight: W is m0 g whatever the shape: the flight case of thrusts that are scaled by
-            m0 g over the overall weight lifted.
-        dead_rotor: One that gives no thrust.
-        inertia_axis: (3,) e of the response metric.
-    """
-
-    name: str
-    lift_only: bool = False
-    axes: tuple[int, ...] = (0, 1, 2)
+    name: str  # name of the case in messages
+    lift_only: bool = False  # balance force along gravity only
+    axes: tuple[int, ...] = (0, 1, 2)  # body axes whose torque is prescribed
+    # tau, (3,), relative; with ``inertia_axis`` it is J(s) e instead
     torque: tuple[float, ...] = (0.0, 0.0, 0.0)
-    aux: str | None = None
-    cap: str | None = None
-    load: float = 0.0
+    aux: str | None = None  # name of the unknown q that tau is multiplied with; None: 1
+    cap: str | None = None  # name of the unknown that bounds v; None: 1
+    load: float = 0.0  # extra weight over m0 g
+    # W is m0 g whatever the shape: the flight case of thrusts that are scaled by m0 g over the
+    # overall weight lifted
     fixed_weight: bool = False
-    dead_rotor: int | None = None
-    inertia_axis: tuple[float, float, float] | None = None
+    dead_rotor: int | None = None  # one that gives no thrust
+    inertia_axis: tuple[float, float, float] | None = None  # (3,) e of the response metric
 
     def weight(self, shape: Shape, rotors: Rotors) -> tuple[float, float]:
         """W over m0 g, and its derivative by m(s) [1/kg]."""

@@ -19,17 +19,11 @@ from diffsim.core.arrays import Array
 
 
 class Assembly(NamedTuple):
-    """Composed parts, their feasible set and a point in it.
+    """Composed parts, their feasible set and a point in it."""
 
-    Attributes:
-        parts: All of them, adapters included.
-        feasible: Constraints and their elimination.
-        values: Free parameters s, (n_free,) [m].
-    """
-
-    parts: tuple[PlacedPart, ...]
-    feasible: FeasibleSet
-    values: Tensor
+    parts: tuple[PlacedPart, ...]  # all of them, adapters included
+    feasible: FeasibleSet  # constraints and their elimination
+    values: Tensor  # free parameters s, (n_free,) [m]
 
 
 def assemble(spec: DesignSpec) -> Assembly:

@@ -32,19 +32,12 @@ class InfeasibleDesignError(DiffsimError):
 
 @dataclass(frozen=True)
 class Constraint:
-    """sum of coefficient * parameter (== or <=) bound.
+    """sum of coefficient * parameter (== or <=) bound."""
 
-    Attributes:
-        label: Description for messages; rows with one label stand and fall together.
-        coefficients: By name of the parameter.
-        bound: Right-hand side.
-        relation: "==" or "<=".
-    """
-
-    label: str
-    coefficients: Mapping[str, float]
-    bound: float
-    relation: Literal["==", "<="]
+    label: str  # description for messages; rows with one label stand and fall together
+    coefficients: Mapping[str, float]  # by name of the parameter
+    bound: float  # right-hand side
+    relation: Literal["==", "<="]  # "==" or "<="
 
 
 def matrix(names: Sequence[str], constraints: Sequence[Constraint]) -> tuple[Array, Array]:

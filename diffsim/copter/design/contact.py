@@ -22,17 +22,13 @@ _ALIGNED = 0.05  # [deg]
 
 @dataclass(frozen=True, eq=False)
 class ContactEnd:
-    """A patch of a placed part.
-
-    Attributes:
-        at: Place along the patch's sliding directions [m]; None for its center.
-        slide: Whether that place is free; None leaves it to the patch.
-    """
+    """A patch of a placed part."""
 
     placed: PlacedPart
     patch_name: str
+    # place along the patch's sliding directions [m]; None for its center
     at: tuple[float, ...] | None = None
-    slide: bool | None = None
+    slide: bool | None = None  # whether that place is free; None leaves it to the patch
 
     @property
     def name(self) -> str:
@@ -51,14 +47,10 @@ class ContactEnd:
 
 @dataclass
 class Contact:
-    """What a contact adds to a design.
+    """What a contact adds to a design."""
 
-    Attributes:
-        constraints: Coincidence and bounds of sliding.
-        explicit, defaults: Starting values of sliding, given by the author or assumed.
-    """
-
-    constraints: list[Constraint] = field(default_factory=list)
+    constraints: list[Constraint] = field(default_factory=list)  # coincidence and bounds of sliding
+    # explicit, defaults: starting values of sliding, given by the author or assumed
     explicit: list[Target] = field(default_factory=list)
     defaults: list[Target] = field(default_factory=list)
 

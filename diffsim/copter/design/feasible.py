@@ -34,19 +34,13 @@ _FEASIBLE = 1e-7  # [m], a tenth of a micrometer
 
 @dataclass(frozen=True, eq=False)
 class FeasibleSet:
-    """Parameters x with equalities and inequalities, and free parameters s of the same.
+    """Parameters x with equalities and inequalities, and free parameters s of the same."""
 
-    Attributes:
-        names: Names of all parameters x, (n,).
-        free_idx: Indices of the free entries of x, (n_free,).
-        offset: (n,); basis: (n, n_free): x = offset + basis @ s.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # names of all parameters x, (n,)
     equalities: tuple[Constraint, ...]
     inequalities: tuple[Constraint, ...]
-    free_idx: IntArray
-    offset: Array
+    free_idx: IntArray  # indices of the free entries of x, (n_free,)
+    offset: Array  # (n,); basis: (n, n_free): x = offset + basis @ s
     basis: Array
 
     @cached_property
@@ -144,7 +138,6 @@ def eliminate(
     """Free parameters and basis of the equalities' solutions.
 
     Args:
-        constraints: Equalities and inequalities.
         preference: Per parameter; among choices the ones with the highest preference become free.
 
     Raises:

@@ -53,18 +53,12 @@ def _nonzero(coefficients: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPart:
-    """A part in a design.
-
-    Attributes:
-        part: The part, from the database.
-        rotation: Design frame from part frame, (3, 3).
-        automatic: Inserted by a rule, not by the author.
-    """
+    """A part in a design."""
 
     name: str
-    part: Part
-    rotation: Array = field(repr=False)
-    automatic: bool = False
+    part: Part  # the part, from the database
+    rotation: Array = field(repr=False)  # design frame from part frame, (3, 3)
+    automatic: bool = False  # inserted by a rule, not by the author
 
     @property
     def shape_names(self) -> tuple[str, ...]:

@@ -28,23 +28,14 @@ EFFECTS = (
 
 
 class FlightInputs(NamedTuple):
-    """What a flight depends on, (batch or 1, steps or 1, width) each; also the gradients of these.
+    """What a flight depends on, (batch or 1, steps or 1, width) each; also their gradients."""
 
-    Attributes:
-        start: Width BODY + num_rotors.
-        feed_forward: Width num_rotors [N].
-        gain: Width 12 num_rotors; empty without feedback.
-        reference: Width 12; empty without feedback.
-        wind: Width 3 [m/s].
-        parameters: Parameters of the vehicles in the order of ``fields``.
-    """
-
-    start: Tensor
-    feed_forward: Tensor
-    gain: Tensor
-    reference: Tensor
-    wind: Tensor
-    parameters: Tensor
+    start: Tensor  # width BODY + num_rotors
+    feed_forward: Tensor  # width num_rotors [N]
+    gain: Tensor  # width 12 num_rotors; empty without feedback
+    reference: Tensor  # width 12; empty without feedback
+    wind: Tensor  # width 3 [m/s]
+    parameters: Tensor  # parameters of the vehicles in the order of ``fields``
 
     @property
     def num_rotors(self) -> int:
@@ -58,22 +49,15 @@ class FlightInputs(NamedTuple):
 
 
 class FlightSettings(NamedTuple):
-    """How a flight is integrated.
+    """How a flight is integrated."""
 
-    Attributes:
-        dt: Integration step [s].
-        gravity: Strength of gravity [m/s^2].
-        substeps: Integration steps per control step.
-        effects: Names of the effects that are modeled, out of ``EFFECTS``, separated by commas;
-            ``free_thrusts`` among them: commands are not clamped.
-        num_threads: Threads of the kernel.
-    """
-
-    dt: float
-    gravity: float
-    substeps: int
+    dt: float  # integration step [s]
+    gravity: float  # strength of gravity [m/s^2]
+    substeps: int  # integration steps per control step
+    # names of the effects that are modeled, out of ``EFFECTS``, separated by commas;
+    # ``free_thrusts`` among them: commands are not clamped
     effects: str
-    num_threads: int
+    num_threads: int  # threads of the kernel
 
 
 # known before PyTorch's compiler looks, which cannot follow the core

@@ -17,35 +17,21 @@ STATUSES = ("optimal", "infeasible", "rank_deficient", "not_converged")
 
 
 class HoverProblem(NamedTuple):
-    """A batch of dimensionless hover problems; also the gradients of these.
+    """A batch of dimensionless hover problems; also the gradients of these."""
 
-    Attributes:
-        force: M_f over the number of rotors, (batch, 3, n_rotors) [-].
-        torque: M_t over the same and a mean lever, (batch, 3, n_rotors) [-].
-        weights: h of the effort, mean 1, (batch, n_rotors) [-].
-        upper: Largest thrusts in shares of the weight per rotor, (batch, n_rotors) [-].
-    """
-
-    force: Tensor
-    torque: Tensor
-    weights: Tensor
-    upper: Tensor
+    force: Tensor  # M_f over the number of rotors, (batch, 3, n_rotors) [-]
+    torque: Tensor  # M_t over the same and a mean lever, (batch, 3, n_rotors) [-]
+    weights: Tensor  # h of the effort, mean 1, (batch, n_rotors) [-]
+    upper: Tensor  # largest thrusts in shares of the weight per rotor, (batch, n_rotors) [-]
 
 
 class HoverSolution(NamedTuple):
-    """What the solver returns.
+    """What the solver returns."""
 
-    Attributes:
-        thrusts: Thrusts in shares of the weight per rotor, (batch, n_rotors) [-].
-        multipliers: Multipliers of lift and the three torques, (batch, 4); no gradient.
-        state: -1 at the lower, 1 at the upper bound, else 0, (batch, n_rotors) int64.
-        info: ``INFO``, (batch, 4) int64.
-    """
-
-    thrusts: Tensor
-    multipliers: Tensor
-    state: Tensor
-    info: Tensor
+    thrusts: Tensor  # thrusts in shares of the weight per rotor, (batch, n_rotors) [-]
+    multipliers: Tensor  # multipliers of lift and the three torques, (batch, 4); no gradient
+    state: Tensor  # -1 at the lower, 1 at the upper bound, else 0, (batch, n_rotors) int64
+    info: Tensor  # ``INFO``, (batch, 4) int64
 
 
 # Adjoint: the KKT system of the free rotors, derived in csrc/kernels/copter/hover_adjoint.cpp.

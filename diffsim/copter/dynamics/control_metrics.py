@@ -25,17 +25,11 @@ _RANK_DROP = 1e-9  # singular value, relative to the largest, that counts as zer
 
 
 class Controllability(NamedTuple):
-    """Controllability of a linear system; the singular values carry gradients.
+    """Controllability of a linear system; the singular values carry gradients."""
 
-    Attributes:
-        rank: Rank of the controllability matrix.
-        singular_values: Descending, (n,).
-        condition: Largest over smallest, (); inf where the rank is not full.
-    """
-
-    rank: int
-    singular_values: Tensor
-    condition: Tensor
+    rank: int  # rank of the controllability matrix
+    singular_values: Tensor  # descending, (n,)
+    condition: Tensor  # largest over smallest, (); inf where the rank is not full
 
 
 @checked(A=("n", "n"))

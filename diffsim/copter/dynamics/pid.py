@@ -15,29 +15,19 @@ from diffsim.core.check import require_number
 
 @dataclass(frozen=True, kw_only=True)
 class PidGains:
-    """Gains of the cascade, angular ones per unit of inertia.
+    """Gains of the cascade, angular ones per unit of inertia."""
 
-    Attributes:
-        position: Wanted velocity per position error [1/s].
-        velocity: Wanted acceleration per velocity error [1/s].
-        integral: Wanted acceleration per integral of the velocity error [1/s^2].
-        attitude: Wanted rate per angle [1/s].
-        rate: Wanted angular acceleration per rate error [1/s].
-        max_speed: Wanted speeds are no larger [m/s].
-        max_tilt: Largest angle of the commanded thrust from the vertical [rad].
-        max_slip: Velocity errors count in the integral up to this, lest it winds up [m/s].
-        max_integral: Largest acceleration of the integral, per axis [m/s^2].
-    """
-
-    position: float = 1.5
-    velocity: float = 3.0
-    integral: float = 1.0
-    attitude: float = 8.0
-    rate: float = 20.0
-    max_speed: float = 5.0
+    position: float = 1.5  # wanted velocity per position error [1/s]
+    velocity: float = 3.0  # wanted acceleration per velocity error [1/s]
+    integral: float = 1.0  # wanted acceleration per integral of the velocity error [1/s^2]
+    attitude: float = 8.0  # wanted rate per angle [1/s]
+    rate: float = 20.0  # wanted angular acceleration per rate error [1/s]
+    max_speed: float = 5.0  # wanted speeds are no larger [m/s]
+    # largest angle of the commanded thrust from the vertical [rad]
     max_tilt: float = math.radians(35.0)
+    # velocity errors count in the integral up to this, lest it winds up [m/s]
     max_slip: float = 0.3
-    max_integral: float = 3.0
+    max_integral: float = 3.0  # largest acceleration of the integral, per axis [m/s^2]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -41,15 +41,10 @@ _COUNTS = ("nkey", "nuserdata", "nrow", "ncol", "dim", "nsample", "actdim")
 
 @dataclass(frozen=True)
 class _Place:
-    """Where an MJCF file stands.
+    """Where an MJCF file stands."""
 
-    Attributes:
-        root: Folder that no name in the file leaves.
-        below: Folder of the file, relative to the root.
-    """
-
-    root: Path
-    below: str = ""
+    root: Path  # folder that no name in the file leaves
+    below: str = ""  # folder of the file, relative to the root
 
     @classmethod
     def of(cls, path: Path, root: Path | None) -> _Place:

@@ -51,9 +51,6 @@ def body_of(path: Path) -> Body:
 def vehicle_of_mjcf(path: Path) -> FlyingVehicle:
     """A multicopter whose rotors are motors at sites.
 
-    Args:
-        path: MJCF file.
-
     Returns:
         The vehicle. Radii are assumed from the distances of the rotors: MJCF does not say them.
 

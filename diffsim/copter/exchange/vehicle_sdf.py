@@ -61,9 +61,6 @@ def sdf_body(path: Path) -> Body:
 def vehicle_of_sdf(path: Path) -> FlyingVehicle:
     """A multicopter whose rotors are Gazebo's motor models.
 
-    Args:
-        path: SDF file.
-
     Returns:
         The vehicle. A rotor's radius is that of its link's collision shape; without one it is
         assumed from the distances of the rotors. The lag is the longer one, up or down.
@@ -237,13 +234,9 @@ _NEW_ORIGIN = "placement_frame"
 
 @dataclass
 class Frames:
-    """Links of a model and of the models in it, by names such as ``arm::motor``.
+    """Links of a model and of the models in it, by names such as ``arm::motor``."""
 
-    Attributes:
-        links: The elements of the links.
-    """
-
-    links: dict[str, Node] = field(default_factory=dict)
+    links: dict[str, Node] = field(default_factory=dict)  # the elements of the links
     _stated: dict[str, tuple[str, Pose, Node]] = field(default_factory=dict)
 
     @staticmethod

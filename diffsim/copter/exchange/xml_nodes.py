@@ -22,19 +22,14 @@ MAX_DEPTH = 50
 
 @dataclass
 class Node:
-    """An element.
+    """An element."""
 
-    Attributes:
-        tag, attributes, children: Tag, attributes and children of the element in the file.
-        where: File and line, for messages.
-        content: Text between its tags, without that of its children.
-    """
-
+    # tag, attributes, children: as in the file
     tag: str
     attributes: dict[str, str]
-    where: str
+    where: str  # file and line, for messages
     children: list[Node] = field(default_factory=list)
-    content: str = ""
+    content: str = ""  # text between its tags, without that of its children
 
     def error(self, message: str) -> ValueError:
         """A ValueError that names file and line."""

@@ -20,22 +20,15 @@ _SAME_AXIS = 1e-6  # [m]
 
 @dataclass(frozen=True)
 class ConnectorPlace:
-    """A connector on a rod.
+    """A connector on a rod."""
 
-    Attributes:
-        connector, rod: Names of the parts.
-        label: Label of the rod's cut.
-        start: End of the rod from which distances count, its -x end: ``rear``, ``left``, ...
-        from_start: Distance of the connector's middle from there [m].
-        roll: Turn of the connector's top about the rod's axis, 0 facing up [deg].
-    """
-
+    # connector, rod: names of the parts
     connector: str
     rod: str
-    label: str
-    start: str
-    from_start: float
-    roll: float
+    label: str  # label of the rod's cut
+    start: str  # end of the rod from which distances count, its -x end: ``rear``, ``left``, ...
+    from_start: float  # distance of the connector's middle from there [m]
+    roll: float  # turn of the connector's top about the rod's axis, 0 facing up [deg]
 
 
 def connector_places(

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +9,7 @@ import yaml
 
 from diffsim.copter.fabrication.planner import FabricationPlan
 from diffsim.core.checked import checked
-from diffsim.core.files import to_plain, write_bytes_atomic, write_text_atomic
+from diffsim.core.files import csv_text, to_plain, write_bytes_atomic, write_text_atomic
 
 
 @checked
@@ -35,7 +32,10 @@ def write_plan(plan: FabricationPlan, folder: str | Path) -> Path:
     for part in plan.printed:
         write_bytes_atomic(folder / "stl" / part.file, trimesh.exchange.stl.export_stl(part.mesh))
     for name, rows in tables(plan).items():
-        write_text_atomic(folder / f"{name}.csv", _csv(rows))
+        write_text_atomic(
+            folder / f"{name}.csv",
+            csv_text(rows[0], (row.values() for row in rows)) if rows else "",
+        )
     text = yaml.safe_dump(to_plain(summary(plan)), sort_keys=False, width=100)
     write_text_atomic(folder / "plan.yaml", text)
     plan.design.save(folder / "design.yaml")
@@ -133,13 +133,3 @@ def summary(plan: FabricationPlan) -> dict[str, Any]:
         "steps": plan.steps,
         **tables(plan),
     }
-
-
-def _csv(rows: Sequence[dict[str, Any]]) -> str:
-    if not rows:
-        return ""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

@@ -18,23 +18,14 @@ PLATES = ("plate", "circular_plate")  # parts that are cut from a sheet
 
 @dataclass(frozen=True)
 class MaterialLine:
-    """One line of the bill.
+    """One line of the bill."""
 
-    Attributes:
-        item: Description with sizes.
-        source: ``bought``, ``cut``, ``printed`` or ``consumable``.
-        quantity: Pieces.
-        mass: Mass of all pieces [kg].
-        price: Price of all pieces [EUR].
-        names: Names of the parts, empty for consumables.
-    """
-
-    item: str
-    source: str
-    quantity: int
-    mass: float
-    price: float
-    names: tuple[str, ...] = ()
+    item: str  # description with sizes
+    source: str  # ``bought``, ``cut``, ``printed`` or ``consumable``
+    quantity: int  # pieces
+    mass: float  # mass of all pieces [kg]
+    price: float  # price of all pieces [EUR]
+    names: tuple[str, ...] = ()  # names of the parts, empty for consumables
 
 
 def bill(entries: Sequence[PartEntry], parts: Sequence[PlacedPart]) -> tuple[MaterialLine, ...]:

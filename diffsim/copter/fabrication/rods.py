@@ -89,7 +89,6 @@ def pack(cuts: Sequence[RodCut], stock: float, kerf: float) -> tuple[StockBar, .
     """Cut pieces from bars, first fit decreasing: at most 11/9 of the fewest bars, and a bit.
 
     Args:
-        cuts: What is needed.
         stock: Length of a bar [m].
         kerf: Width of the saw's cut [m].
 

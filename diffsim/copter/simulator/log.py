@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ from numpy.typing import NDArray
 from diffsim.core.arrays import Array, Mask
 from diffsim.core.check import require_choice
 from diffsim.core.checked import checked
-from diffsim.core.files import to_plain, write_text_atomic
+from diffsim.core.files import csv_text, to_plain, write_text_atomic
 
 _UP = np.diag([1.0, -1.0, -1.0])  # north-east-down to north-west-up
 
@@ -151,13 +149,12 @@ class FlightLog:
         for name, column in (("voltage", "voltage_V"), ("current", "current_A")):
             groups.append(([column], ".4f", self.series(name)[:, None]))
         groups.append((["charge"], ".6f", self.series("charge")[:, None]))
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(["frame", "time_s", *(n for names, _, _ in groups for n in names)])
+        header = ["frame", "time_s", *(n for names, _, _ in groups for n in names)]
+        rows = []
         for frame, time in enumerate(self.series("time")):
             cells = [f"{v + 0.0:{form}}" for _, form, values in groups for v in values[frame]]
-            writer.writerow([frame, f"{time:.6f}", *cells])
-        return out.getvalue()
+            rows.append([frame, f"{time:.6f}", *cells])
+        return csv_text(header, rows)
 
     def _per_motor(self, name: str, unit: str) -> list[str]:
         return [f"{name}_{k + 1}{unit}" for k in range(len(self.samples[0].pwm))]

@@ -25,17 +25,11 @@ SAFE_PWM = 1800.0  # the thesis's clamp, Fig. 3-9 [us]
 
 
 class Outputs(NamedTuple):
-    """Outputs of one control period, (n_rotors,) each.
+    """Outputs of one control period, (n_rotors,) each."""
 
-    Attributes:
-        pwm: Pulse width of each motor [us].
-        thrusts: Thrusts that the motors settle at [N].
-        saturated: Whether the command exceeds the clamp or the motor's limit.
-    """
-
-    pwm: Tensor
-    thrusts: Tensor
-    saturated: Tensor
+    pwm: Tensor  # pulse width of each motor [us]
+    thrusts: Tensor  # thrusts that the motors settle at [N]
+    saturated: Tensor  # whether the command exceeds the clamp or the motor's limit
 
 
 class MotorOutputs:

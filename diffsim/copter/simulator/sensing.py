@@ -24,21 +24,14 @@ _GRAVITY = np.array([0.0, 0.0, GRAVITY])
 
 @dataclass(frozen=True, kw_only=True)
 class SensorNoise:
-    """White noise of every reading and constant biases of gyro and accelerometer.
+    """White noise of every reading and constant biases of gyro and accelerometer."""
 
-    Attributes:
-        gyro: Standard deviation of a reading [rad/s].
-        gyro_bias: Standard deviation of the bias, drawn once per vehicle and axis [rad/s].
-        accelerometer: Noise of the accelerometer, sd [m/s^2].
-        accelerometer_bias: Bias of the accelerometer, sd [m/s^2].
-        position: Noise of the position, sd [m].
-    """
-
-    gyro: float = 0.003
+    gyro: float = 0.003  # standard deviation of a reading [rad/s]
+    # standard deviation of the bias, drawn once per vehicle and axis [rad/s]
     gyro_bias: float = 0.005
-    accelerometer: float = 0.05
-    accelerometer_bias: float = 0.05
-    position: float = 0.02
+    accelerometer: float = 0.05  # noise of the accelerometer, sd [m/s^2]
+    accelerometer_bias: float = 0.05  # bias of the accelerometer, sd [m/s^2]
+    position: float = 0.02  # noise of the position, sd [m]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

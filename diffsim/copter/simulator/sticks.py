@@ -6,7 +6,6 @@ in the middle 0. They are held from row to row by straight lines.
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from importlib import resources
@@ -19,6 +18,7 @@ from diffsim.copter.simulator.controllers import Setpoint
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
 from diffsim.core.checked import checked
+from diffsim.data.table import is_number, open_table
 
 NAMES = ("roll", "pitch", "yaw", "throttle")
 MODES = ("position", "attitude")
@@ -183,46 +183,39 @@ def load_sticks(path: str | Path) -> RecordedSticks:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"no stick file {path}; an example is {example_sticks()}")
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.DictReader(file, skipinitialspace=True)
-        header = [name.strip() for name in rows.fieldnames or []]
-        rows.fieldnames = header
+    with open_table(path, "stick file") as (header, rows):
         missing = [name for name in ("time_s", *NAMES) if name not in header]
         if missing:
             raise ValueError(
-                f"{path}, line 1: column {missing[0]} is missing; needed are time_s, "
-                f"{', '.join(NAMES)}, the file has {', '.join(header) or 'nothing'}"
+                f"{path}: column {missing[0]} is missing; needed are time_s, {', '.join(NAMES)}, "
+                f"the file has {', '.join(header)}"
             )
         table: list[list[float]] = []
-        for row in rows:
-            line = rows.line_num
-            now = _number(path, line, "time_s", row["time_s"])
-            if not table and now != 0.0:
+        for line, row in rows:
+            cells = dict(zip(header, row, strict=True))
+            table.append([_number(path, line, n, cells[n]) for n in ("time_s", *NAMES)])
+            now = table[-1][0]
+            if len(table) == 1 and now != 0.0:
                 raise ValueError(f"{path}, line {line}: time_s must start at 0, got {now:g}")
-            if table and now <= table[-1][0]:
+            if len(table) > 1 and now <= table[-2][0]:
                 raise ValueError(
                     f"{path}, line {line}: time_s must increase, got {now:g} after "
-                    f"{table[-1][0]:g}; sort the rows or remove the repeated one"
+                    f"{table[-2][0]:g}; sort the rows or remove the repeated one"
                 )
-            values = [_number(path, line, name, row[name]) for name in NAMES]
-            for name, value in zip(NAMES, values, strict=True):
-                if abs(value) > 1.0:
-                    raise ValueError(
-                        f"{path}, line {line}: {name} must lie in [-1, 1], got {value:g}; pulses "
-                        "in microseconds become (pulse - 1500) / 500"
-                    )
-            table.append([now, *values])
     if len(table) < 2:
         raise ValueError(f"{path}: two rows or more are needed, got {len(table)}")
     array = np.array(table)
     return RecordedSticks(array[:, 0], array[:, 1:])
 
 
-def _number(path: Path, line: int, name: str, cell: str | None) -> float:
-    try:
-        value = float(cell or "")
-    except ValueError:
-        raise ValueError(f"{path}, line {line}: {name} must be a number, got {cell!r}") from None
+def _number(path: Path, line: int, name: str, cell: str) -> float:
+    """A cell; the position of a stick must lie between -1 and 1."""
+    value = float(cell) if is_number(cell) else math.nan
     if not math.isfinite(value):
-        raise ValueError(f"{path}, line {line}: {name} must be finite, got {cell!r}")
+        raise ValueError(f"{path}, line {line}: {name} must be a number, got {cell!r}")
+    if name in NAMES and abs(value) > 1.0:
+        raise ValueError(
+            f"{path}, line {line}: {name} must lie in [-1, 1], got {value:g}; pulses in "
+            "microseconds become (pulse - 1500) / 500"
+        )
     return value

@@ -73,12 +73,9 @@ class ThrustCurve(_Effect):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RotorDrag(_Effect):
-    """In-plane force of a rotor in cross flow: -k thrust (velocity of the hub across its axis).
+    """In-plane force of a rotor in cross flow: -k thrust (velocity of the hub across its axis)."""
 
-    Attributes:
-        coefficient: k, () [s/m], >= 0 (Mahony, Kumar, Corke 2012, blade flapping and induced drag).
-    """
-
+    # k, () [s/m], >= 0 (Mahony, Kumar, Corke 2012, blade flapping and induced drag)
     coefficient: Tensor = field(metadata=_of("rotor_drag", (), at_least=0.0))
 
 
@@ -113,13 +110,9 @@ class GroundEffect(_Effect):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Interference(_Effect):
-    """Thrust that rotors take from one another: thrust_i -= sum_j losses_ij thrust_j.
+    """Thrust that rotors take from one another: thrust_i -= sum_j losses_ij thrust_j."""
 
-    Attributes:
-        losses: (n_rotors, n_rotors), 0 to 1; a coaxial pair has the loss of the lower rotor at
-            (lower, upper).
-    """
-
+    # (n_rotors, n_rotors), 0 to 1; a coaxial pair has the loss of the lower rotor at (lower, upper)
     losses: Tensor = field(
         metadata=_of("interference", ("n_rotors", "n_rotors"), at_least=0.0, at_most=1.0)
     )
@@ -135,29 +128,24 @@ class BatterySag(_Effect):
 
     current = idle + sum_i a_i s_i^alpha_i from the thrust states s, voltage = open_circuit(charge)
     - resistance current, charge' = -current / capacity. ``Battery.sag`` makes one.
-
-    Attributes:
-        resistance: () [ohm], >= 0.
-        capacity: () [A s], > 0.
-        nominal_voltage: At which the thrusts are as commanded, () [V], > 0.
-        exponent: (); near 2 where the speed is proportional to the voltage, 0 for a controller
-            that makes up for the voltage.
-        open_circuit: Coefficients of V = sum_j c_j charge^j, (4,) [V].
-        current_coefficients: a_i, (n_rotors,), A per N^alpha, >= 0.
-        current_exponents: alpha_i, (n_rotors,), > 0.
-        idle_current: Current of rotors at no thrust and everything else on board, () [A], >=
-            0.
     """
 
-    resistance: Tensor = field(metadata=_of("resistance", (), at_least=0.0))
-    capacity: Tensor = field(metadata=_of("inverse_capacity", (), above=0.0))
+    resistance: Tensor = field(metadata=_of("resistance", (), at_least=0.0))  # () [ohm], >= 0
+    capacity: Tensor = field(metadata=_of("inverse_capacity", (), above=0.0))  # () [A s], > 0
+    # at which the thrusts are as commanded, () [V], > 0
     nominal_voltage: Tensor = field(metadata=_of("nominal_voltage", (), above=0.0))
+    # (); near 2 where the speed is proportional to the voltage, 0 for a controller that makes up
+    # for the voltage
     exponent: Tensor = field(metadata=_of("sag_exponent", (), at_least=0.0))
+    # coefficients of V = sum_j c_j charge^j, (4,) [V]
     open_circuit: Tensor = field(metadata=_of("open_circuit", (4,)))
+    # a_i, (n_rotors,), A per N^alpha, >= 0
     current_coefficients: Tensor = field(
         metadata=_of("current_coefficient", ("n_rotors",), at_least=0.0)
     )
+    # alpha_i, (n_rotors,), > 0
     current_exponents: Tensor = field(metadata=_of("current_exponent", ("n_rotors",), above=0.0))
+    # current of rotors at no thrust and everything else on board, () [A], >= 0
     idle_current: Tensor = field(metadata=_of("idle_current", (), at_least=0.0))
 
     def row(self, dt: float) -> dict[str, Tensor]:

@@ -28,21 +28,14 @@ MIN_ROWS = 6
 
 @dataclass(frozen=True, eq=False)
 class CurveFit:
-    """One least-squares fit.
+    """One least-squares fit."""
 
-    Attributes:
-        values: Parameters by name.
-        standard_errors: Standard errors of the values, from the residuals; same names.
-        x: Abscissa of the rows, (num_rows,).
-        y: Measured, (num_rows,).
-        residuals: Measured less fitted, (num_rows,).
-    """
-
-    values: dict[str, float]
+    values: dict[str, float]  # parameters by name
+    # standard errors of the values, from the residuals; same names
     standard_errors: dict[str, float]
-    x: Array
-    y: Array
-    residuals: Array
+    x: Array  # abscissa of the rows, (num_rows,)
+    y: Array  # measured, (num_rows,)
+    residuals: Array  # measured less fitted, (num_rows,)
 
     @property
     def rms(self) -> float:
@@ -62,19 +55,15 @@ class CurveFit:
 
 @dataclass(frozen=True, eq=False)
 class RotorFit:
-    """A model and how well it fits.
+    """A model and how well it fits."""
 
-    Attributes:
-        table: The rows.
-        curves: ``thrust`` and ``thrust_offset`` (without and with a free offset), ``torque``,
-            ``current`` (at the nominal voltage) and ``speed``.
-        hysteresis: Up against down sweep where there are both: exponents with standard errors,
-            thrust down / up - 1 at equal speed and at equal signal.
-    """
-
-    table: RotorTable
+    table: RotorTable  # the rows
     model: RotorModel
+    # ``thrust`` and ``thrust_offset`` (without and with a free offset), ``torque``, ``current`` (at
+    # the nominal voltage) and ``speed``
     curves: dict[str, CurveFit]
+    # up against down sweep where there are both: exponents with standard errors, thrust down / up -
+    # 1 at equal speed and at equal signal
     hysteresis: dict[str, float] = field(default_factory=dict)
 
 

@@ -15,15 +15,10 @@ UP = np.array([0.0, 0.0, -1.0])  # north-east-down
 
 @dataclass(frozen=True, eq=False)
 class LinearPoints:
-    """Points that are linear in parameters: offset + basis @ parameters.
+    """Points that are linear in parameters: offset + basis @ parameters."""
 
-    Attributes:
-        offset: Points at parameters of zero, (..., 3) [m].
-        basis: Slopes by the parameters, (..., 3, num_parameters) [m per unit of the parameter].
-    """
-
-    offset: Array
-    basis: Array
+    offset: Array  # points at parameters of zero, (..., 3) [m]
+    basis: Array  # slopes by the parameters, (..., 3, num_parameters) [m per unit of the parameter]
 
     def at(self, parameters: Array) -> Array:
         """The points, (..., 3) [m]."""
@@ -32,15 +27,10 @@ class LinearPoints:
 
 @dataclass(frozen=True, eq=False)
 class LinearMesh:
-    """A triangle mesh of linear vertices.
+    """A triangle mesh of linear vertices."""
 
-    Attributes:
-        vertices: Vertices, (num_vertices, 3) [m].
-        faces: (num_faces, 3), oriented outwards.
-    """
-
-    vertices: LinearPoints
-    faces: IntArray
+    vertices: LinearPoints  # vertices, (num_vertices, 3) [m]
+    faces: IntArray  # (num_faces, 3), oriented outwards
 
 
 def fixed_points(points: Sequence[float] | Array, num_parameters: int = 0) -> LinearPoints:

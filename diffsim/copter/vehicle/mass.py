@@ -9,17 +9,11 @@ from torch import Tensor
 
 
 class Moments(NamedTuple):
-    """Moments of mass about an origin; one row per part.
+    """Moments of mass about an origin; one row per part."""
 
-    Attributes:
-        mass: Mass of each part, (num_parts,) [kg].
-        first: Integral of r, (num_parts, 3) [kg m].
-        second: Integral of r r', (num_parts, 3, 3) [kg m^2].
-    """
-
-    mass: Tensor
-    first: Tensor
-    second: Tensor
+    mass: Tensor  # mass of each part, (num_parts,) [kg]
+    first: Tensor  # integral of r, (num_parts, 3) [kg m]
+    second: Tensor  # integral of r r', (num_parts, 3, 3) [kg m^2]
 
 
 def mesh_moments(

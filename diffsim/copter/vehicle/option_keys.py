@@ -23,7 +23,6 @@ def option_keys(
 
     Args:
         maker: Its annotations may be units of ``core.schema_numbers``.
-        base: Keys that all have.
     """
     hints = get_type_hints(maker, localns=vars(schema_numbers), include_extras=True)
     fields: dict[str, Any] = {

@@ -16,42 +16,28 @@ class Slide:
     """A direction in which a connection may wander over its patch.
 
     |offset along direction| <= half_extent, which is linear in the part's parameters.
-
-    Attributes:
-        direction: Unit vector in the part's frame, (3,).
-        half_extent: Constant [m].
-        half_extent_basis: Per parameter of the part, (num_parameters,).
     """
 
-    direction: Array
-    half_extent: float
-    half_extent_basis: Array
+    direction: Array  # unit vector in the part's frame, (3,)
+    half_extent: float  # constant [m]
+    half_extent_basis: Array  # per parameter of the part, (num_parameters,)
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A place of a part where another part fits.
+    """A place of a part where another part fits."""
 
-    Attributes:
-        shape: "circular" (around ``axis``) or "flat" (``axis`` is its outward normal).
-        fitting: What is attached here, the key of the rule table: "rod", "plate", "motor", "mount"
-            (a face of an adapter), "shaft" (motor to propeller).
-        center: Linear in the part's parameters, (3,) [m], in the part's frame.
-        axis: Unit main axis or outward normal, (3,).
-        reference: Unit vector perpendicular to ``axis`` from which angles count, (3,).
-        radius: Radius of a circular patch [m].
-        slides: Directions in which a connection may wander.
-        slides_by_default: Whether it does when the design does not say.
-    """
-
+    # "circular" (around ``axis``) or "flat" (``axis`` is its outward normal)
     shape: Literal["circular", "flat"]
+    # what is attached here, the key of the rule table: "rod", "plate", "motor", "mount" (a face of
+    # an adapter), "shaft" (motor to propeller)
     fitting: str
-    center: LinearPoints
-    axis: Array
-    reference: Array
-    radius: float = 0.0
-    slides: tuple[Slide, ...] = ()
-    slides_by_default: bool = False
+    center: LinearPoints  # linear in the part's parameters, (3,) [m], in the part's frame
+    axis: Array  # unit main axis or outward normal, (3,)
+    reference: Array  # unit vector perpendicular to ``axis`` from which angles count, (3,)
+    radius: float = 0.0  # radius of a circular patch [m]
+    slides: tuple[Slide, ...] = ()  # directions in which a connection may wander
+    slides_by_default: bool = False  # whether it does when the design does not say
 
 
 def aligning_rotation(host: Patch, host_rotation: Array, guest: Patch, *, degrees: float) -> Array:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from diffsim.core.arrays import Array, Mask
+from diffsim.data.table import Table
 
 INCH = 0.0254
 # Motors of small_motors.csv by the first word of their short name.
@@ -28,35 +28,20 @@ _SMALL_PROPELLERS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RotorTable:
-    """Rows of one motor and propeller.
+    """Rows of one motor and propeller."""
 
-    Attributes:
-        name: Short name.
-        title: Motor and propeller in words.
-        radius: Radius of the propeller [m].
-        nominal_voltage: Nominal voltage [V].
-        signal: Pulse width, (num_rows,) [us].
-        speed: Speed of the rotor, (num_rows,) [rad/s].
-        thrust: Thrust, (num_rows,) [N].
-        current: Current, (num_rows,) [A].
-        torque: (num_rows,) [N m], or None.
-        voltage: (num_rows,) [V], or None where it was not recorded.
-        down: Rows of the sweep down, (num_rows,) bool.
-        source: Reference of the rows.
-    """
-
-    name: str
-    title: str
-    radius: float
-    nominal_voltage: float
-    signal: Array
-    speed: Array
-    thrust: Array
-    current: Array
-    torque: Array | None
-    voltage: Array | None
-    down: Mask
-    source: str
+    name: str  # short name
+    title: str  # motor and propeller in words
+    radius: float  # radius of the propeller [m]
+    nominal_voltage: float  # nominal voltage [V]
+    signal: Array  # pulse width, (num_rows,) [us]
+    speed: Array  # speed of the rotor, (num_rows,) [rad/s]
+    thrust: Array  # thrust, (num_rows,) [N]
+    current: Array  # current, (num_rows,) [A]
+    torque: Array | None  # (num_rows,) [N m], or None
+    voltage: Array | None  # (num_rows,) [V], or None where it was not recorded
+    down: Mask  # rows of the sweep down, (num_rows,) bool
+    source: str  # reference of the rows
 
     def __post_init__(self) -> None:
         columns = [self.signal, self.speed, self.thrust, self.current, self.down]
@@ -126,34 +111,22 @@ def _kde(folder: Path, inches: int) -> RotorTable:
 
 
 def _small_motors(folder: Path) -> Iterator[RotorTable]:
-    column, text = _columns(folder / "small_motors.csv")
-    motors, propellers = np.array(text("motor")), np.array(text("propeller"))
+    columns = Table(folder / "small_motors.csv", "table of motors").columns()
     for motor, short in _SMALL_MOTORS.items():
         for propeller, blade in _SMALL_PROPELLERS.items():
-            keep = (motors == motor) & (propellers == propeller)
+            keep = (columns["motor"] == motor) & (columns["propeller"] == propeller)
             yield RotorTable(
                 name=f"{short}_{blade}",
                 title=f"{motor}, {propeller}",
                 radius=5 * INCH / 2,
                 nominal_voltage=11.1,
-                signal=column("esc_signal_us")[keep],
-                speed=column("electrical_speed_rpm")[keep] * 2.0 * np.pi / 60.0,
-                thrust=column("thrust_N")[keep],
-                current=column("current_A")[keep],
+                signal=columns["esc_signal_us"][keep],
+                speed=columns["electrical_speed_rpm"][keep] * 2.0 * np.pi / 60.0,
+                thrust=columns["thrust_N"][keep],
+                current=columns["current_A"][keep],
                 torque=None,
-                voltage=column("voltage_V")[keep],
+                voltage=columns["voltage_V"][keep],
                 down=np.zeros(int(keep.sum()), dtype=bool),
                 source="rotor_bench/small_motors.csv, "
                 "github.com/StrawsonDesign/motor_propeller_testing (MIT)",
             )
-
-
-def _columns(path: Path) -> tuple[Callable[[str], Array], Callable[[str], list[str]]]:
-    """Columns of a CSV file as numbers and as text."""
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-
-    def text(name: str) -> list[str]:
-        return [row[name] for row in rows]
-
-    return lambda name: np.array(text(name), dtype=float), text

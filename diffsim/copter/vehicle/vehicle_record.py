@@ -56,21 +56,13 @@ class FlyingVehicle:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Mass properties, and places by name.
+    """Mass properties, and places by name."""
 
-    Attributes:
-        mass: Mass [kg].
-        inertia: About the center of mass, (3, 3) [kg m^2].
-        center_of_mass: Center of mass, (3,) [m].
-        places: Position of each link, body or site, (3,) [m].
-        axes: Their z axes, (3,).
-    """
-
-    mass: float
-    inertia: Array
-    center_of_mass: Array
-    places: dict[str, Array]
-    axes: dict[str, Array]
+    mass: float  # mass [kg]
+    inertia: Array  # about the center of mass, (3, 3) [kg m^2]
+    center_of_mass: Array  # center of mass, (3,) [m]
+    places: dict[str, Array]  # position of each link, body or site, (3,) [m]
+    axes: dict[str, Array]  # their z axes, (3,)
 
 
 def usual_radius(places: Array) -> float:

@@ -84,7 +84,6 @@ def require_text_room(longest: int, count: int) -> None:
 
     Args:
         longest: Letters of its longest cell.
-        count: Of cells.
     """
     if (needed := LETTER * longest * count) > MOST_UNPACKED:
         raise ValueError(

@@ -30,15 +30,10 @@ _FEWEST_ROWS = 20  # of lists by column: shorter ones have a number for each joi
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """A table of a file.
+    """A table of a file."""
 
-    Attributes:
-        content: Its records, or its values by column.
-        facts: Numbers and texts that stand beside it, by name.
-    """
-
-    content: Sequence[Mapping[str, Any]] | Mapping[str, Any]
-    facts: Mapping[str, Any]
+    content: Sequence[Mapping[str, Any]] | Mapping[str, Any]  # its records, or its values by column
+    facts: Mapping[str, Any]  # numbers and texts that stand beside it, by name
 
     def columns(self) -> Columns:
         """Its columns, and one constant column for every fact of another name."""

@@ -19,15 +19,10 @@ _MOST_BYTES = 10_000_000
 
 @dataclass(frozen=True)
 class Info:
-    """What a dataset says of its tables.
+    """What a dataset says of its tables."""
 
-    Attributes:
-        fps: Rows per second; None: not said.
-        names: What the entries of a list column are, by column.
-    """
-
-    fps: float | None
-    names: Mapping[str, tuple[str, ...]]
+    fps: float | None  # rows per second; None: not said
+    names: Mapping[str, tuple[str, ...]]  # what the entries of a list column are, by column
 
 
 def tables_of(folder: Path) -> list[Path]:

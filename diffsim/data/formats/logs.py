@@ -155,7 +155,6 @@ def _require_small_chunks(path: Path, size: int, changed_ns: int, named: tuple[i
     """Refuse chunks that unpack to more than is read, before one is unpacked.
 
     Args:
-        path: The file.
         size, changed_ns: Its bytes, and when it was changed.
         named: Where its index says that chunks begin.
     """

@@ -211,7 +211,6 @@ def spikes(samples: Samples, sd: float = 0.0, speed: Samples | None = None) -> I
     """Places of samples off both sides, that no bounce or cusp explains.
 
     Args:
-        samples: Of a run.
         sd: Noise that is usual.
         speed: Its derivative, where that was measured: then it decides.
     """

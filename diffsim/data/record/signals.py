@@ -19,19 +19,12 @@ FEW = 12  # samples of which a rule can tell nothing
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of a signal in one run, those that are not finite left out.
+    """Samples of a signal in one run, those that are not finite left out."""
 
-    Attributes:
-        run: Name of the run.
-        at: Places in the run, (num,).
-        times: Times of the samples, (num,) [s].
-        values: (num,) as the file has them.
-    """
-
-    run: str
-    at: IntArray
-    times: Array
-    values: Array
+    run: str  # name of the run
+    at: IntArray  # places in the run, (num,)
+    times: Array  # times of the samples, (num,) [s]
+    values: Array  # (num,) as the file has them
 
     def __len__(self) -> int:
         return len(self.values)
@@ -99,25 +92,17 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """A channel or a command.
-
-    Attributes:
-        role: "channel" or "command".
-        column: Column of the files; the name, where a formula has several.
-        unit: SI unit of the channel or command; None: not stated.
-        scale: SI value of one in the file's unit, where it is a multiple; None: it is not.
-        sd: Noise that is stated, in the file's unit; 0: none.
-        is_measured: Whether it was measured.
-    """
+    """A channel or a command."""
 
     name: str
-    role: str
-    column: str
-    unit: str | None
+    role: str  # "channel" or "command"
+    column: str  # column of the files; the name, where a formula has several
+    unit: str | None  # SI unit of the channel or command; None: not stated
     runs: tuple[Samples, ...]
+    # SI value of one in the file's unit, where it is a multiple; None: it is not
     scale: float | None = 1.0
-    sd: float = 0.0
-    is_measured: bool = True
+    sd: float = 0.0  # noise that is stated, in the file's unit; 0: none
+    is_measured: bool = True  # whether it was measured
 
     @property
     def where(self) -> str:

@@ -43,20 +43,14 @@ LEFT_OUT = "gradient:not checked"
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Slopes of some runs, as the linearization has them.
+    """Slopes of some runs, as the linearization has them."""
 
-    Attributes:
-        problem: The problem of these runs alone.
-        x: Standardized coordinates, (n,).
-        residual, jacobian: Their rows, whitened, (num_valid,) and (num_valid, n).
-        cotangent: What the adjoint is asked for, (num_valid,).
-    """
-
-    problem: Problem
-    x: Array
+    problem: Problem  # the problem of these runs alone
+    x: Array  # standardized coordinates, (n,)
+    # residual, jacobian: their rows, whitened, (num_valid,) and (num_valid, n)
     residual: Array
     jacobian: Array
-    cotangent: Array
+    cotangent: Array  # what the adjoint is asked for, (num_valid,)
 
     @property
     def scores(self) -> Array:

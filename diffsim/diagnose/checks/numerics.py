@@ -163,17 +163,12 @@ def numerical_shift(fit: Fit, changes: Mapping[str, Array]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SetNumerics:
-    """Numerical settings at the fit of a set of causes.
+    """Numerical settings at the fit of a set of causes."""
 
-    Attributes:
-        changes: Change of the record by refining each setting, by its name, (N,) each.
-        gates: One per setting.
-        may_refine: Whether a setting fails, and finer ones are within the budget.
-    """
-
+    # change of the record by refining each setting, by its name, (N,) each
     changes: dict[str, Array]
-    gates: tuple[GateResult, ...]
-    may_refine: bool = False
+    gates: tuple[GateResult, ...]  # one per setting
+    may_refine: bool = False  # whether a setting fails, and finer ones are within the budget
 
 
 def check_numerics_of_set(fit: Fit, record: Array, settings: DiagnosisSettings) -> SetNumerics:

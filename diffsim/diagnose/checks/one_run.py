@@ -42,17 +42,11 @@ LATEST = 0.25  # of a run: how far a clock may be off
 
 @dataclass(frozen=True, eq=False)
 class _RunAsTold:
-    """A run as the plain model tells it.
+    """A run as the plain model tells it."""
 
-    Attributes:
-        run: Its beginning.
-        told: Predicted, (num_samples, num_channels) [unit of the channel].
-        slopes: Along the standardized numbers, (num_samples, num_channels, num_base).
-    """
-
-    run: Run
-    told: Array
-    slopes: Array
+    run: Run  # its beginning
+    told: Array  # predicted, (num_samples, num_channels) [unit of the channel]
+    slopes: Array  # along the standardized numbers, (num_samples, num_channels, num_base)
 
     @property
     def off(self) -> Array:
@@ -62,22 +56,15 @@ class _RunAsTold:
 
 @dataclass(frozen=True)
 class _Change:
-    """A slip that a run may have, as what its record would be without it.
+    """A slip that a run may have, as what its record would be without it."""
 
-    Attributes:
-        says: The slip in words.
-        remedy: Keys that mend it.
-        channels: Which channels it changes: the columns of the record that stand in their places.
-        scale: Factor and level that mend these channels.
-        later: Rows by which channels come too late.
-        commands: Which command is to be taken for which, and its factor.
-    """
-
-    says: str
-    remedy: str
+    says: str  # the slip in words
+    remedy: str  # keys that mend it
+    # which channels it changes: the columns of the record that stand in their places
     channels: tuple[tuple[int, int], ...] = ()
-    scale: tuple[float, float] = (1.0, 0.0)
-    later: int = 0
+    scale: tuple[float, float] = (1.0, 0.0)  # factor and level that mend these channels
+    later: int = 0  # rows by which channels come too late
+    # which command is to be taken for which, and its factor
     commands: tuple[tuple[str, str, float], ...] = ()
 
     def measured(self, values: Array) -> Array:
@@ -123,19 +110,13 @@ def _cost(model: SimModel, runs: Sequence[Run]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Others:
-    """Runs beside a plain model that is fitted to all of them, each as noisy as what it leaves.
-
-    Attributes:
-        runs: As the fit tells them.
-        q: Standardized numbers of the fit, (num_base,).
-        floor: Noise of each channel, (num_channels,) [unit of the channel].
-    """
+    """Runs beside a plain model that is fitted to all of them, each as noisy as what it leaves."""
 
     study: Study
     model: SimModel
-    runs: tuple[_RunAsTold, ...]
-    q: Array
-    floor: Array
+    runs: tuple[_RunAsTold, ...]  # as the fit tells them
+    q: Array  # standardized numbers of the fit, (num_base,)
+    floor: Array  # noise of each channel, (num_channels,) [unit of the channel]
 
     @classmethod
     def of(cls, model: SimModel, study: Study, runs: Sequence[Run]) -> _Others:

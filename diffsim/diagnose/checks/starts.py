@@ -36,18 +36,12 @@ ALIKE_SHARE = 0.5  # of the largest difference, that all runs have alike; of eac
 
 @dataclass(frozen=True)
 class _Begin:
-    """How a run begins: level and slope of each channel, (2, num_channels) each.
-
-    Attributes:
-        seen: As it was measured.
-        told: As the model has it, at its priors.
-        sd: Of their difference, by noise, priors and what may be wrong with commands.
-    """
+    """How a run begins: level and slope of each channel, (2, num_channels) each."""
 
     run: Run
-    seen: Array
-    told: Array
-    sd: Array
+    seen: Array  # as it was measured
+    told: Array  # as the model has it, at its priors
+    sd: Array  # of their difference, by noise, priors and what may be wrong with commands
 
 
 def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:

@@ -34,17 +34,14 @@ FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
 
 @dataclass(frozen=True)
 class _Way:
-    """A record with some columns changed: scaled, or one in place of the other.
-
-    Attributes:
-        near: Share of the squares of a channel that it leaves where it is the fault.
-    """
+    """A record with some columns changed: scaled, or one in place of the other."""
 
     where: str
     says: str
     remedy: str
     scale: float
     names: tuple[str, ...]
+    # share of the squares of a channel that it leaves where it is the fault
     near: float = NEAR_SHARE
 
     def of(self, run: Run, channels: Sequence[str]) -> Run:

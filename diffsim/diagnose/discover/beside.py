@@ -27,28 +27,19 @@ NUM_CAUSES = (6, 2)
 
 @dataclass(frozen=True, eq=False)
 class CauseAlong:
-    """A cause of the library along the recordings.
-
-    Attributes:
-        columns: Whitened response to its scaled sizes, (num_valid, num_components).
-    """
+    """A cause of the library along the recordings."""
 
     effect: Effect
-    columns: Array
+    columns: Array  # whitened response to its scaled sizes, (num_valid, num_components)
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A law and a cause beside it.
+    """A law and a cause beside it."""
 
-    Attributes:
-        law: Without a form.
-        nats: Evidence of both over the better one alone.
-    """
-
-    law: Candidate
+    law: Candidate  # without a form
     cause: CauseAlong
-    nats: float
+    nats: float  # evidence of both over the better one alone
 
 
 def causes_along(

@@ -37,15 +37,10 @@ LAST_STEP_SHARE = 0.01  # of the misfit, that a last step takes away
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """A matrix of dense blocks; no two share a row or a column.
+    """A matrix of dense blocks; no two share a row or a column."""
 
-    Attributes:
-        parts: Rows, columns and entries of each.
-        shape: Of the matrix.
-    """
-
-    parts: tuple[tuple[IntArray, IntArray, Array], ...]
-    shape: tuple[int, int]
+    parts: tuple[tuple[IntArray, IntArray, Array], ...]  # rows, columns and entries of each
+    shape: tuple[int, int]  # of the matrix
 
     @property
     def T(self) -> Blocks:
@@ -61,17 +56,12 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class ReachInRun:
-    """What terms at an entry do in one run: ``basis @ mixed @ spread @ terms``.
+    """What terms at an entry do in one run: ``basis @ mixed @ spread @ terms``."""
 
-    Attributes:
-        mixed: Their coordinates of what is spread, (k, m).
-        spread: From samples to knots, or to the readings that an entry changes at once, (m,
-            num_samples).
-        basis: Orthonormal columns that span it, (num_valid, k): few knots move many readings.
-    """
-
-    mixed: Array | sparse.csr_array | Blocks
+    mixed: Array | sparse.csr_array | Blocks  # their coordinates of what is spread, (k, m)
+    # from samples to knots, or to the readings that an entry changes at once, (m, num_samples)
     spread: sparse.csr_array
+    # orthonormal columns that span it, (num_valid, k): few knots move many readings
     basis: Aside = Aside()
 
 
@@ -181,28 +171,19 @@ def _read_in_windows(read: sparse.csr_array) -> ReachInRun | None:
 
 @dataclass(frozen=True, eq=False)
 class FollowedRecord:
-    """Simulations that lie on the recordings, and what the model without a course misses there.
+    """Simulations that lie on the recordings, and what the model without a course misses there."""
 
-    Attributes:
-        fit: Fit that they start from.
-        problems: One for each run, with the course that drives it.
-        points: Standardized coordinates of each, the course's own included.
-        missing: Whitened record less what the model without a course would show, (num_valid,).
-        responses: Whitened response to each knot of each run's courses [per unit], (num_valid of
-            the run, num_courses * num_knots).
-        to_knots: What makes of values at samples a course, for each run, (num_knots, num_samples).
-        jacobian: Whitened slopes by the coordinates of the fit, (num_valid, n).
-        chi2: Misfit with the course.
-    """
-
-    fit: Fit
-    problems: tuple[Problem, ...]
-    points: tuple[Array, ...]
-    missing: Array
+    fit: Fit  # fit that they start from
+    problems: tuple[Problem, ...]  # one for each run, with the course that drives it
+    points: tuple[Array, ...]  # standardized coordinates of each, the course's own included
+    missing: Array  # whitened record less what the model without a course would show, (num_valid,)
+    # whitened response to each knot of each run's courses [per unit], (num_valid of the run,
+    # num_courses * num_knots)
     responses: tuple[Array, ...]
+    # what makes of values at samples a course, for each run, (num_knots, num_samples)
     to_knots: tuple[sparse.csr_array, ...]
-    jacobian: Array
-    chi2: float
+    jacobian: Array  # whitened slopes by the coordinates of the fit, (num_valid, n)
+    chi2: float  # misfit with the course
 
     def reach(self, port: LawPort, entry: Entry) -> Reach | None:
         """What terms at an entry do; None where they must be simulated."""

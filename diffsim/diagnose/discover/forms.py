@@ -243,20 +243,15 @@ FACTORS_THROUGH_ZERO: tuple[Form, ...] = (
 
 @dataclass(frozen=True, eq=False)
 class FittedForm:
-    """A form at its best beside what the record tells.
-
-    Attributes:
-        nats: What it leaves [nats], and the price of its numbers.
-        numbers: Its numbers in units of the variable, with their sd.
-        term: Formula with the range put in.
-        seen: What it does to the record, in noise sd.
-    """
+    """A form at its best beside what the record tells."""
 
     form: Form
-    nats: float
+    nats: float  # what it leaves [nats], and the price of its numbers
     size: float
+    # its numbers in units of the variable, with their sd
     numbers: dict[str, tuple[float, float]] = field(default_factory=dict)
-    term: str = ""
+    term: str = ""  # formula with the range put in
+    # what it does to the record, in noise sd
     seen: Array = field(default_factory=lambda: np.zeros(0))
 
     def is_like(self, other: FittedForm) -> bool:
@@ -266,21 +261,13 @@ class FittedForm:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A law without a form, as the record tells it.
+    """A law without a form, as the record tells it."""
 
-    Attributes:
-        u: Values of the variable over which it is told, ascending, (m,).
-        values: The law there, (m,) [unit of the entry].
-        basis: Terms of the basis there, (m, k).
-        factors: Most probable factors, (k,).
-        covariance: Their covariance, (k, k).
-    """
-
-    u: Array
-    values: Array
-    basis: Array
-    factors: Array
-    covariance: Array
+    u: Array  # values of the variable over which it is told, ascending, (m,)
+    values: Array  # the law there, (m,) [unit of the entry]
+    basis: Array  # terms of the basis there, (m, k)
+    factors: Array  # most probable factors, (k,)
+    covariance: Array  # their covariance, (k, k)
 
     @property
     def sd(self) -> Array:
@@ -293,17 +280,12 @@ class LawMisfit:
     """What a record tells of a law over its variable, without any prior of the law.
 
     The misfit of a law with values v at ``u`` is |target - root v|^2 and a constant.
-
-    Attributes:
-        u: Values of the variable, ascending, (m,).
-        root: What a law's values do to the record, in noise sd, (k, m).
-        target: What the record asks for, (k,).
-        of_number: Whether the law changes a free number, whose own value holds what is level.
     """
 
-    u: Array
-    root: Array
-    target: Array
+    u: Array  # values of the variable, ascending, (m,)
+    root: Array  # what a law's values do to the record, in noise sd, (k, m)
+    target: Array  # what the record asks for, (k,)
+    # whether the law changes a free number, whose own value holds what is level
     of_number: bool = False
 
     def without_level(self) -> LawMisfit:

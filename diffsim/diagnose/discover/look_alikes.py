@@ -10,25 +10,15 @@ from diffsim.identify.law import Law
 
 @dataclass(frozen=True)
 class LookAlike:
-    """A row of the table; an empty column fits everything.
+    """A row of the table; an empty column fits everything."""
 
-    Attributes:
-        kinds: Kinds of entries.
-        memory: Kind of the hidden state; "-": none.
-        forms: Kinds of formulas.
-        units: Units of the variable.
-        words: What such a law may be.
-        turns: Least and greatest wave number.
-        of: Formulas of the variable.
-    """
-
-    words: tuple[str, ...]
-    kinds: tuple[str, ...] = ()
-    memory: str = ""
-    forms: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    turns: tuple[float, float] = (0.0, math.inf)
-    of: tuple[str, ...] = ()
+    words: tuple[str, ...]  # what such a law may be
+    kinds: tuple[str, ...] = ()  # kinds of entries
+    memory: str = ""  # kind of the hidden state; "-": none
+    forms: tuple[str, ...] = ()  # kinds of formulas
+    units: tuple[str, ...] = ()  # units of the variable
+    turns: tuple[float, float] = (0.0, math.inf)  # least and greatest wave number
+    of: tuple[str, ...] = ()  # formulas of the variable
 
     def fits(self, law: Law) -> bool:
         """Whether a law is of this kind."""

@@ -47,17 +47,11 @@ PARTS = 4  # of a recording of less runs, that are left out one after the other
 
 @dataclass(frozen=True)
 class Basis:
-    """Terms of a law before it has a form.
+    """Terms of a law before it has a form."""
 
-    Attributes:
-        terms: Formulas of ``u``, one for each factor.
-        wave: Wave number of a sine and a cosine; 0: none.
-        reach: Least and largest value of the variable, of others.
-    """
-
-    terms: tuple[str, ...]
-    wave: float = 0.0
-    reach: tuple[float, float] = (0.0, 0.0)
+    terms: tuple[str, ...]  # formulas of ``u``, one for each factor
+    wave: float = 0.0  # wave number of a sine and a cosine; 0: none
+    reach: tuple[float, float] = (0.0, 0.0)  # least and largest value of the variable, of others
 
     @property
     def tried(self) -> tuple[Basis, ...]:
@@ -494,19 +488,12 @@ def range_of(u: Array) -> tuple[float, float] | None:
 
 @dataclass(frozen=True, eq=False)
 class Weigher:
-    """Evidence of further columns beside those of a fit.
+    """Evidence of further columns beside those of a fit."""
 
-    Attributes:
-        missing: Whitened record less the simulation at the prior's center, by the slopes, (N,).
-        jacobian: Slopes by coordinates that are N(0, 1), (N, n).
-        known: What the recordings tell of these coordinates.
-        folds: Part that each sample belongs to, (N,).
-    """
-
-    missing: Array
-    jacobian: Array
-    known: Gaussian
-    folds: Array
+    missing: Array  # whitened record less the simulation at the prior's center, by the slopes, (N,)
+    jacobian: Array  # slopes by coordinates that are N(0, 1), (N, n)
+    known: Gaussian  # what the recordings tell of these coordinates
+    folds: Array  # part that each sample belongs to, (N,)
 
     @classmethod
     def of(cls, followed: FollowedRecord) -> Weigher:
@@ -633,19 +620,14 @@ class _Parts:
     Of a part p, G_p = [J, missing, H]' P_p [J, missing, H], where P_p takes out what the parameters
     that only this part tells would follow; no other part fits them. What the rest tells of the
     others and of a law's factors H solves (sum G - G_p + 1) d = (sum G - G_p)[:, missing].
-
-    Attributes:
-        begins: First row of each part, and the end of the last, (P + 1,).
-        known: P_p [J, missing] of each part, then the root of what P_p takes out,
-            (n + 1 + num_own, num_rows) each.
-        grams: Of P_p [J, missing], (P, n + 1, n + 1).
-        roots: Inverse Cholesky factors of the rest's gram matrix of J and 1, (P, n, n).
     """
 
-    begins: IntArray
+    begins: IntArray  # first row of each part, and the end of the last, (P + 1,)
+    # P_p [J, missing] of each part, then the root of what P_p takes out, (n + 1 + num_own,
+    # num_rows) each
     known: Sequence[Array]
-    grams: Array
-    roots: Array
+    grams: Array  # of P_p [J, missing], (P, n + 1, n + 1)
+    roots: Array  # inverse Cholesky factors of the rest's gram matrix of J and 1, (P, n, n)
 
     @classmethod
     def of(cls, jacobian: Array, missing: Array, folds: Array) -> _Parts:
@@ -715,15 +697,10 @@ def _average(gram: Array, right: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class SeenThere:
-    """What terms at one entry can take away, whatever the model's numbers are.
+    """What terms at one entry can take away, whatever the model's numbers are."""
 
-    Attributes:
-        root: Takes out what those numbers would follow, (n, num_coordinates).
-        missing: What is missing there, without that, (num_coordinates,).
-    """
-
-    root: Array
-    missing: Array
+    root: Array  # takes out what those numbers would follow, (n, num_coordinates)
+    missing: Array  # what is missing there, without that, (num_coordinates,)
 
     def scores(self, terms: Array) -> Array:
         """Misfit that pairs of terms take away, those of a half with those of the other.

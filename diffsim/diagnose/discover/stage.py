@@ -62,28 +62,18 @@ NEXT_SHARE = 0.1  # of the first law's nats, that one beside it must explain
 
 @dataclass(frozen=True, eq=False)
 class FittedLaw:
-    """A law without a form, fitted in the simulator.
+    """A law without a form, fitted in the simulator."""
 
-    Attributes:
-        candidate: Entry, variable and basis.
-        fit: Fit with its factors.
-        curve: The law over its variable.
-        nats: Evidence over the same model without it, at this fit.
-        forms: Forms that it may have, the best first.
-        left: Nats that the law without a form leaves.
-        by_run: Name, variable and law of each run, as this run alone tells it.
-        num_pairs: Laws of two variables, or beside a cause, that it was chosen from; 0: none.
-        beside: Names of the causes of the library that were fitted with it.
-    """
-
-    candidate: Candidate
-    fit: Fit
-    curve: Curve
-    nats: float
-    forms: tuple[FittedForm, ...]
-    left: float = 0.0
+    candidate: Candidate  # entry, variable and basis
+    fit: Fit  # fit with its factors
+    curve: Curve  # the law over its variable
+    nats: float  # evidence over the same model without it, at this fit
+    forms: tuple[FittedForm, ...]  # forms that it may have, the best first
+    left: float = 0.0  # nats that the law without a form leaves
+    # name, variable and law of each run, as this run alone tells it
     by_run: tuple[tuple[str, Array, Array], ...] = ()
-    num_pairs: int = 0
+    num_pairs: int = 0  # laws of two variables, or beside a cause, that it was chosen from; 0: none
+    # names of the causes of the library that were fitted with it
     beside: frozenset[str] = frozenset()
 
     @property
@@ -99,36 +89,25 @@ class FittedLaw:
 
 
 class Begin(NamedTuple):
-    """Where a search begins; a parameter may have the name of an effect.
+    """Where a search begins; a parameter may have the name of an effect."""
 
-    Attributes:
-        base: Standardized coordinates of base parameters, by name.
-        sizes: Those of the sizes of a set of effects, by name.
-    """
-
-    base: Mapping[str, float]
-    sizes: Mapping[str, float]
+    base: Mapping[str, float]  # standardized coordinates of base parameters, by name
+    sizes: Mapping[str, float]  # those of the sizes of a set of effects, by name
 
 
 @dataclass(frozen=True, eq=False)
 class FoundLaws:
-    """What the stage found.
+    """What the stage found."""
 
-    Attributes:
-        screened: Best law without a form of each entry and variable, the best first.
-        fitted: The best of them, fitted in the simulator.
-        laws: Formulas that the search shall weigh.
-        num_tried: Entries by variables by bases that were weighed.
-        begins: Where that search begins: at the formulas of the best law, with the causes of the
-            library beside it, and at one formula of its variable at each other place.
-        beside: Names of the causes of the library that laws were fitted beside.
-    """
-
+    # best law without a form of each entry and variable, the best first
     screened: tuple[Candidate, ...]
-    fitted: tuple[FittedLaw, ...]
-    laws: tuple[Law, ...]
-    num_tried: int
+    fitted: tuple[FittedLaw, ...]  # the best of them, fitted in the simulator
+    laws: tuple[Law, ...]  # formulas that the search shall weigh
+    num_tried: int  # entries by variables by bases that were weighed
+    # where that search begins: at the formulas of the best law, with the causes of the library
+    # beside it, and at one formula of its variable at each other place
     begins: tuple[Begin, ...] = ()
+    # names of the causes of the library that laws were fitted beside
     beside: frozenset[str] = frozenset()
 
     @property
@@ -251,21 +230,13 @@ def _near_best(fitted: Sequence[FittedLaw]) -> list[FittedLaw]:
 
 @dataclass(frozen=True, eq=False)
 class _ScreenWithFit:
-    """A screen, and its best law fitted in the simulator: slopes promise, fits decide.
+    """A screen, and its best law fitted in the simulator: slopes promise, fits decide."""
 
-    Attributes:
-        screen: All laws weighed.
-        candidate: The best law that was fitted; None where none was.
-        law: Its fit; None where it cannot be fitted.
-        num_tried: Entries by variables by bases that were weighed until this screen held.
-        kept: Nats that the best law keeps in the simulator.
-    """
-
-    screen: Screen
-    candidate: Candidate | None
-    law: FittedLaw | None
-    num_tried: int
-    kept: float = 0.0
+    screen: Screen  # all laws weighed
+    candidate: Candidate | None  # the best law that was fitted; None where none was
+    law: FittedLaw | None  # its fit; None where it cannot be fitted
+    num_tried: int  # entries by variables by bases that were weighed until this screen held
+    kept: float = 0.0  # nats that the best law keeps in the simulator
 
     @property
     def keeps_promise(self) -> bool:
@@ -378,14 +349,10 @@ def _fit_pairs(
 
 @dataclass(frozen=True)
 class Table:
-    """Causes of the library that stand in one table with laws.
-
-    Attributes:
-        most_steps: Weighted steps that laws may cost, their columns a share of it.
-    """
+    """Causes of the library that stand in one table with laws."""
 
     library: Sequence[Effect]
-    most_steps: float
+    most_steps: float  # weighted steps that laws may cost, their columns a share of it
 
 
 def _fit_beside(

@@ -24,28 +24,19 @@ TINY = 1e-12  # share of a normal distribution that is computed, and mean that o
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """How well a set of causes explains a group.
+    """How well a set of causes explains a group."""
 
-    Attributes:
-        log_evidence: Logarithm of the density of the samples, averaged over the scatter.
-        scaled: Most probable scaled sizes, (num_causes,).
-        strength: Length of the set's misfit in sd of noise and scatter, if it were left out.
-        samples: Posterior samples of the scaled sizes, (num, num_causes).
-        weights: Their weights, (num,), summing to one.
-    """
-
-    log_evidence: float
-    scaled: Array
-    strength: float
-    samples: Array
-    weights: Array
+    log_evidence: float  # logarithm of the density of the samples, averaged over the scatter
+    scaled: Array  # most probable scaled sizes, (num_causes,)
+    strength: float  # length of the set's misfit in sd of noise and scatter, if it were left out
+    samples: Array  # posterior samples of the scaled sizes, (num, num_causes)
+    weights: Array  # their weights, (num,), summing to one
 
 
 def informations(local: Local, priors: Priors) -> list[Gaussian]:
     """What a group says of the sizes of its causes, for each draw of the scatter.
 
     Args:
-        local: The group, linearized.
         priors: What is known of its nuisances, ``Learned.priors`` of the group.
     """
     gone = slice(0, local.num_nuisances)
@@ -64,7 +55,6 @@ def evidence(
     Args:
         found: What the group says of the sizes of one set, for each draw of the scatter.
         effects: Causes of the set, in the same order.
-        rng: Of the samples of sizes.
         known: Scaled sizes that are known, by name of the cause.
     """
     at = [k for k, e in enumerate(effects) if e.name in known]

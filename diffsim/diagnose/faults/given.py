@@ -16,19 +16,12 @@ from diffsim.identify.setup import DiagnosisSetup
 
 @dataclass(frozen=True, eq=False)
 class FaultStudy:
-    """A study with ``faults``, taken apart.
+    """A study with ``faults``, taken apart."""
 
-    Attributes:
-        keys: ``faults`` of the study.
-        groups: Its groups of runs.
-        layout: Where the base parameters of its model belong.
-        sets: Sets of causes that may act at once.
-    """
-
-    keys: FaultKeys
-    groups: tuple[Group, ...]
-    layout: Layout
-    sets: tuple[tuple[str, ...], ...]
+    keys: FaultKeys  # ``faults`` of the study
+    groups: tuple[Group, ...]  # its groups of runs
+    layout: Layout  # where the base parameters of its model belong
+    sets: tuple[tuple[str, ...], ...]  # sets of causes that may act at once
 
 
 def take_apart(study: Study, setup: DiagnosisSetup) -> FaultStudy:

@@ -41,17 +41,11 @@ LOOSE, LOOSE_ODDS = 3.0, 0.1  # times the usual offset, and how often
 
 @dataclass(frozen=True, eq=False)
 class Tails:
-    """How far goals are missed.
+    """How far goals are missed."""
 
-    Attributes:
-        narrow: Usual offset of a goal, in sd of the noise, (num_channels,).
-        wide: Offset of a goal that is missed, in sd of the noise, (num_channels,).
-        missed: Share of goals that are missed.
-    """
-
-    narrow: Array
-    wide: Array
-    missed: float
+    narrow: Array  # usual offset of a goal, in sd of the noise, (num_channels,)
+    wide: Array  # offset of a goal that is missed, in sd of the noise, (num_channels,)
+    missed: float  # share of goals that are missed
 
     @classmethod
     def first(cls, problem: WhitenedRuns) -> Tails:
@@ -72,19 +66,12 @@ class Tails:
 
 @dataclass(frozen=True, eq=False)
 class Goals:
-    """Goals that rows share.
+    """Goals that rows share."""
 
-    Attributes:
-        goal: Goal of each row, (num,).
-        channel: Channel of each goal, (num_goals,).
-        shared: Whether the rows of a goal are one of several that a run had, (num_goals,).
-        places: Run, first and last time of each goal [s].
-    """
-
-    goal: Index
-    channel: Index
-    shared: Mask
-    places: tuple[tuple[str, float, float], ...]
+    goal: Index  # goal of each row, (num,)
+    channel: Index  # channel of each goal, (num_goals,)
+    shared: Mask  # whether the rows of a goal are one of several that a run had, (num_goals,)
+    places: tuple[tuple[str, float, float], ...]  # run, first and last time of each goal [s]
 
 
 class Choice(NamedTuple):
@@ -111,19 +98,14 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Rows(Goals):
-    """Whitened samples of one group, linear in scaled coordinates: residual - slopes z.
+    """Whitened samples of one group, linear in scaled coordinates: residual - slopes z."""
 
-    Attributes:
-        common, scatter, causes: Coordinates, as those of ``Local``.
-        residual: At z = 0, (num,).
-        slopes: (num, n).
-    """
-
+    # common, scatter, causes: coordinates, as those of ``Local``
     common: tuple[int, ...]
     scatter: tuple[int, ...]
     causes: tuple[str, ...]
-    residual: Array
-    slopes: Array
+    residual: Array  # at z = 0, (num,)
+    slopes: Array  # (num, n)
 
     def only(self, causes: Sequence[str]) -> Rows:
         """The same with some of its causes."""
@@ -182,11 +164,7 @@ class Rows(Goals):
         return square, told
 
     def set_aside(self, choice: Choice, names: Sequence[str]) -> tuple[str, ...]:
-        """What an explanation does not trust, in words.
-
-        Args:
-            names: Names of the channels.
-        """
+        """What an explanation does not trust, in words."""
         out = []
         for k in np.flatnonzero(choice.part == 2):
             run, start, end = self.places[k]
@@ -344,7 +322,6 @@ def learned_tails(found: Iterable[tuple[Rows, Fit]], before: Tails) -> Tails:
     """How far goals are off in groups that teach: the next step of their expectation maximization.
 
     Args:
-        found: Each group, and its best fit.
         before: What was thought before.
     """
     num_channels = len(before.narrow)

@@ -11,19 +11,12 @@ from diffsim.data.study import Run, Study
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Runs of one day with the same fault, or none.
+    """Runs of one day with the same fault, or none."""
 
-    Attributes:
-        label: Value of the fact that makes the groups.
-        runs: Its runs, by order.
-        said: What the study says was done; "": nothing.
-        known: Causes that were changed on purpose; None: not known.
-    """
-
-    label: str
-    runs: tuple[Run, ...]
-    said: str
-    known: tuple[str, ...] | None
+    label: str  # value of the fact that makes the groups
+    runs: tuple[Run, ...]  # its runs, by order
+    said: str  # what the study says was done; "": nothing
+    known: tuple[str, ...] | None  # causes that were changed on purpose; None: not known
 
     @property
     def facts(self) -> dict[str, str]:

@@ -131,22 +131,14 @@ def judged_group(
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A group as it shows in one state.
-
-    Attributes:
-        problem: The group's runs alone.
-        point: Scaled coordinates of that problem without a cause, (n,).
-        rows: The group, linearized there.
-        priors: What is known of its nuisances, by factor on the spreads.
-        known: Scaled sizes of causes that are known.
-    """
+    """A group as it shows in one state."""
 
     learned: GroupPosterior
-    problem: Problem
-    point: Array
-    rows: Rows
-    priors: Mapping[float, Priors]
-    known: Mapping[str, float]
+    problem: Problem  # the group's runs alone
+    point: Array  # scaled coordinates of that problem without a cause, (n,)
+    rows: Rows  # the group, linearized there
+    priors: Mapping[float, Priors]  # what is known of its nuisances, by factor on the spreads
+    known: Mapping[str, float]  # scaled sizes of causes that are known
 
     @classmethod
     def of(cls, learned: GroupPosterior, state: State, keys: FaultKeys) -> _View:

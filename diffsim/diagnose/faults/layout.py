@@ -20,21 +20,14 @@ COMMON = -1
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where the base parameters belong.
-
-    Attributes:
-        family: Family of each that scatters, ``COMMON`` for the others, (num_base,).
-        is_daily: Whether it is one of a group, (num_base,).
-        is_state: Whether it is one of a state that several groups share, (num_base,).
-        families: Names of the families, such as "gain_1, gain_2".
-        stated: Spread that the study states for each family, in the unit of its parameters.
-    """
+    """Where the base parameters belong."""
 
     names: tuple[str, ...]
-    family: IntArray
-    is_daily: Mask
-    is_state: Mask
-    families: tuple[str, ...]
+    family: IntArray  # family of each that scatters, ``COMMON`` for the others, (num_base,)
+    is_daily: Mask  # whether it is one of a group, (num_base,)
+    is_state: Mask  # whether it is one of a state that several groups share, (num_base,)
+    families: tuple[str, ...]  # names of the families, such as "gain_1, gain_2"
+    # spread that the study states for each family, in the unit of its parameters
     stated: tuple[float, ...]
     _acting: Memo[tuple[list[int], list[int]]] = memo_field()
 

@@ -36,34 +36,22 @@ NUM_TRIED = 128  # normal draws that they are chosen from, in pairs about the be
 
 @dataclass(frozen=True, eq=False)
 class GroupPosterior:
-    """What groups with known faults say of all others.
-
-    Attributes:
-        problem: Model, all runs, noise and effects.
-        tails: How far goals are missed.
-        locals: Groups that taught, linearized, by label.
-        states: State of each that taught, by label; "" where states are not used.
-        log_spread: Most probable logarithm of spread over stated spread, (num_families,).
-        covariance: Inverse of the curvature of its posterior there.
-        standard: Standard normal numbers that draws are tried with, (NUM_TRIED, num_families).
-        draws: Draws of it, (NUM_DRAWS, num_families).
-        mean, common_covariance: Of the common parameters for each draw, standardized,
-            (NUM_DRAWS, num_common) and (NUM_DRAWS, num_common, num_common).
-        point: Scaled base coordinates at the most probable spreads, scatter 0, (num_base,).
-    """
+    """What groups with known faults say of all others."""
 
     layout: Layout
-    problem: Problem
-    tails: Tails
-    locals: Mapping[str, Local]
-    states: Mapping[str, str]
-    log_spread: Array
-    covariance: Array
-    standard: Array
-    draws: Array
+    problem: Problem  # model, all runs, noise and effects
+    tails: Tails  # how far goals are missed
+    locals: Mapping[str, Local]  # groups that taught, linearized, by label
+    states: Mapping[str, str]  # state of each that taught, by label; "" where states are not used
+    log_spread: Array  # most probable logarithm of spread over stated spread, (num_families,)
+    covariance: Array  # inverse of the curvature of its posterior there
+    standard: Array  # standard normal numbers that draws are tried with, (NUM_TRIED, num_families)
+    draws: Array  # draws of it, (NUM_DRAWS, num_families)
+    # mean, common_covariance: of the common parameters for each draw, standardized, (NUM_DRAWS,
+    # num_common) and (NUM_DRAWS, num_common, num_common)
     mean: Array
     common_covariance: Array
-    point: Array
+    point: Array  # scaled base coordinates at the most probable spreads, scatter 0, (num_base,)
 
     def precision(
         self, local: Local | Rows, log_spread: Array, *, daily_factor: float = 1.0
@@ -82,7 +70,6 @@ class GroupPosterior:
         """What is known of the shared parameters of a group for one draw: mean and covariance.
 
         Args:
-            draw: Number of the draw.
             new_state: Whether the group is in a state that was never seen.
             factor: Factor on the spreads of such a state.
         """
@@ -267,7 +254,6 @@ def _terms(
     Args:
         locals_: Groups that teach, linearized.
         log_spread: Logarithms of spreads over stated ones, (num_families,).
-        terms: To start from.
         one: Causes whose size is never below 0.
         sweeps: How often all terms are renewed.
     """

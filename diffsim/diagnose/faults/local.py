@@ -11,27 +11,17 @@ from diffsim.identify.problem import Problem
 
 @dataclass(frozen=True, eq=False)
 class Local:
-    """|r|^2 = square - 2 slope z + z curvature z of one group, in scaled coordinates z.
+    """|r|^2 = square - 2 slope z + z curvature z of one group, in scaled coordinates z."""
 
-    Attributes:
-        common: Base parameters that other groups share, the first coordinates.
-        scatter: Base parameters by which this group and its runs scatter, the next ones.
-        causes: Names of the causes, the last coordinates.
-        curvature: (n, n) information of the whitened samples on z.
-        slope: (n,).
-        square: |r|^2 at z = 0.
-        num_samples: Samples that were measured and are trusted.
-        level: Logarithm of the density of what is not trusted, and of that choice.
-    """
-
-    common: tuple[int, ...]
+    common: tuple[int, ...]  # base parameters that other groups share, the first coordinates
+    # base parameters by which this group and its runs scatter, the next ones
     scatter: tuple[int, ...]
-    causes: tuple[str, ...]
-    curvature: Array
-    slope: Array
-    square: float
-    num_samples: int
-    level: float = 0.0
+    causes: tuple[str, ...]  # names of the causes, the last coordinates
+    curvature: Array  # (n, n) information of the whitened samples on z
+    slope: Array  # (n,)
+    square: float  # |r|^2 at z = 0
+    num_samples: int  # samples that were measured and are trusted
+    level: float = 0.0  # logarithm of the density of what is not trusted, and of that choice
 
     @property
     def num_nuisances(self) -> int:

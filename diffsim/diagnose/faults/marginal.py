@@ -17,17 +17,11 @@ from diffsim.identify.gaussian import Gaussian
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """Normal priors of some coordinates, one for each of several draws of what they hang on.
+    """Normal priors of some coordinates, one for each of several draws of what they hang on."""
 
-    Attributes:
-        precision: (num_draws, m, m) inverse covariances.
-        slope: (num_draws, m) precision times mean.
-        level: (num_draws,) logarithm of the density at 0, without its power of 2 pi.
-    """
-
-    precision: Array
-    slope: Array
-    level: Array
+    precision: Array  # (num_draws, m, m) inverse covariances
+    slope: Array  # (num_draws, m) precision times mean
+    level: Array  # (num_draws,) logarithm of the density at 0, without its power of 2 pi
 
     @classmethod
     def of(cls, precision: Array, mean: Array) -> Priors:

@@ -21,15 +21,10 @@ SMALLEST_SHARE = 1e-6  # of a variance that a condition leaves
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Normal terms on the known sizes of one group, log t = slope x - precision x^2 / 2.
+    """Normal terms on the known sizes of one group, log t = slope x - precision x^2 / 2."""
 
-    Attributes:
-        precision: (num_causes,), 0 for sizes of either sign.
-        slope: (num_causes,).
-    """
-
-    precision: Array
-    slope: Array
+    precision: Array  # (num_causes,), 0 for sizes of either sign
+    slope: Array  # (num_causes,)
 
     @classmethod
     def none(cls, local: Local) -> Terms:
@@ -48,7 +43,6 @@ class Terms:
         """Terms by which sizes have the mean and variance that they have above 0.
 
         Args:
-            local: The group.
             mean: Of its sizes with these terms, (num_causes,).
             variance: Of its sizes with these terms, (num_causes,).
             one: Causes whose size is never below 0.

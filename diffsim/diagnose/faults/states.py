@@ -36,7 +36,6 @@ def possible_states(group: Group, learned: GroupPosterior, keys: FaultKeys) -> t
     """States that a group may be in; one without further ado where ``state`` is not used.
 
     Args:
-        group: The group to be judged.
         keys: ``faults`` of the study.
     """
     if keys.state is None:

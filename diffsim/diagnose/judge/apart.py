@@ -30,27 +30,16 @@ ALL = "all"  # component of a cause that all groups have
 
 @dataclass(frozen=True)
 class ApartRow:
-    """A number of one group, beside those of the others.
+    """A number of one group, beside those of the others."""
 
-    Attributes:
-        name: Name of the parameter or cause.
-        fact: Fact of the runs by which it may differ, such as "servo".
-        label: Value of that fact: the group; of several, their values.
-        unit: SI unit of the number, "-" if none.
-        size: The group's number with its 90 % interval, in ``unit``.
-        over: The same less the median of all other groups, in ``unit``.
-        differs: Whether ``over`` is not zero, of all such rows with 99 % probability.
-        others: All other groups, where the row is of several; empty: of one.
-    """
-
-    name: str
-    fact: str
-    label: str
-    unit: str
-    size: Interval
-    over: Interval
-    differs: bool
-    others: str = ""
+    name: str  # name of the parameter or cause
+    fact: str  # fact of the runs by which it may differ, such as "servo"
+    label: str  # value of that fact: the group; of several, their values
+    unit: str  # SI unit of the number, "-" if none
+    size: Interval  # the group's number with its 90 % interval, in ``unit``
+    over: Interval  # the same less the median of all other groups, in ``unit``
+    differs: bool  # whether ``over`` is not zero, of all such rows with 99 % probability
+    others: str = ""  # all other groups, where the row is of several; empty: of one
 
     def as_read(self) -> tuple[Interval, Interval, str]:
         """Number, difference and the unit in which a user reads them."""

@@ -45,28 +45,21 @@ POOLED_FREEDOM = 4.0  # degrees of freedom that the other parameters lend to a p
 
 @dataclass(frozen=True, eq=False)
 class ModelAverage:
-    """Weights of all sets in play.
+    """Weights of all sets in play."""
 
-    Attributes:
-        search: Sets that were weighed.
-        weights: Weight of each set, unknown causes that repeats refuted left out; sums to one.
-        sized: The same with them: sizes are not to depend on whether repeats are many enough.
-        factors: How many times wider than noise makes them intervals are, by coordinate of the
-            best fit.
-        spread: Standard deviation of these scaled coordinates by the jackknife.
-        usual: Factor of all other coordinates.
-        changes: Change of the record by refining each numerical setting, (N,) each.
-        members: Effects that the extended model holds, by index.
-    """
-
-    search: Search
+    search: Search  # sets that were weighed
+    # weight of each set, unknown causes that repeats refuted left out; sums to one
     weights: Mapping[Hypothesis, float]
+    # the same with them: sizes are not to depend on whether repeats are many enough
     sized: Mapping[Hypothesis, float]
+    # how many times wider than noise makes them intervals are, by coordinate of the best fit
     factors: Mapping[str, float] = field(default_factory=dict)
+    # standard deviation of these scaled coordinates by the jackknife
     spread: Mapping[str, float] = field(default_factory=dict)
-    usual: float = 1.0
+    usual: float = 1.0  # factor of all other coordinates
+    # change of the record by refining each numerical setting, (N,) each
     changes: Mapping[str, Array] = field(default_factory=dict)
-    members: Members = NONE
+    members: Members = NONE  # effects that the extended model holds, by index
     _posteriors: Memo[tuple[Array, Array]] = memo_field()
     _centers: Memo[LaplaceEvidence] = memo_field()
 

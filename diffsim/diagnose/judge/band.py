@@ -82,16 +82,12 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class BandVariance:
-    """What parts tell of an unseen run.
+    """What parts tell of an unseen run."""
 
-    Attributes:
-        rest: Variance of what is left beyond noise and posterior, by channel, (num_channels,); NaN:
-            measured in no part.
-        excess: What the variance by the posterior is multiplied by, to be added to it.
-    """
-
+    # variance of what is left beyond noise and posterior, by channel, (num_channels,); NaN:
+    # measured in no part
     rest: Array
-    excess: float
+    excess: float  # what the variance by the posterior is multiplied by, to be added to it
 
     def variance(self, noise: Array, part: Part) -> Array:
         """Variance of what is left of a part, or of another run, as ``Part.spread``."""
@@ -101,26 +97,17 @@ class BandVariance:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """What the band of any run is made from.
+    """What the band of any run is made from."""
 
-    Attributes:
-        factor: Half of the width over the root of the sum of variances.
-        num_parts: Parts that nothing was fitted to, which told the factor.
-        noise: Standard deviation of the noise by channel [unit of the channel].
-        rest: Standard deviation of what is left beyond it [unit of the channel]; only channels that
-            one of the parts measured.
-        excess: How many times farther than their posterior says a misfit moves parameters.
-        names: Coordinates that runs share.
-        correlation: Posterior correlation of these, (n, n).
-    """
-
-    factor: float
-    num_parts: int
-    noise: Mapping[str, float]
+    factor: float  # half of the width over the root of the sum of variances
+    num_parts: int  # parts that nothing was fitted to, which told the factor
+    noise: Mapping[str, float]  # standard deviation of the noise by channel [unit of the channel]
+    # standard deviation of what is left beyond it [unit of the channel]; only channels that one of
+    # the parts measured
     rest: Mapping[str, float]
-    excess: float
-    names: tuple[str, ...]
-    correlation: Array
+    excess: float  # how many times farther than their posterior says a misfit moves parameters
+    names: tuple[str, ...]  # coordinates that runs share
+    correlation: Array  # posterior correlation of these, (n, n)
 
     def to_dict(self) -> dict[str, Any]:
         """The band in types that JSON and YAML have."""

@@ -36,36 +36,28 @@ MOST_TRIED = 6  # sets whose gain is asked beside an unknown cause, or in the pl
 
 @dataclass(frozen=True)
 class Decision:
-    """Verdict that the evidence allows, with the sets behind it.
+    """Verdict that the evidence allows, with the sets behind it."""
 
-    Attributes:
-        verdict: "none", "named", "ambiguous" or "unknown"; the gates speak before.
-        best: The set behind the verdict, without an unknown cause.
-        rivals: Other hypotheses within 3 nats of evidence, or of fit (``fits_as_well``), best
-            first.
-        unknown: The unknown cause's hypothesis if the verdict is "unknown".
-        share: Share of the misfit, chi2_null - N, that the best set explains; or the same with what
-            data sheets say against a fit, if more.
-        beside: The strongest hypothesis with an unknown cause, where evidence puts it 4 nats or
-            more before the best set although that explains enough; its lead is ``lead`` [nats].
-        forms: Effects that may be the form of another one of the set, each with what they may be.
-        equal: Those of the rivals that fit as well.
-        data_sheets: Parameters whose data sheet is wrong in place of a cause: where a wide prior
-            puts them and their sd, in standard deviations of the data sheet.
-        instead: Wrong data sheets in place of a member of the best set: what it leaves, with the
-            data sheet in words and the evidence of both [nats].
-    """
-
-    verdict: str
-    best: frozenset[int]
+    verdict: str  # "none", "named", "ambiguous" or "unknown"; the gates speak before
+    best: frozenset[int]  # the set behind the verdict, without an unknown cause
+    # other hypotheses within 3 nats of evidence, or of fit (``fits_as_well``), best first
     rivals: tuple[Hypothesis, ...]
-    unknown: Hypothesis | None
+    unknown: Hypothesis | None  # the unknown cause's hypothesis if the verdict is "unknown"
+    # share of the misfit, chi2_null - N, that the best set explains; or the same with what data
+    # sheets say against a fit, if more
     share: float
+    # the strongest hypothesis with an unknown cause, where evidence puts it 4 nats or more before
+    # the best set although that explains enough; its lead is ``lead`` [nats]
     beside: Hypothesis | None = None
     lead: float = 0.0
+    # effects that may be the form of another one of the set, each with what they may be
     forms: Mapping[int, str] = field(default_factory=dict)
-    equal: tuple[Hypothesis, ...] = ()
+    equal: tuple[Hypothesis, ...] = ()  # those of the rivals that fit as well
+    # parameters whose data sheet is wrong in place of a cause: where a wide prior puts them and
+    # their sd, in standard deviations of the data sheet
     data_sheets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # wrong data sheets in place of a member of the best set: what it leaves, with the data sheet in
+    # words and the evidence of both [nats]
     instead: Mapping[frozenset[int], tuple[str, float]] = field(default_factory=dict)
 
     @property
@@ -172,30 +164,24 @@ def prune(nats: Mapping[Hypothesis, float], best: Hypothesis) -> Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Judgment:
-    """Decision after the checks by the validation and on repeats.
-
-    Attributes:
-        search: Behind it, with what was refitted for the checks; None if nothing was searched.
-        gain: Gain of the best set on the validation; None without one, or without a name.
-        gains: Gain on the validation of each member of the sets that were considered, by index of
-            the effect.
-        withdrawn: Effects that the evidence asked for and the validation refuted.
-        gates: Checks of unknown causes against repeats.
-        refuted: Unknown causes, by index, that repeats refuted.
-        helps: Effects that remove error from what they were not fitted to although the verdict is
-            "unknown": the extended model holds them, their names are not known.
-        as_good: Effects outside the best set that do nearly as well as members of it on what they
-            were not fitted to, each with these members.
-    """
+    """Decision after the checks by the validation and on repeats."""
 
     decision: Decision
+    # behind it, with what was refitted for the checks; None if nothing was searched
     search: Search | None = None
+    # gain of the best set on the validation; None without one, or without a name
     gain: Gain | None = None
+    # gain on the validation of each member of the sets that were considered, by index of the effect
     gains: Mapping[int, Gain] = field(default_factory=dict)
+    # effects that the evidence asked for and the validation refuted
     withdrawn: frozenset[int] = frozenset()
-    gates: tuple[GateResult, ...] = ()
-    refuted: frozenset[int] = frozenset()
+    gates: tuple[GateResult, ...] = ()  # checks of unknown causes against repeats
+    refuted: frozenset[int] = frozenset()  # unknown causes, by index, that repeats refuted
+    # effects that remove error from what they were not fitted to although the verdict is "unknown":
+    # the extended model holds them, their names are not known
     helps: frozenset[int] = frozenset()
+    # effects outside the best set that do nearly as well as members of it on what they were not
+    # fitted to, each with these members
     as_good: Mapping[int, frozenset[int]] = field(default_factory=dict)
 
 

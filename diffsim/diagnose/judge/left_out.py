@@ -39,19 +39,12 @@ DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determ
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """A part of the fitted runs that is left out together.
+    """A part of the fitted runs that is left out together."""
 
-    Attributes:
-        name: Groups or seconds that are left out.
-        runs: Indices of the runs with samples in it.
-        rows: Whitened rows that are left out, (num_valid,).
-        is_whole: Whether whole runs are left out; else blocks of time.
-    """
-
-    name: str
-    runs: tuple[int, ...]
-    rows: Mask
-    is_whole: bool
+    name: str  # groups or seconds that are left out
+    runs: tuple[int, ...]  # indices of the runs with samples in it
+    rows: Mask  # whitened rows that are left out, (num_valid,)
+    is_whole: bool  # whether whole runs are left out; else blocks of time
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,24 +68,15 @@ MAY_BE_ANOTHER = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class Grounds:
-    """What preconditions are judged by.
+    """What preconditions are judged by."""
 
-    Attributes:
-        judgment: The verdict and the search behind it.
-        about: Probabilities and sizes over all sets.
-        members: Effects that the extended model holds, by index.
-        gates: All checks, those of numerical settings at that fit.
-        base: Base parameters there, findings among them.
-        chosen_by: What names were held against; empty: nothing.
-    """
-
-    judgment: Judgment
-    about: ModelAverage
-    members: Members
+    judgment: Judgment  # the verdict and the search behind it
+    about: ModelAverage  # probabilities and sizes over all sets
+    members: Members  # effects that the extended model holds, by index
     fit: Fit
-    gates: Sequence[GateResult] = ()
-    base: Sequence[BaseRow] = ()
-    chosen_by: str = ""
+    gates: Sequence[GateResult] = ()  # all checks, those of numerical settings at that fit
+    base: Sequence[BaseRow] = ()  # base parameters there, findings among them
+    chosen_by: str = ""  # what names were held against; empty: nothing
 
     @property
     def search(self) -> Search:

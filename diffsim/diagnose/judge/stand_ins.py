@@ -217,20 +217,14 @@ def wrong_data_sheet(name: str) -> str:
 
 @dataclass(frozen=True)
 class _DataSheet:
-    """A data sheet that may be wrong.
+    """A data sheet that may be wrong."""
 
-    Attributes:
-        name: Of the parameter.
-        nats: Evidence, or its lead over the set with the cause.
-        x, sd: Where the parameter lies with the wide prior [sd of the data sheet].
-        chi2: Misfit there.
-    """
-
-    name: str
-    nats: float
+    name: str  # of the parameter
+    nats: float  # evidence, or its lead over the set with the cause
+    # x, sd: where the parameter lies with the wide prior [sd of the data sheet]
     x: float
     sd: float
-    chi2: float
+    chi2: float  # misfit there
 
 
 def _gains(search: Search, best: frozenset[int], sheet: _DataSheet) -> float:

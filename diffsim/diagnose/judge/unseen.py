@@ -42,16 +42,12 @@ MIN_RATE_SAMPLES = 8  # samples; fewer have no rate and no frequency
 
 @dataclass(frozen=True)
 class Span:
-    """What the fitted runs covered of one quantity.
+    """What the fitted runs covered of one quantity."""
 
-    Attributes:
-        low, high: Smallest and largest value; None for labels.
-        labels: Labels that occurred; empty for numbers.
-    """
-
+    # low, high: smallest and largest value; None for labels
     low: float | None
     high: float | None
-    labels: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()  # labels that occurred; empty for numbers
     unit: str = ""
 
 
@@ -202,45 +198,36 @@ def _of_signal(
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """A model and its extension on runs that no fit has seen.
+    """A model and its extension on runs that no fit has seen."""
 
-    Attributes:
-        runs: Names of the runs.
-        errors: Error before and after by run and kind of channel.
-        gain: Share of the error above the noise that is removed, over all runs; None without any.
-        gains: The same by run.
-        outside: Where the runs lie outside of what was fitted.
-        num_spikes: Samples that were left out as spikes, for both models.
-        num_misread: Jumps of measured commands that were taken out, for both models.
-        failed: Runs that a model cannot simulate, with why; nothing is known of a gain then.
-        predicted: By run, what plain and extended model say of it, with the run's own values
-            fitted, each (num_samples, num_channels) [unit of the channel].
-        bands: Half of the width of the band around the extended model by run, of the same shape;
-            NaN in channels without one.
-        own: What was fitted to each run for the extended model, with its prior.
-        differences: What the study describes otherwise than the model's own, a sentence each.
-        kinds: Gain by kind of run, where there are several: runs whose names differ in a number or
-            a letter at their end.
-        causes: By name of a cause, the extended model without it as the plain one; empty where
-            nothing was asked of single causes.
-        left_out: Runs that their study gives to be fitted, which this model was not fitted to: a
-            first answer leaves out some of many.
-    """
-
-    runs: tuple[str, ...]
-    errors: tuple[ErrorRow, ...]
+    runs: tuple[str, ...]  # names of the runs
+    errors: tuple[ErrorRow, ...]  # error before and after by run and kind of channel
+    # share of the error above the noise that is removed, over all runs; None without any
     gain: Gain | None
-    gains: Mapping[str, Gain]
-    outside: tuple[OutsideRow, ...]
-    num_spikes: int = 0
-    num_misread: int = 0
+    gains: Mapping[str, Gain]  # the same by run
+    outside: tuple[OutsideRow, ...]  # where the runs lie outside of what was fitted
+    num_spikes: int = 0  # samples that were left out as spikes, for both models
+    num_misread: int = 0  # jumps of measured commands that were taken out, for both models
+    # runs that a model cannot simulate, with why; nothing is known of a gain then
     failed: Mapping[str, str] = field(default_factory=dict)
+    # by run, what plain and extended model say of it, with the run's own values fitted, each
+    # (num_samples, num_channels) [unit of the channel]
     predicted: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    # half of the width of the band around the extended model by run, of the same shape; NaN in
+    # channels without one
     bands: Mapping[str, Array] = field(default_factory=dict)
+    # what was fitted to each run for the extended model, with its prior
     own: tuple[OwnRow, ...] = ()
+    # what the study describes otherwise than the model's own, a sentence each
     differences: tuple[str, ...] = ()
+    # gain by kind of run, where there are several: runs whose names differ in a number or a letter
+    # at their end
     kinds: Mapping[str, Gain] = field(default_factory=dict)
+    # by name of a cause, the extended model without it as the plain one; empty where nothing was
+    # asked of single causes
     causes: Mapping[str, Unseen] = field(default_factory=dict)
+    # runs that their study gives to be fitted, which this model was not fitted to: a first answer
+    # leaves out some of many
     left_out: tuple[str, ...] = ()
 
     @property

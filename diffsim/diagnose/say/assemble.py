@@ -75,18 +75,14 @@ from diffsim.identify.unknown import UnknownForce
 
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """Gates before any physics is blamed, and what they simulated.
+    """Gates before any physics is blamed, and what they simulated."""
 
-    Attributes:
-        gates: Data, numerical settings, gradients; then repeatability and the judgment's.
-        changes: Change of the record by refining each numerical setting, by its name, (N,) [unit of
-            the channel].
-        center: The plain model with everything linearized there.
-    """
-
+    # data, numerical settings, gradients; then repeatability and the judgment's
     gates: tuple[GateResult, ...]
+    # change of the record by refining each numerical setting, by its name, (N,) [unit of the
+    # channel]
     changes: dict[str, Array]
-    center: Center
+    center: Center  # the plain model with everything linearized there
 
     @property
     def unrefined(self) -> dict[str, Array]:
@@ -126,7 +122,6 @@ def report_of(
         checks: Gates, and what they simulated.
         judgment: The verdict and the search behind it.
         screened: Scores of all candidates at the plain model.
-        seed: Seed of the bootstraps.
         validation: What names were held against.
     """
     judgment, checks, members = _settle_best_set(judgment, checks)
@@ -264,7 +259,6 @@ def tested(frozen: Report, study: Study, seed: int, laws: Collection[str] = ()) 
 
     Args:
         frozen: Report whose answer does not change any more but by what is taken back.
-        seed: Seed of the bootstrap.
         laws: Names of the causes that no library holds.
     """
     seen, is_test = frozen.study, bool(study.test_runs)

@@ -62,38 +62,24 @@ def open_rivals(
 
 @dataclass(frozen=True, eq=False)
 class CauseEvidence:
-    """What the rows of causes are made from.
+    """What the rows of causes are made from."""
 
-    Attributes:
-        judgment: The verdict and the search behind it.
-        about: Probabilities and sizes over all sets; None: nothing was searched.
-        effects: Candidates, in the order of their indices.
-        members: Effects that the extended model holds, by index.
-        unmet: What the study lacks for candidates that were left out, by name.
-        alone: Effects in whose place nothing else may act, by index.
-        rivals: Sets that the choice is open to.
-        undone: Effects that others of the best set undo, by index.
-        doubts: Why members of the best set are not certain, by index; none: they are.
-        doubts_of_names: Why nothing that has a name is certain.
-        doubts_of_fit: Why no unknown cause is.
-        wrong_gradients: Names of effects whose gradient check failed.
-        left: What the extended model leaves, where that is much, else 1: sizes must show above it
-            [noise sd].
-    """
-
-    judgment: Judgment
-    about: ModelAverage | None
+    judgment: Judgment  # the verdict and the search behind it
+    about: ModelAverage | None  # probabilities and sizes over all sets; None: nothing was searched
     screened: Screen
-    effects: Sequence[Effect]
-    members: frozenset[int]
-    unmet: Mapping[str, str]
-    alone: frozenset[int] = frozenset()
-    rivals: tuple[Hypothesis, ...] = ()
-    undone: frozenset[int] = frozenset()
+    effects: Sequence[Effect]  # candidates, in the order of their indices
+    members: frozenset[int]  # effects that the extended model holds, by index
+    unmet: Mapping[str, str]  # what the study lacks for candidates that were left out, by name
+    alone: frozenset[int] = frozenset()  # effects in whose place nothing else may act, by index
+    rivals: tuple[Hypothesis, ...] = ()  # sets that the choice is open to
+    undone: frozenset[int] = frozenset()  # effects that others of the best set undo, by index
+    # why members of the best set are not certain, by index; none: they are
     doubts: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
-    doubts_of_names: tuple[str, ...] = ()
-    doubts_of_fit: tuple[str, ...] = ()
-    wrong_gradients: frozenset[str] = frozenset()
+    doubts_of_names: tuple[str, ...] = ()  # why nothing that has a name is certain
+    doubts_of_fit: tuple[str, ...] = ()  # why no unknown cause is
+    wrong_gradients: frozenset[str] = frozenset()  # names of effects whose gradient check failed
+    # what the extended model leaves, where that is much, else 1: sizes must show above it [noise
+    # sd]
     left: float = 1.0
 
     @property

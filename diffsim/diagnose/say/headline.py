@@ -365,7 +365,6 @@ def _beside_shared(
     """What all sets hold, and that another cause may act beside it; the longest first.
 
     Args:
-        shared: Names of what all sets hold.
         more: What may act beside it, in words.
         verb: Before "missing".
         off: Number whose data sheet may be wrong instead, in words; empty: none.

@@ -19,25 +19,16 @@ class Number:
 
 @dataclass(frozen=True)
 class ScreenRow:
-    """What a law of a variable at an entry would explain.
-
-    Attributes:
-        variable: The variable in words.
-        nats: Evidence over none.
-        share: Share of the misfit of runs that were left out.
-        wave_number: Of a law that repeats; 0: it does not.
-        memory: Kind of the hidden state that the variable is; "": none.
-        of: What drives the hidden state.
-    """
+    """What a law of a variable at an entry would explain."""
 
     kind: str
     target: str
-    variable: str
-    nats: float
-    share: float
-    wave_number: float
-    memory: str = ""
-    of: str = ""
+    variable: str  # the variable in words
+    nats: float  # evidence over none
+    share: float  # share of the misfit of runs that were left out
+    wave_number: float  # of a law that repeats; 0: it does not
+    memory: str = ""  # kind of the hidden state that the variable is; "": none
+    of: str = ""  # what drives the hidden state
 
 
 @dataclass(frozen=True)
@@ -51,49 +42,31 @@ class RunCurve:
 
 @dataclass(frozen=True)
 class LawCurve:
-    """The missing term over its variable, as the fitted runs tell it before it has a form.
+    """The missing term over its variable, as the fitted runs tell it before it has a form."""
 
-    Attributes:
-        law: Name of the law that it became; "": of none.
-        u: Values of the variable.
-        value, sd: The term there, with its standard deviation.
-        runs: What each run alone says, where it went.
-    """
-
-    law: str
-    u: tuple[float, ...]
+    law: str  # name of the law that it became; "": of none
+    u: tuple[float, ...]  # values of the variable
+    # value, sd: the term there, with its standard deviation
     value: tuple[float, ...]
     sd: tuple[float, ...]
     unit: str = "-"
-    runs: tuple[RunCurve, ...] = ()
+    runs: tuple[RunCurve, ...] = ()  # what each run alone says, where it went
 
 
 @dataclass(frozen=True)
 class DescribedLaw:
-    """A law of the answer.
+    """A law of the answer."""
 
-    Attributes:
-        name: Name of the cause.
-        entry: Kind and target of where it enters.
-        variables: What it depends on.
-        memory: Kind of its hidden state, or None.
-        form: Kind of its formula.
-        numbers: Size and further numbers.
-        sentence: The law in words.
-        looks_like: What it may be.
-        status: How sure it is.
-    """
-
-    name: str
-    entry: dict[str, str]
-    variables: tuple[str, ...]
-    memory: str | None
-    form: str
+    name: str  # name of the cause
+    entry: dict[str, str]  # kind and target of where it enters
+    variables: tuple[str, ...]  # what it depends on
+    memory: str | None  # kind of its hidden state, or None
+    form: str  # kind of its formula
     formula: str
-    numbers: dict[str, Number]
-    sentence: str
-    looks_like: tuple[str, ...]
-    status: str
+    numbers: dict[str, Number]  # size and further numbers
+    sentence: str  # the law in words
+    looks_like: tuple[str, ...]  # what it may be
+    status: str  # how sure it is
 
     @property
     def place(self) -> tuple[str, str, tuple[str, ...]]:
@@ -103,16 +76,9 @@ class DescribedLaw:
 
 @dataclass(frozen=True)
 class LawAnswer:
-    """Laws of an answer, and the table that they were chosen from.
+    """Laws of an answer, and the table that they were chosen from."""
 
-    Attributes:
-        laws: Laws that the verdict holds.
-        screen: Entries by variables, the best first.
-        curves: Missing terms over their variables.
-        num_tried: Laws without a form that were weighed.
-    """
-
-    laws: tuple[DescribedLaw, ...]
-    screen: tuple[ScreenRow, ...]
-    curves: tuple[LawCurve, ...] = ()
-    num_tried: int = 0
+    laws: tuple[DescribedLaw, ...]  # laws that the verdict holds
+    screen: tuple[ScreenRow, ...]  # entries by variables, the best first
+    curves: tuple[LawCurve, ...] = ()  # missing terms over their variables
+    num_tried: int = 0  # laws without a form that were weighed

@@ -65,15 +65,11 @@ class NextRun:
 
 @dataclass(frozen=True)
 class Narrowing:
-    """What a further run would narrow where no cause is open.
+    """What a further run would narrow where no cause is open."""
 
-    Attributes:
-        best: Name of the run of the bank that narrows the named parameters most.
-        shares: Width of each one's interval after that run over its width now, by name of the
-            parameter, by name of the run: what noise alone leaves.
-    """
-
-    best: str
+    best: str  # name of the run of the bank that narrows the named parameters most
+    # width of each one's interval after that run over its width now, by name of the parameter, by
+    # name of the run: what noise alone leaves
     shares: dict[str, dict[str, float]]
 
     @property
@@ -95,7 +91,6 @@ def narrowing(fit: Fit, bank: Sequence[Run], names: Sequence[str]) -> Narrowing:
     """Posterior sd of parameters with each run of a bank, over that without it.
 
     Args:
-        fit: Fit of the answer.
         bank: Runs that could be recorded; ``measured`` only gives the shape (any finite values).
         names: Parameters and sizes of the fit, one or more.
 

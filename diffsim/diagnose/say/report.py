@@ -197,8 +197,6 @@ def save_model(
 
     Args:
         null: Fit of the plain model to the same runs.
-        folder: Folder of the file.
-        verdict: Verdict of the diagnosis.
         band: What bands of unseen runs are made from.
         ranges: 90 % intervals of parameters and sizes, by name, each in its unit.
     """

@@ -32,8 +32,6 @@ def first_look(screened: Screen, effects: Sequence[Effect], chi2: float) -> str:
 
     Args:
         screened: Scores of all candidates there.
-        effects: The candidates.
-        chi2: Misfit of the plain fit.
     """
     share = screened.block_z**2 / chi2
     first = [i for i in np.argsort(-share, kind="stable") if screened.block_z[i] >= VISIBLE]

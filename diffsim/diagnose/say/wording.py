@@ -64,61 +64,44 @@ MOST_LISTED = 3  # sizes, rival sets or names in a sentence; the page lists all
 
 @dataclass(frozen=True)
 class BeforeTest:
-    """What an answer was before the test runs took something back.
-
-    Attributes:
-        statuses: Status of the causes that have another one now, by name.
-    """
+    """What an answer was before the test runs took something back."""
 
     verdict: str
-    statuses: Mapping[str, str]
+    statuses: Mapping[str, str]  # status of the causes that have another one now, by name
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What is put into words.
+    """What is put into words."""
 
-    Attributes:
-        verdict: One of ``VERDICTS``.
-        decision: Decision of the evidence behind it.
-        causes: Every candidate cause with its status, probability and size.
-        rivals: Sets within 3 nats of the best one, each a tuple of effect names; a generic unknown
-            cause stands as "unknown force" or the like.
-        gates: Checks of data, gradients and numerics.
-        floor: Noise floor of the fitted runs.
-        named: Effects that the verdict names; empty unless "named" or "ambiguous".
-        best_names: Effects of the best set.
-        beside: Name of an unknown cause that leads beside the named set; empty if none.
-        chosen_by: What chose between causes: "select runs", "leaving out one group of fit runs
-            after the other", "leaving out blocks of 2.5 s".
-        left: What the fit leaves, root mean square of the whitened residual [noise sd].
-        with_unknown: What it would leave with the best unknown cause beside, by its name [noise
-            sd]; empty where none was weighed.
-        before_test: What the test runs changed; None: nothing.
-        bent: Base parameters off their data sheets, where what is left may have bent them.
-        plain_twin: Base parameters of the plain model, off their data sheets, that explain the
-            fitted runs as well as the best set does; empty where they do not.
-        drives: Base parameters that are the strengths of all drives; empty where that is unknown.
-        is_full: Whether it might take more steps than a first answer.
-    """
-
-    verdict: str
-    decision: Decision
-    causes: tuple[CauseRow, ...]
+    verdict: str  # one of ``VERDICTS``
+    decision: Decision  # decision of the evidence behind it
+    causes: tuple[CauseRow, ...]  # every candidate cause with its status, probability and size
+    # sets within 3 nats of the best one, each a tuple of effect names; a generic unknown cause
+    # stands as "unknown force" or the like
     rivals: tuple[tuple[str, ...], ...]
-    gates: tuple[GateResult, ...]
-    floor: NoiseFloor
+    gates: tuple[GateResult, ...]  # checks of data, gradients and numerics
+    floor: NoiseFloor  # noise floor of the fitted runs
+    # effects that the verdict names; empty unless "named" or "ambiguous"
     named: tuple[str, ...] = ()
-    best_names: tuple[str, ...] = ()
-    beside: str = ""
+    best_names: tuple[str, ...] = ()  # effects of the best set
+    beside: str = ""  # name of an unknown cause that leads beside the named set; empty if none
+    # what chose between causes: "select runs", "leaving out one group of fit runs after the other",
+    # "leaving out blocks of 2.5 s"
     chosen_by: str = ""
-    left: float = 1.0
+    left: float = 1.0  # what the fit leaves, root mean square of the whitened residual [noise sd]
+    # what it would leave with the best unknown cause beside, by its name [noise sd]; empty where
+    # none was weighed
     with_unknown: Mapping[str, float] = field(default_factory=dict)
-    before_test: BeforeTest | None = None
+    before_test: BeforeTest | None = None  # what the test runs changed; None: nothing
+    # base parameters off their data sheets, where what is left may have bent them
     bent: tuple[BaseRow, ...] = ()
+    # base parameters of the plain model, off their data sheets, that explain the fitted runs as
+    # well as the best set does; empty where they do not
     plain_twin: tuple[BaseRow, ...] = ()
+    # base parameters that are the strengths of all drives; empty where that is unknown
     drives: tuple[str, ...] = ()
-    is_full: bool = False
+    is_full: bool = False  # whether it might take more steps than a first answer
 
     @property
     def is_taken_back(self) -> bool:
@@ -496,7 +479,6 @@ def _sets(answer: Answer, rivals: Sequence[tuple[str, ...]], nothing: str = "non
 
     Args:
         answer: What the page says.
-        rivals: Sets of names.
         nothing: What a set without a cause is called.
     """
     words = [[plain_name(answer, name) for name in names] for names in rivals[:MOST_LISTED]]

@@ -42,17 +42,12 @@ CHEAP = 2.0  # times the first simulation: to refine more than is needed
 
 @dataclass(frozen=True, eq=False)
 class CorrectionAt:
-    """A correction, with what is left beyond it.
+    """A correction, with what is left beyond it."""
 
-    Attributes:
-        correction: What the refined settings change.
-        changes: What further refining would change, by setting, (N,) each: extrapolated.
-        gates: One per setting.
-    """
-
-    correction: Correction
+    correction: Correction  # what the refined settings change
+    # what further refining would change, by setting, (N,) each: extrapolated
     changes: dict[str, Array]
-    gates: tuple[GateResult, ...]
+    gates: tuple[GateResult, ...]  # one per setting
 
 
 def corrected(null: Null, once: float) -> tuple[Null, CorrectionAt]:
@@ -100,22 +95,17 @@ def find_correction(
 
 @dataclass(frozen=True, eq=False)
 class _RefinedSetting:
-    """One setting, refined step by step at a fit.
-
-    Attributes:
-        finer: The finest that was simulated, and the shift that makes coarse records most like it.
-        added: What is left of the change then, (N,) [unit of the channel].
-        change: The last step's change of the record, as if records were linear, (N,); of
-            extrapolated records what may be off.
-        sizes: Of every step's change, as the numerics gate measures it.
-        unsure: By how much extrapolated records may be off [noise and prior sd]; None: none are.
-    """
+    """One setting, refined step by step at a fit."""
 
     name: str
+    # the finest that was simulated, and the shift that makes coarse records most like it
     finer: Finer
-    added: Array
+    added: Array  # what is left of the change then, (N,) [unit of the channel]
+    # the last step's change of the record, as if records were linear, (N,); of extrapolated records
+    # what may be off
     change: Array
-    sizes: tuple[float, ...] = ()
+    sizes: tuple[float, ...] = ()  # of every step's change, as the numerics gate measures it
+    # by how much extrapolated records may be off [noise and prior sd]; None: none are
     unsure: float | None = None
 
     @property

@@ -73,24 +73,18 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class SetPosterior:
-    """Evidence of a hypothesis and where its posterior lies.
+    """Evidence of a hypothesis and where its posterior lies."""
 
-    Attributes:
-        nats: Logarithm of the Laplace evidence [nats].
-        x: Standardized coordinates of the optimum within the bounds, (n,); zero for effects not in
-            the set.
-        sd: Posterior standard deviation of the coordinates, (n,); zero for effects not in the set.
-        chi2: |r - B x|^2, after the unknown cause's part.
-        amplitude: Most probable amplitude of the unknown cause [noise sd]; 0 without.
-        fit: Fit of a set that was refitted; None where linear evidence stands, as it does for sets
-            with an unknown cause.
-    """
-
-    nats: float
+    nats: float  # logarithm of the Laplace evidence [nats]
+    # standardized coordinates of the optimum within the bounds, (n,); zero for effects not in the
+    # set
     x: Array
+    # posterior standard deviation of the coordinates, (n,); zero for effects not in the set
     sd: Array
-    chi2: float
-    amplitude: float
+    chi2: float  # |r - B x|^2, after the unknown cause's part
+    amplitude: float  # most probable amplitude of the unknown cause [noise sd]; 0 without
+    # fit of a set that was refitted; None where linear evidence stands, as it does for sets with an
+    # unknown cause
     fit: Fit | None = None
 
 
@@ -114,24 +108,17 @@ class Knots:
 class Local:
     """Coordinates of single runs, such as their starts, at their best for any others: they are in
     every set, have a normal prior and no bounds, and may be hundreds.
-
-    Attributes:
-        own: These coordinates, (k,).
-        best: Where they are with all others at zero, (k,).
-        follow: What one unit of each coordinate takes off that, (k, n).
-        variance: With all others known, (k,).
-        gram, projection, power: The misfit left to the others, (n, n), (n,) and a number.
-        log_det: Of their own precision.
     """
 
-    own: NDArray[np.intp]
-    best: Array
-    follow: Array
-    variance: Array
+    own: NDArray[np.intp]  # these coordinates, (k,)
+    best: Array  # where they are with all others at zero, (k,)
+    follow: Array  # what one unit of each coordinate takes off that, (k, n)
+    variance: Array  # with all others known, (k,)
+    # gram, projection, power: the misfit left to the others, (n, n), (n,) and a number
     gram: Array
     projection: Array
     power: float
-    log_det: float
+    log_det: float  # of their own precision
 
     @staticmethod
     def of(all_of: LaplaceEvidence, own: Sequence[int]) -> Local:
@@ -384,27 +371,17 @@ VISIBLE = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Screen:
-    """Scores of all components, in the order of ``names``.
+    """Scores of all components, in the order of ``names``."""
 
-    Attributes:
-        names: Components of the effects, "wind.x" for vectors.
-        z: Score of each component over its standard deviation, (m,).
-        size: Expected size of each component, (m,) [unit].
-        smallest_visible: Six standard deviations of the size, (m,) [unit]; infinite where the data
-            do not move at all.
-        block_z: Length of an effect's score, sqrt(s' I^-1 s), (num_effects,); |z| for one
-            component.
-        confounding: Cosines between what the base parameters cannot absorb, (m, m).
-        information: G'G~ in standardized sizes, (m, m).
-    """
-
-    names: tuple[str, ...]
-    z: Array
-    size: Array
+    names: tuple[str, ...]  # components of the effects, "wind.x" for vectors
+    z: Array  # score of each component over its standard deviation, (m,)
+    size: Array  # expected size of each component, (m,) [unit]
+    # six standard deviations of the size, (m,) [unit]; infinite where the data do not move at all
     smallest_visible: Array
+    # length of an effect's score, sqrt(s' I^-1 s), (num_effects,); |z| for one component
     block_z: Array
-    confounding: Array
-    information: Array
+    confounding: Array  # cosines between what the base parameters cannot absorb, (m, m)
+    information: Array  # G'G~ in standardized sizes, (m, m)
 
 
 def screen(linear: LaplaceEvidence) -> Screen:

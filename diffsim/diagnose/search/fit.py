@@ -164,39 +164,27 @@ def silent(stage: str, fraction: float, message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Study, model, candidates and options of one diagnosis.
+    """Study, model, candidates and options of one diagnosis."""
 
-    Attributes:
-        study: Recorded runs with their channels and commands.
-        model: Simulator with base parameters.
-        effects: Candidate causes that these data allow to be judged.
-        unknowns: Generic causes, weighed beside the named ones.
-        settings: Effort of the diagnosis.
-        progress: Receives stage, share done and message.
-        store: Keeps simulations on disk; None: keep none.
-        unmet: What the study lacks for the candidates that were left out, by name.
-        begun: What the model had simulated before.
-        searching: Its weighted steps where the search begins: budgets of the search count from it.
-        numerics: Refined numerical settings of all simulations; None: the model's own.
-        correction: What finer settings than ``numerics`` change, made at one point; None: nothing.
-        beyond: What is left to refine beyond a correction that was made at a set; None: at none.
-        num_tests: Test runs that are kept, and looked at after the answer is frozen.
-    """
-
-    study: Study
-    model: SimModel
-    effects: tuple[Effect, ...]
-    unknowns: tuple[Unknown, ...]
-    settings: DiagnosisSettings
-    progress: Progress = silent
-    store: Store | None = None
+    study: Study  # recorded runs with their channels and commands
+    model: SimModel  # simulator with base parameters
+    effects: tuple[Effect, ...]  # candidate causes that these data allow to be judged
+    unknowns: tuple[Unknown, ...]  # generic causes, weighed beside the named ones
+    settings: DiagnosisSettings  # effort of the diagnosis
+    progress: Progress = silent  # receives stage, share done and message
+    store: Store | None = None  # keeps simulations on disk; None: keep none
+    # what the study lacks for the candidates that were left out, by name
     unmet: Mapping[str, str] = field(default_factory=dict)
-    begun: Work = NOTHING
+    begun: Work = NOTHING  # what the model had simulated before
+    # its weighted steps where the search begins: budgets of the search count from it
     searching: int = 0
+    # refined numerical settings of all simulations; None: the model's own
     numerics: Numerics | None = None
+    # what finer settings than ``numerics`` change, made at one point; None: nothing
     correction: Correction | None = None
+    # what is left to refine beyond a correction that was made at a set; None: at none
     beyond: SetNumerics | None = None
-    num_tests: int = 0
+    num_tests: int = 0  # test runs that are kept, and looked at after the answer is frozen
 
     def problem(self, whitener: Whitener | None = None) -> Problem:
         """The plain model on the runs to be fitted.
@@ -222,23 +210,14 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Null:
-    """The fitted plain model under a noise floor.
+    """The fitted plain model under a noise floor."""
 
-    Attributes:
-        case: Spikes removed from its study, its model prepared at the fit.
-        noise: Noise floor of the residuals.
-        fit: Fit of the base parameters, without effects.
-        at: Linearization where the fit ended.
-        num_spikes: Number of samples that were removed as spikes.
-        num_misread: Number of jumps of measured commands that were taken out.
-    """
-
-    case: Case
-    noise: NoiseFloor
-    fit: Fit
-    at: Linearization
-    num_spikes: int
-    num_misread: int = 0
+    case: Case  # spikes removed from its study, its model prepared at the fit
+    noise: NoiseFloor  # noise floor of the residuals
+    fit: Fit  # fit of the base parameters, without effects
+    at: Linearization  # linearization where the fit ended
+    num_spikes: int  # number of samples that were removed as spikes
+    num_misread: int = 0  # number of jumps of measured commands that were taken out
 
     @property
     def wide(self) -> Problem:
@@ -253,16 +232,12 @@ class Null:
 
 @dataclass(frozen=True, eq=False)
 class RefinedNull:
-    """The plain model under settings that are fine enough, or as fine as the budget allows.
+    """The plain model under settings that are fine enough, or as fine as the budget allows."""
 
-    Attributes:
-        null: Fit of the plain model under these settings.
-        changes: Change of the record by refining each setting further, by its name, (N,) each.
-        gates: The numerics gate at the end; notes say what was refined and what it costs.
-    """
-
-    null: Null
+    null: Null  # fit of the plain model under these settings
+    # change of the record by refining each setting further, by its name, (N,) each
     changes: dict[str, Array]
+    # the numerics gate at the end; notes say what was refined and what it costs
     gates: tuple[GateResult, ...]
 
 

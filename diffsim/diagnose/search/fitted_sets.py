@@ -32,34 +32,27 @@ from diffsim.identify.unknown import Unknown
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Sets that were weighed so far; every step returns a copy with what it adds.
+    """Sets that were weighed so far; every step returns a copy with what it adds."""
 
-    Attributes:
-        null: The plain model under its noise floor.
-        simulations: Fits and slopes behind the evidence.
-        plain: The plain model as a center.
-        posteriors: Refitted sets, and sets with an unknown cause, at their own linearization where
-            the verdict hangs on it.
-        linear: Sets that have linear evidence only.
-        failed: Why a set could not be simulated.
-        borrowed: Why slopes of an earlier center serve at a set.
-        num_late: Sets that keep their linear evidence, or none, as a budget was spent.
-        numerics: Numerical settings at sets where they were checked.
-        ends: Count of weighted steps at which what follows the last set ends: repairs, unknown
-            causes and exact ends share one more budget; infinite while sets are sought.
-        exact: Sets that were fitted on until their slopes were right, by ``fitted_exactly``.
-    """
-
-    null: Null
-    simulations: Simulations
-    plain: Center
+    null: Null  # the plain model under its noise floor
+    simulations: Simulations  # fits and slopes behind the evidence
+    plain: Center  # the plain model as a center
+    # refitted sets, and sets with an unknown cause, at their own linearization where the verdict
+    # hangs on it
     posteriors: Mapping[Hypothesis, SetPosterior] = field(default_factory=dict)
+    # sets that have linear evidence only
     linear: Mapping[Hypothesis, SetPosterior] = field(default_factory=dict)
+    # why a set could not be simulated
     failed: Mapping[Hypothesis, str] = field(default_factory=dict)
+    # why slopes of an earlier center serve at a set
     borrowed: Mapping[Members, str] = field(default_factory=dict)
-    num_late: int = 0
+    num_late: int = 0  # sets that keep their linear evidence, or none, as a budget was spent
+    # numerical settings at sets where they were checked
     numerics: Mapping[Members, SetNumerics] = field(default_factory=dict)
+    # count of weighted steps at which what follows the last set ends: repairs, unknown causes and
+    # exact ends share one more budget; infinite while sets are sought
     ends: float = np.inf
+    # sets that were fitted on until their slopes were right, by ``fitted_exactly``
     exact: frozenset[Members] = frozenset()
 
     @property

@@ -48,23 +48,14 @@ MAX_STEPS = 200  # valleys are curved: after 30 the fish tail's fit was not at i
 
 @dataclass(frozen=True, eq=False)
 class _Iterate:
-    """An iterate of the minimization.
+    """An iterate of the minimization."""
 
-    Attributes:
-        problem: Fitting problem that is minimized.
-        at: Linearization with the slopes of all coordinates.
-        residual: Whitened residual, (num_valid,).
-        jacobian: Whitened slopes d(W S)/du by the scaled coordinates, (num_valid, n).
-        radius: Radius of the trust region, in scaled coordinates.
-        with_shapes: Whether shapes that were never fitted move, too.
-    """
-
-    problem: Problem
-    at: Linearization
-    residual: Array
-    jacobian: Array
-    radius: float = MAX_RADIUS
-    with_shapes: bool = False
+    problem: Problem  # fitting problem that is minimized
+    at: Linearization  # linearization with the slopes of all coordinates
+    residual: Array  # whitened residual, (num_valid,)
+    jacobian: Array  # whitened slopes d(W S)/du by the scaled coordinates, (num_valid, n)
+    radius: float = MAX_RADIUS  # radius of the trust region, in scaled coordinates
+    with_shapes: bool = False  # whether shapes that were never fitted move, too
 
     @property
     def misfit(self) -> float:

@@ -73,38 +73,31 @@ class Center:
 
 @dataclass(frozen=True, eq=False)
 class Simulations:
-    """Fits and slopes of sets of effects; methods return a copy with what they simulated.
+    """Fits and slopes of sets of effects; methods return a copy with what they simulated."""
 
-    Attributes:
-        wide: Problem with all candidate effects.
-        store: Results on disk, of this and earlier processes; None: nothing is kept.
-        fitted: Linearization of each refitted set where its fit ended.
-        screened: Linearization of each set with the slopes of all candidates.
-        unknown_slopes: Slopes of an unknown cause at the fit of a set, (N, k), by set and index of
-            the cause.
-        at_unknowns: Where sets with an unknown cause have their optimum, in the coordinates of
-            ``narrow``: simulations serve every unknown cause, as only its response differs.
-        scans: Sizes that were tried, by members of the center and group of effects.
-        scan_steps: Weighted steps that these took.
-        scans_late: Groups of effects that were not tried because a budget was spent; where, by
-            ``place`` and members of the center.
-        at_prior: All slopes of the plain model at its prior, where they were asked for.
-        prior_scans: Sizes that were tried there.
-        place: Where the plain model is, for what is kept on disk; empty: at its fit.
-    """
-
-    wide: Problem
+    wide: Problem  # problem with all candidate effects
+    # results on disk, of this and earlier processes; None: nothing is kept
     store: Store | None = None
+    # linearization of each refitted set where its fit ended
     fitted: Mapping[Members, Linearization] = field(default_factory=dict)
+    # linearization of each set with the slopes of all candidates
     screened: Mapping[Members, Linearization] = field(default_factory=dict)
+    # slopes of an unknown cause at the fit of a set, (N, k), by set and index of the cause
     unknown_slopes: Mapping[tuple[Members, int], SpilledArray] = field(default_factory=dict)
+    # where sets with an unknown cause have their optimum, in the coordinates of ``narrow``:
+    # simulations serve every unknown cause, as only its response differs
     at_unknowns: Mapping[Members, tuple[Linearization, ...]] = field(default_factory=dict)
+    # sizes that were tried, by members of the center and group of effects
     scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
-    scan_steps: int = 0
+    scan_steps: int = 0  # weighted steps that these took
+    # groups of effects that were not tried because a budget was spent; where, by ``place`` and
+    # members of the center
     scans_late: frozenset[tuple[str, Members, Members]] = frozenset()
+    # all slopes of the plain model at its prior, where they were asked for
     at_prior: Linearization | None = None
+    # sizes that were tried there
     prior_scans: Mapping[tuple[Members, Members], Scan] = field(default_factory=dict)
-    place: str = ""
+    place: str = ""  # where the plain model is, for what is kept on disk; empty: at its fit
 
     def under(self, null: Null) -> Simulations:
         """The same simulations for another fit of the plain model or another noise floor."""

@@ -75,7 +75,6 @@ def squared_difference(field: FlowField, faces: Sequence[str], target: Tensor) -
     """Average of |v - target|^2 over the outlets and cases, scalar [m^2/s^2].
 
     Args:
-        faces: Faces of the box that are outlets.
         target: Wanted velocity [m/s], broadcast against (cases, *node_shape, dim).
     """
     return mean(field, faces, ((field.velocity - target) ** 2).sum(-1)).mean()

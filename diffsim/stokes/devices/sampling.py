@@ -23,17 +23,11 @@ _MAX_REJECTED = 50  # per accepted sample
 
 @dataclass(frozen=True)
 class DesignSamples:
-    """Random designs that let fluid through.
+    """Random designs that let fluid through."""
 
-    Attributes:
-        x: Parameters of the designs, (num_samples, num_parameters).
-        losses: Losses, not normalized, (num_samples,).
-        num_rejected: Designs without flow that were drawn again.
-    """
-
-    x: Tensor
-    losses: Tensor
-    num_rejected: int
+    x: Tensor  # parameters of the designs, (num_samples, num_parameters)
+    losses: Tensor  # losses, not normalized, (num_samples,)
+    num_rejected: int  # designs without flow that were drawn again
 
     def best(self, count: int) -> Tensor:
         """The best ones, best first, (count, num_parameters)."""

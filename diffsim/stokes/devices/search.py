@@ -17,19 +17,12 @@ _WALL = optim.Wall(height=1e3, over_first=0.0, over_best=10.0, failures=FAILURES
 
 @dataclass(frozen=True)
 class DesignDescent:
-    """Evaluations of L-BFGS from one start.
+    """Evaluations of L-BFGS from one start."""
 
-    Attributes:
-        designs: Designs in order of evaluation, (num_evaluations, num_parameters).
-        losses: Not normalized, (num_evaluations,); infinite where a design had no flow.
-        seconds: Mean CPU time of loss and gradient [s].
-        message: Reason of L-BFGS to stop.
-    """
-
-    designs: Tensor
-    losses: Tensor
-    seconds: float
-    message: str
+    designs: Tensor  # designs in order of evaluation, (num_evaluations, num_parameters)
+    losses: Tensor  # not normalized, (num_evaluations,); infinite where a design had no flow
+    seconds: float  # mean CPU time of loss and gradient [s]
+    message: str  # reason of L-BFGS to stop
 
     @property
     def x(self) -> Tensor:

@@ -205,17 +205,11 @@ def basis(t: Tensor, degree: int) -> Tensor:
 
 @dataclass(frozen=True)
 class Chain:
-    """Rational Bezier curves end to end, without gradient; the parameter is curve + t in [0, 1].
+    """Rational Bezier curves end to end, without gradient; the parameter is curve + t in [0, 1]."""
 
-    Attributes:
-        homogeneous: (num_curves, degree + 1, 3), columns w x, w y, w.
-        closed: Whether the last one ends where the first one starts.
-        size: Length scale [m].
-    """
-
-    homogeneous: Tensor
-    closed: bool
-    size: float
+    homogeneous: Tensor  # (num_curves, degree + 1, 3), columns w x, w y, w
+    closed: bool  # whether the last one ends where the first one starts
+    size: float  # length scale [m]
 
     @property
     def num_curves(self) -> int:

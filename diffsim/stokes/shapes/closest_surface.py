@@ -15,20 +15,14 @@ from diffsim.stokes.shapes.spline_basis import SplineBasis
 
 @dataclass(frozen=True)
 class SurfacePatch:
-    """A surface without gradient.
+    """A surface without gradient."""
 
-    Attributes:
-        homogeneous: (nu, nv, 4), w x, w y, w z, w.
-        bases: Spline bases of u and v.
-        low, high: Range of (u, v), (2,); infinite where periodic.
-        size: Length scale [m].
-    """
-
-    homogeneous: Tensor
-    bases: tuple[SplineBasis, SplineBasis]
+    homogeneous: Tensor  # (nu, nv, 4), w x, w y, w z, w
+    bases: tuple[SplineBasis, SplineBasis]  # spline bases of u and v
+    # low, high: range of (u, v), (2,); infinite where periodic
     low: Tensor
     high: Tensor
-    size: float
+    size: float  # length scale [m]
 
     def derivatives(self, uv: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """S, S_u, S_v; (N, 3) each, uv (N, 2)."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.check import require_choice, require_number
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.stokes.shapes import Box, SmoothUnion
 
 DRIVES = ("flow", "pressure")
@@ -46,6 +46,7 @@ class Opening:
         return self.y + 0.5 * self.width
 
 
+@checked_methods
 @dataclass(frozen=True, kw_only=True)
 class ChannelDevice:
     """Inlets, a manifold across them, and outlet branches in a box.
@@ -133,7 +134,6 @@ class ChannelDevice:
             return 6.0 * self.nominal_drive / width**2
         return 0.5 * self.nominal_drive * width / (self.viscosity * self.size[0])
 
-    @checked(kinds_only=True)
     def level_set(self, points: Tensor) -> Tensor:
         """phi at points (..., 2) [m], > 0 in the fluid: signed distance near straight walls."""
         length, (left, right) = self.size[0], self.manifold
@@ -146,7 +146,6 @@ class ChannelDevice:
         parts += [_make_rectangle(middle, 2.0 * length, o.low, o.high) for o in self.outlets]
         return SmoothUnion(*parts, radius=self.fillet)(points)
 
-    @checked(kinds_only=True)
     def local_width(self, points: Tensor) -> Tensor:
         """Width of the channel nearest to points (..., 2): of the manifold along x between its ends
         [m]."""
@@ -159,7 +158,6 @@ class ChannelDevice:
             width = torch.where(side, widths[away.argmin(0)], width)
         return width
 
-    @checked(kinds_only=True)
     def throat(self, branch: int, points: Tensor) -> Tensor:
         """Region of an outlet branch where something may lodge, (...) in [0, 1]: 1 over the middle
         third of its length, falling to 0 over a width on both sides."""

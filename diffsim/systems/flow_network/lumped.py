@@ -32,45 +32,31 @@ _PLACES, _SHARES = 0.5 * (_X + 1.0), 0.5 * _W  # Gauss points of (0, 1)
 
 @dataclass(frozen=True)
 class MeterReading:
-    """What a meter reads: the flow in a channel, or the pressure at a place.
+    """What a meter reads: the flow in a channel, or the pressure at a place."""
 
-    Attributes:
-        channel: Channel of the study that shows it.
-        tube: Index of the channel whose flow, or inside which the pressure, is read; -1: none.
-        node: Index of the node whose pressure is read; -1: none.
-        share: Place in the channel, from its start; None: its flow is read.
-    """
-
-    channel: str
+    channel: str  # channel of the study that shows it
+    # index of the channel whose flow, or inside which the pressure, is read; -1: none
     tube: int = -1
-    node: int = -1
-    share: float | None = None
+    node: int = -1  # index of the node whose pressure is read; -1: none
+    share: float | None = None  # place in the channel, from its start; None: its flow is read
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TubeLayout:
-    """Which channels join which nodes.
+    """Which channels join which nodes."""
 
-    Attributes:
-        nodes, tubes: Names of nodes and channels.
-        starts, ends: Index of the node at either end of each channel.
-        shapes: "slit", "rectangle", "round" or "resistance", one per channel.
-        free: Nodes whose pressure is unknown.
-        held: Node of each pressure source.
-        branches: Channels that end at a pressure source: what leaves the network.
-        readings: Of the study's channels, in order.
-    """
-
+    # nodes, tubes: names of nodes and channels
     nodes: tuple[str, ...]
     tubes: tuple[str, ...]
+    # starts, ends: index of the node at either end of each channel
     starts: tuple[int, ...]
     ends: tuple[int, ...]
-    shapes: tuple[str, ...]
-    free: tuple[int, ...]
+    shapes: tuple[str, ...]  # "slit", "rectangle", "round" or "resistance", one per channel
+    free: tuple[int, ...]  # nodes whose pressure is unknown
     pumps: tuple[int, ...]
-    held: tuple[int, ...]
-    branches: tuple[int, ...]
-    readings: tuple[MeterReading, ...]
+    held: tuple[int, ...]  # node of each pressure source
+    branches: tuple[int, ...]  # channels that end at a pressure source: what leaves the network
+    readings: tuple[MeterReading, ...]  # of the study's channels, in order
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,18 +69,12 @@ class LumpedScene(SteadyScene):
     pump over the pressure there [m^3/(s Pa)]; ``leak_at_NODE``, the same at a node; of each meter,
     branch or pressure that is held ``meter_1``, its gain, ``narrowing_1``, of the middle of the
     branch relative to its width, ``outlet_pressure_1``, on top of the one that is held [Pa].
-
-    Attributes:
-        layout: What joins what.
-        nominal_viscosity: At which resistances are known [Pa s].
-        density: Of the fluid [kg/m^3].
-        shear_rate: Beyond which the fluid thins [1/s].
     """
 
-    layout: TubeLayout
-    nominal_viscosity: float
-    density: float
-    shear_rate: float
+    layout: TubeLayout  # what joins what
+    nominal_viscosity: float  # at which resistances are known [Pa s]
+    density: float  # of the fluid [kg/m^3]
+    shear_rate: float  # beyond which the fluid thins [1/s]
 
     def simulate(self) -> Tensor:
         """Readings, (num_samples, num_channels).

@@ -52,14 +52,10 @@ class StokesScene(SteadyScene):
     (1 + (rate / shear_rate)^2)^(-thinning / 2); ``density`` that the fluid's inertia is computed
     with [kg/m^3]; of each outlet ``narrowing_1`` of its branch's middle, relative to its width, and
     ``outlet_pressure_1`` [Pa]; of each meter ``meter_1``, its gain.
-
-    Attributes:
-        rig: Device on its grid, with what all runs share.
-        columns: Channels that were measured, by index.
     """
 
-    rig: FlowRig
-    columns: tuple[int, ...]
+    rig: FlowRig  # device on its grid, with what all runs share
+    columns: tuple[int, ...]  # channels that were measured, by index
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels).

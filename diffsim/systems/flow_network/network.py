@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from diffsim.core.check import require_choice, require_number
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 
 MIN_CELLS_ACROSS = 2.0
 """Fewer cells across a channel, and the flow in it means nothing."""
@@ -24,6 +24,7 @@ class Segment(NamedTuple):
     width: float
 
 
+@checked_methods
 @checked
 @dataclass(frozen=True, kw_only=True)
 class NetworkDevice:
@@ -95,7 +96,6 @@ class NetworkDevice:
         (x0, y0), (x1, y1) = (self.nodes[n] for n in self.segments[0][1:3])
         return (x0, y0), (x0 + self.tap * (x1 - x0), y0 + self.tap * (y1 - y0))
 
-    @checked(kinds_only=True)
     def coordinates(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Distance to every channel's axis [m] and place along it [-], (..., num_segments) each.
 
@@ -113,7 +113,6 @@ class NetworkDevice:
             places.append(place)
         return torch.stack(distances, -1), torch.stack(places, -1)
 
-    @checked(kinds_only=True)
     def level_set(self, points: Tensor, offset: float, narrowing: tuple[float, ...]) -> Tensor:
         """phi at points (..., 2) [m], > 0 in the fluid.
 
@@ -125,7 +124,6 @@ class NetworkDevice:
         """
         return self.level_set_at(*self.coordinates(points), offset, narrowing)
 
-    @checked(kinds_only=True)
     def level_set_at(
         self, distance: Tensor, place: Tensor, offset: float, narrowing: tuple[float, ...]
     ) -> Tensor:
@@ -138,7 +136,6 @@ class NetworkDevice:
         hump = torch.where((place - 0.5).abs() < 0.5 * self.throat, hump, 0.0)
         return (half * (1.0 - share * hump) + offset - distance).amax(-1)
 
-    @checked(kinds_only=True)
     def owners(self, points: Tensor) -> Tensor:
         """Which channel a point belongs to, (...) int64."""
         distance, _ = self.coordinates(points)

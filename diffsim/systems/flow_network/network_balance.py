@@ -42,14 +42,10 @@ class NetworkScene(SteadyScene):
     the pump over the pressure there [m^3/(s Pa)]; of each outlet ``narrowing_1`` of its branch's
     middle, relative to its width, and ``outlet_pressure_1`` on top of the commanded one [Pa]; of
     each meter ``meter_1``, its gain; ``pressure_zero_1`` and ``pressure_zero_2`` [Pa].
-
-    Attributes:
-        table: Unit flows of the device on its grid.
-        columns: Channels that were measured, by index.
     """
 
-    table: UnitFlowTable
-    columns: tuple[int, ...]
+    table: UnitFlowTable  # unit flows of the device on its grid
+    columns: tuple[int, ...]  # channels that were measured, by index
 
     def simulate(self) -> Tensor:
         """Flows and pressures, (num_samples, num_channels).

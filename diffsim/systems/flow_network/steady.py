@@ -73,16 +73,12 @@ class SteadyScene(Scene):
 
     Commands are what each pump gives, or each regulator holds [m^3/s, m^2/s or Pa], then what is
     held at other ends [Pa]. Numbers that only causes change are absent until one does.
-
-    Attributes:
-        num_drives: Number of commands that are of pumps or regulators; they come first.
-        rtol: Relative tolerance of the flow [-].
-        is_in_time: Whether samples follow each other in time: where commands are changed on their
-            way, samples at the same level may be changed otherwise by a slope.
     """
 
-    num_drives: int
-    rtol: float
+    num_drives: int  # number of commands that are of pumps or regulators; they come first
+    rtol: float  # relative tolerance of the flow [-]
+    # whether samples follow each other in time: where commands are changed on their way, samples at
+    # the same level may be changed otherwise by a slope
     is_in_time: bool = False
 
     def several(self, name: str, count: int) -> Tensor:
@@ -158,8 +154,6 @@ def plant_of(
     study names causes.
 
     Args:
-        kind: Kind of system.
-        samples: What the samples of a run are.
         pumps, pressures: Names of the commands.
         asked: Whether the study names the causes that are judged.
         narrowest: Width of the narrowest channel [m]; None: no channel has a width.
@@ -232,11 +226,7 @@ def counted(**counts: int) -> tuple[str, ...]:
 
 
 def numbered(count: int, before: str = "", start: int = 1) -> dict[str, str]:
-    """Parts that are counted: "1" and what stands for it, "BEFORE1", in names of numbers.
-
-    Args:
-        start: What the first one is counted as.
-    """
+    """Parts that are counted: "1" and what stands for it, "BEFORE1", in names of numbers."""
     return {str(i): f"{before}{i}" for i in range(start, start + count)}
 
 

@@ -36,39 +36,25 @@ class ChannelShape(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class UnitFlows:
-    """Flows with all that the pump gives leaving through one outlet, at the nominal viscosity.
+    """Flows with all that the pump gives leaving through one outlet, at the nominal viscosity."""
 
-    Attributes:
-        resistance: Pressure drop from the pump to outlet i per flow to outlet j, (m, m)
-            [Pa s/m^2].
-        tap: Pressure drop from the pump to the tap per flow to outlet j, (m,) [Pa s/m^2].
-        energy: Products of the strain rates of the unit flows, 2 D_i : D_j, integrated over groups
-            of cells, (groups, m, m) [1/m^2].
-        volume: Fluid area of the groups, (groups,) [m^2].
-    """
-
+    # pressure drop from the pump to outlet i per flow to outlet j, (m, m) [Pa s/m^2]
     resistance: Tensor
-    tap: Tensor
+    tap: Tensor  # pressure drop from the pump to the tap per flow to outlet j, (m,) [Pa s/m^2]
+    # products of the strain rates of the unit flows, 2 D_i : D_j, integrated over groups of cells,
+    # (groups, m, m) [1/m^2]
     energy: Tensor
-    volume: Tensor
+    volume: Tensor  # fluid area of the groups, (groups,) [m^2]
 
 
 class CellGroups(NamedTuple):
-    """Cells of one channel with about the same shear, and what they share.
+    """Cells of one channel with about the same shear, and what they share."""
 
-    Attributes:
-        of_cell: Group of every kept cell, (cells,).
-        owner: Index of the channel of each group, (groups,).
-        height: Mean y of the cells of each group, (groups,) [m].
-        before_tap: Between the two pressure sensors, (groups,) bool.
-        after_pump: Beyond the first of them, (groups,) bool.
-    """
-
-    of_cell: Tensor
-    owner: Tensor
-    height: Tensor
-    before_tap: Tensor
-    after_pump: Tensor
+    of_cell: Tensor  # group of every kept cell, (cells,)
+    owner: Tensor  # index of the channel of each group, (groups,)
+    height: Tensor  # mean y of the cells of each group, (groups,) [m]
+    before_tap: Tensor  # between the two pressure sensors, (groups,) bool
+    after_pump: Tensor  # beyond the first of them, (groups,) bool
 
 
 class UnitFlowTable:

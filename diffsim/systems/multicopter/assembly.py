@@ -42,7 +42,6 @@ def assembled(of: MulticopterKeys, study: Study) -> DescribedFlights:
     """Recipe of the scenes of a study's runs.
 
     Args:
-        of: Description of the multicopter.
         study: Study whose channels and commands the description names.
     """
     design = _load_vehicle(of, study)
@@ -150,7 +149,6 @@ def with_shapes(
     """The recipe with what causes need beside a size: length of a string, gains of an estimator.
 
     Args:
-        of: Description of the multicopter.
         causes: Names of the candidate causes.
         scales: Magnitudes, with those of a gust if that is a cause and its frequency not stated.
     """

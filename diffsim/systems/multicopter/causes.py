@@ -124,7 +124,6 @@ def plant_of(
     """What a described multicopter tells of itself.
 
     Args:
-        given: Description of the multicopter.
         scales: Usual magnitudes.
     """
     functions = dict(FUNCTIONS)

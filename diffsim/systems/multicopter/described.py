@@ -33,40 +33,24 @@ PAYLOAD, TERRAIN = "payload_kg", "terrain_height_m"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DescribedFlights:
-    """Makes the scene of a run at values of the base parameters, () or (points,) each.
+    """Makes the scene of a run at values of the base parameters, () or (points,) each."""
 
-    Attributes:
-        parameters: Quantities of the description by name.
-        law: From commands to thrusts.
-        rotors: Places, senses and axes; empty with a design.
-        design: Vehicle as designed; None: its quantities are given.
-        cutter: Groups of readings, and how records are cut into windows.
-        substeps: Integration steps per sample.
-        radius: Of the propellers [m]; 0: unknown.
-        max_thrust: Of a rotor, beyond which no command goes; None: unlimited [N].
-        full_thrust: To which the curvature of the thrust refers [N].
-        thrust_coefficient: Thrust over the square of a rotor's speed [N s^2].
-        lags_speed: Whether it is the speed, not the thrust, that lags.
-        clocks: Indices of the channels that are late together, by the quantity that says how much.
-        cut_at: Values of base parameters at which runs are cut; those left out, as known
-            beforehand.
-        known: Windows of the runs that were cut.
-    """
-
-    parameters: BaseParameters
-    law: ThrustLaw
-    rotors: tuple[RotorKeys, ...]
-    design: Multicopter | None
-    cutter: Cutter
-    substeps: int
-    radius: float
-    max_thrust: float | None
-    full_thrust: float
-    thrust_coefficient: float
-    lags_speed: bool
+    parameters: BaseParameters  # quantities of the description by name
+    law: ThrustLaw  # from commands to thrusts
+    rotors: tuple[RotorKeys, ...]  # places, senses and axes; empty with a design
+    design: Multicopter | None  # vehicle as designed; None: its quantities are given
+    cutter: Cutter  # groups of readings, and how records are cut into windows
+    substeps: int  # integration steps per sample
+    radius: float  # of the propellers [m]; 0: unknown
+    max_thrust: float | None  # of a rotor, beyond which no command goes; None: unlimited [N]
+    full_thrust: float  # to which the curvature of the thrust refers [N]
+    thrust_coefficient: float  # thrust over the square of a rotor's speed [N s^2]
+    lags_speed: bool  # whether it is the speed, not the thrust, that lags
+    # indices of the channels that are late together, by the quantity that says how much
     clocks: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    # values of base parameters at which runs are cut; those left out, as known beforehand
     cut_at: Mapping[str, Tensor] = field(default_factory=dict)
-    known: Memo[Windows] = memo_field()
+    known: Memo[Windows] = memo_field()  # windows of the runs that were cut
 
     def __call__(self, values: Mapping[str, Tensor], run: Run, numerics: Numerics) -> CopterScene:
         return self._build_scene(values, run, numerics, self.windows(run))

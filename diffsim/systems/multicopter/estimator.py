@@ -24,17 +24,12 @@ from diffsim.core.rotation import cross, matrix_from_rpy
 
 @dataclass(frozen=True, eq=False)
 class BlindEstimator:
-    """Errors of an estimator along a flight, north-east-down.
+    """Errors of an estimator along a flight, north-east-down."""
 
-    Attributes:
-        drag: What it does not know, force over mass and velocity, (points,) [1/s].
-        gains: a [1/s], b and c [s^2/m^2] as above, (points, 3).
-        errors: Of velocity [m/s] and attitude [rad] at every sample, by what was recorded until
-            then, (points, num_samples, 2, 3).
-    """
-
-    drag: Tensor
-    gains: Tensor
+    drag: Tensor  # what it does not know, force over mass and velocity, (points,) [1/s]
+    gains: Tensor  # a [1/s], b and c [s^2/m^2] as above, (points, 3)
+    # of velocity [m/s] and attitude [rad] at every sample, by what was recorded until then,
+    # (points, num_samples, 2, 3)
     errors: Tensor
 
     @classmethod

@@ -52,21 +52,13 @@ _LAGS = ("motor_lag", "motor_time_constant", "lag")
 
 @dataclass(frozen=True, eq=False)
 class CopterSizes:
-    """Sizes that change a copter, with their posterior.
+    """Sizes that change a copter, with their posterior."""
 
-    Attributes:
-        saved: Content of the file that they are of.
-        names: Parameters and components of causes, each in the unit of the file.
-        values: Of each, (num_sizes,).
-        set_aside: Names of what only the recording's instruments or single runs had.
-        frames: That the recording is written in.
-    """
-
-    saved: SavedModel
-    names: tuple[str, ...]
-    values: Tensor
-    set_aside: tuple[str, ...]
-    frames: RecordingFrames
+    saved: SavedModel  # content of the file that they are of
+    names: tuple[str, ...]  # parameters and components of causes, each in the unit of the file
+    values: Tensor  # of each, (num_sizes,)
+    set_aside: tuple[str, ...]  # names of what only the recording's instruments or single runs had
+    frames: RecordingFrames  # that the recording is written in
 
     @classmethod
     def read(cls, path: str | Path, num_rotors: int) -> CopterSizes:
@@ -145,7 +137,6 @@ class CopterSizes:
 
         Args:
             sizes: (batch, num_sizes).
-            num_rotors: Of the vehicle.
         """
         v = self._by_name(sizes)
         gains = (

@@ -42,16 +42,12 @@ SENSORS = {
 
 @dataclass(frozen=True)
 class RecordingFrames:
-    """World and body frame that a recording is written in.
+    """World and body frame that a recording is written in."""
 
-    Attributes:
-        world: One of ``WORLDS``: x, y and z point north, east, down; east, north, up; or north,
-            west, up. Without a compass "north" is where x (ENU: y) happens to point.
-        body: One of ``BODIES``: forward, right, down; or forward, left, up.
-    """
-
+    # one of ``WORLDS``: x, y and z point north, east, down; east, north, up; or north, west, up.
+    # Without a compass "north" is where x (ENU: y) happens to point.
     world: str = "NED"
-    body: str = "FRD"
+    body: str = "FRD"  # one of ``BODIES``: forward, right, down; or forward, left, up
 
     def saved(self) -> dict[str, str]:
         """Names of both, for a saved model."""

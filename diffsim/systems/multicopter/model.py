@@ -7,18 +7,23 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from scipy import sparse
 from torch import Tensor
 
 from diffsim.causes.scales import SCALES, Scales
-from diffsim.core.checked import checked
+from diffsim.copter.vehicle.multicopter import Fleet
+from diffsim.core.arrays import Array, IntArray
+from diffsim.core.checked import checked, checked_methods
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.layer import may_be_differentiated
+from diffsim.core.rotation import matrix_from_quaternion, matrix_from_rpy
 from diffsim.identify import Parameter
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import TOGETHER, Build, Scene, SimModel
 from diffsim.identify.numerics import Numerics
+from diffsim.identify.shape import MovingShape
 from diffsim.identify.starts import left_by_starts
 from diffsim.systems.multicopter.cutting import (
     LONGEST,
@@ -26,7 +31,8 @@ from diffsim.systems.multicopter.cutting import (
     MIN_WINDOW_SAMPLES,
     spacing,
 )
-from diffsim.systems.multicopter.figure import figure_of
+from diffsim.systems.multicopter.frames import SENSORS
+from diffsim.systems.multicopter.readings import RecordedScene
 from diffsim.systems.multicopter.scene import CopterScene
 from diffsim.systems.multicopter.shooting import RIGID, FlightShooting
 
@@ -35,6 +41,77 @@ if TYPE_CHECKING:
     from diffsim.identify.shape import MovingShape
 
 
+_SIDES = 10  # of a propeller's disc
+_UP = np.diag([1.0, -1.0, -1.0])  # z up from north-east-down
+
+
+def figure_of(scene: CopterScene, channels: Tensor) -> MovingShape | None:
+    """The vehicle at the poses that channels show.
+
+    Args:
+        scene: The run's scene: its sensors, frames and vehicle.
+        channels: Measured or predicted, (num_samples, num_channels).
+
+    Returns:
+        None where position or attitude are not among the channels.
+    """
+    position = _pick_group(scene, channels, "position")
+    rotation = _pick_rotation(scene, channels)
+    if position is None or rotation is None:
+        return None
+    turn = _UP @ scene.frames.rotation(rotation).numpy()
+    place = scene.frames.in_world(position).numpy() @ _UP
+    nodes, triangles = _build_stand_in(scene.vehicle)
+    return MovingShape(
+        triangles=triangles, nodes_m=nodes @ turn.transpose(0, 2, 1) + place[:, None]
+    )
+
+
+def _pick_group(scene: RecordedScene, channels: Tensor, group: str) -> Tensor | None:
+    """Readings of a group, (num_samples, width); None where one of them is not recorded."""
+    if group not in scene.sensors:
+        return None
+    start = sum(len(SENSORS[g]) for g in scene.sensors[: scene.sensors.index(group)])
+    wanted = list(range(start, start + len(SENSORS[group])))
+    known = list(range(channels.shape[1])) if scene.columns is None else list(scene.columns)
+    if not set(wanted) <= set(known):
+        return None
+    return channels[:, [known.index(column) for column in wanted]]
+
+
+def _pick_rotation(scene: RecordedScene, channels: Tensor) -> Tensor | None:
+    """World from body as recorded, (num_samples, 3, 3)."""
+    turns = _pick_group(scene, channels, "quaternion")
+    if turns is not None:
+        return matrix_from_quaternion(turns / turns.norm(dim=-1, keepdim=True))
+    angles = _pick_group(scene, channels, "attitude")
+    return None if angles is None else matrix_from_rpy(angles)
+
+
+def _build_stand_in(fleet: Fleet) -> tuple[Array, IntArray]:
+    """Nodes (num_nodes, 3) in the body frame [m] and triangles of arms and discs."""
+    hubs, axes = fleet.positions[0].numpy(), fleet.directions[0].numpy()
+    radii = fleet.radii[0].numpy()
+    nodes: list[Array] = []
+    triangles: list[IntArray] = []
+    for hub, axis, radius in zip(hubs, axes, radii, strict=True):
+        # of an arm, where nobody states the propeller's radius
+        size = float(radius) if radius > 0.0 else 0.4 * float(np.linalg.norm(hub))
+        across = np.cross(axis, hub) if np.linalg.norm(np.cross(axis, hub)) > 0.0 else np.eye(3)[0]
+        across = across / np.linalg.norm(across)
+        beside = np.cross(axis, across)
+        angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+        rim = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * beside
+        first = sum(len(n) for n in nodes)
+        width = 0.08 * size * across  # half the width of an arm, over its propeller's radius
+        nodes += [np.array([width, -width, hub - width, hub + width]), hub + size * rim]
+        disc = first + 4 + np.arange(_SIDES)
+        fan = np.stack([np.full(_SIDES - 2, disc[0]), disc[1:-1], disc[2:]], 1)
+        triangles += [first + np.array([[0, 1, 2], [0, 2, 3]]), fan]
+    return np.concatenate(nodes), np.concatenate(triangles)
+
+
+@checked_methods
 class CopterModel(SimModel):
     """A model that flies many parameter points as one batch.
 
@@ -48,7 +125,6 @@ class CopterModel(SimModel):
         super().__init__(flights, base, "multicopter")
         self.flights: Any = flights
 
-    @checked(kinds_only=True)
     def scene(
         self,
         run: Run,
@@ -72,7 +148,6 @@ class CopterModel(SimModel):
         """Count a flight of a search for initial states; it is no prediction by itself."""
         self.simulations.add(0, round(self.cost(run, numerics) * (1.0 + TOGETHER * (number - 1))))
 
-    @checked(kinds_only=True)
     def shortened(self, runs: Sequence[Run]) -> SimModel | None:
         """The model with windows half as long as the longest one of some runs.
 
@@ -92,7 +167,6 @@ class CopterModel(SimModel):
             made.frame = {**self.frame, SCALES: shorter_scales.saved()}
         return made
 
-    @checked(kinds_only=True)
     def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with windows as long as it settles in at these coordinates, up to a second.
 
@@ -114,7 +188,6 @@ class CopterModel(SimModel):
         )
         return made if not runs or sum(after) > sum(before) else self
 
-    @checked(kinds_only=True)
     def short_windows(self, runs: Sequence[Run]) -> Mapping[str, float]:
         """Length of the windows [s] by run, where it is shorter than what was wished for."""
         wished = self.flights.cutter.window_s or LONGEST_S
@@ -125,7 +198,6 @@ class CopterModel(SimModel):
             if count < min(max(MIN_WINDOW_SAMPLES, round(wished / dt)), len(run.time_s))
         }
 
-    @checked(kinds_only=True)
     def left_of_readings(
         self, scene: Callable[[], Scene], change: sparse.csr_array
     ) -> sparse.csr_array:
@@ -136,7 +208,6 @@ class CopterModel(SimModel):
             shooting = made.find_starts()
         return left_by_starts(change, shooting.tangent, shooting.gain)
 
-    @checked(kinds_only=True)
     def num_fitted_inside(self, run: Run) -> int:
         """Number of values that are fitted to a run whatever it is used for: start states."""
         scene = self.scene(run, self.at_prior())
@@ -144,14 +215,12 @@ class CopterModel(SimModel):
         guess = scene.windows.guess
         return len(guess) * RIGID + guess.shape[1] - RIGID
 
-    @checked(kinds_only=True)
     def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
         """Arms and propellers at the poses that channels show, where they show them."""
         scene = self.scene(run, self.at_prior())
         assert isinstance(scene, CopterScene)
         return figure_of(scene, channels)
 
-    @checked(kinds_only=True)
     def simulate_many(
         self,
         run: Run,

@@ -15,27 +15,19 @@ from diffsim.copter.vehicle.multicopter import Fleet
 
 @dataclass(frozen=True, eq=False)
 class FlightMotion:
-    """State in the middle of every control step, which causes may depend on.
+    """State in the middle of every control step, which causes may depend on."""
 
-    Attributes:
-        vehicle: Vehicle that flies.
-        position: World frame, (points, num_windows, length, 3) [m].
-        velocity: World frame, of the same shape [m/s].
-        rotation: World from body, (points, num_windows, length, 3, 3).
-        body_rates: Angular velocity in the body frame, (points, num_windows, length, 3) [rad/s].
-        thrusts: Over the step, (points, num_windows, length, n_rotors) [N]; what causes gave to
-            the vehicle through them is in them.
-        asked: Thrusts that were asked for, of the same shape [N]: the rotors' speeds.
-        acceleration: Mean over the step, world frame, (points, num_windows, length, 3) [m/s^2].
-    """
-
-    vehicle: Fleet
-    position: Tensor
-    velocity: Tensor
-    rotation: Tensor
+    vehicle: Fleet  # vehicle that flies
+    position: Tensor  # world frame, (points, num_windows, length, 3) [m]
+    velocity: Tensor  # world frame, of the same shape [m/s]
+    rotation: Tensor  # world from body, (points, num_windows, length, 3, 3)
+    # angular velocity in the body frame, (points, num_windows, length, 3) [rad/s]
     body_rates: Tensor
+    # over the step, (points, num_windows, length, n_rotors) [N]; what causes gave to the vehicle
+    # through them is in them
     thrusts: Tensor
-    asked: Tensor
+    asked: Tensor  # thrusts that were asked for, of the same shape [N]: the rotors' speeds
+    # mean over the step, world frame, (points, num_windows, length, 3) [m/s^2]
     acceleration: Tensor
 
     @cached_property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -26,7 +27,6 @@ from diffsim.systems.multicopter.lag import lagged_in_windows
 from diffsim.systems.multicopter.motion import FlightMotion, turned, turned_back, vector_of
 from diffsim.systems.multicopter.shooting import Windows
 
-_CIRCLE = 2.0 * torch.pi
 #: Numbers that are one until a cause changes them: shown over true [-].
 SCALES = ("position_scale", "ground_scale", "accelerometer_scale")
 _ONE = torch.ones(1, dtype=torch.float64)
@@ -41,20 +41,16 @@ class RecordedScene(Scene):
     ``attitude_offset``, ``body_rates_offset``, ``accelerometer_offset`` (added to what these show
     [rad], [rad/s], [m/s^2]), all in the recording's frames; ``camera_delay``, the age of the
     position, velocity and attitude that are shown [s].
-
-    Attributes:
-        windows: The record in windows, whose initial states are fitted away.
-        sensors: Groups of channels of the record, in order; keys of ``SENSORS``.
-        columns: Which reading each channel is, counted over the groups; None: all, in order.
-        frames: Frames that the record is written in.
-        estimator: Errors of one that shows velocity and attitude; None: none.
     """
 
     numbers: Mapping[str, Tensor] = field(default_factory=dict)
-    windows: Windows
-    sensors: tuple[str, ...]
+    windows: Windows  # the record in windows, whose initial states are fitted away
+    sensors: tuple[str, ...]  # groups of channels of the record, in order; keys of ``SENSORS``
+    # which reading each channel is, counted over the groups; None: all, in order
     columns: tuple[int, ...] | None = None
+    # frames that the record is written in
     frames: RecordingFrames = field(default_factory=RecordingFrames)
+    # errors of one that shows velocity and attitude; None: none
     estimator: BlindEstimator | None = None
 
     @property
@@ -136,22 +132,16 @@ def _look_back(values: Tensor, delay: Tensor, dt: float) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class _ShownStates:
-    """What sensors see at the end of every step, (points, num_windows, length, ...).
+    """What sensors see at the end of every step, (points, num_windows, length, ...)."""
 
-    Attributes:
-        scene: Run that was flown.
-        record: How it was flown.
-        position, velocity, rotation, quaternion: As cameras show them, late where they are.
-        turn: Error of the shown attitude as a quaternion, (points, num_windows, length + 1, 4);
-            None: none.
-    """
-
-    scene: RecordedScene
-    record: SensedRecord
+    scene: RecordedScene  # run that was flown
+    record: SensedRecord  # how it was flown
+    # position, velocity, rotation, quaternion: as cameras show them, late where they are
     position: Tensor
     velocity: Tensor
     rotation: Tensor
     quaternion: Tensor
+    # error of the shown attitude as a quaternion, (points, num_windows, length + 1, 4); None: none
     turn: Tensor | None = None
 
     @classmethod
@@ -239,7 +229,7 @@ class _ShownStates:
         rpy = rpy_from_matrix(self.scene.frames.rotation(self.rotation))
         rpy = rpy + _widen(self.scene.vector("attitude_offset"))
         measured = self._pick_measured("attitude")
-        return rpy + _CIRCLE * ((measured - rpy) / _CIRCLE).nan_to_num(0.0).round().detach()
+        return rpy + math.tau * ((measured - rpy) / math.tau).nan_to_num(0.0).round().detach()
 
     def shown_quaternion(self) -> Tensor:
         """Quaternion of the recorded sign and length: neither says anything of the attitude."""
@@ -304,13 +294,9 @@ _GROUPS: dict[str, Callable[[_ShownStates], Tensor]] = {
 
 @dataclass(frozen=True, eq=False)
 class WindowGrid(Grid):
-    """Times in windows of one length: what has a memory knows one window, a formula the run's time.
+    """Times in windows of one length: a memory knows one window, a formula the run's time."""
 
-    Attributes:
-        starts: Time of each window's first sample in the run, (num_windows, 1, 1, 1) [s].
-    """
-
-    starts: Tensor
+    starts: Tensor  # time of each window's first sample in the run, (num_windows, 1, 1, 1) [s]
 
     @classmethod
     def of_flight(cls, scene: RecordedScene) -> WindowGrid:

@@ -399,12 +399,9 @@ def windowed(values: Tensor, windows: int, length: int) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """The accelerating frame in which forces in the world are absent.
+    """The accelerating frame in which forces in the world are absent."""
 
-    Attributes:
-        way, velocity: Since the window began, (..., length + 1, 3) [m], [m/s].
-    """
-
+    # way, velocity: since the window began, (..., length + 1, 3) [m], [m/s]
     way: Tensor
     velocity: Tensor
 
@@ -437,7 +434,6 @@ def flight_grid(num_samples: int, dt: float) -> Grid:
     """Times of the commands of a flight, the first of which is held before the record starts.
 
     Args:
-        num_samples: Number of samples of the record.
         dt: Time between two samples [s].
     """
     even = Grid.even(num_samples + 1, dt)

@@ -18,15 +18,10 @@ _MOVED = 1e-4  # over the spread: less says nothing
 
 @dataclass(frozen=True, eq=False)
 class Secants:
-    """Slope of the map from initial states to those after a Gauss-Newton step.
+    """Slope of the map from initial states to those after a Gauss-Newton step."""
 
-    Attributes:
-        spread: Of the initial states, (m,).
-        slope: J by window, (num_windows, m, m), of states in units of the spread.
-    """
-
-    spread: Tensor
-    slope: Tensor
+    spread: Tensor  # of the initial states, (m,)
+    slope: Tensor  # J by window, (num_windows, m, m), of states in units of the spread
 
     @classmethod
     def none(cls, windows: int, spread: Tensor) -> Secants:

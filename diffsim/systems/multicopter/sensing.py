@@ -31,17 +31,11 @@ _ORDERS = {"wxyz": (0, 1, 2, 3), "xyzw": (1, 2, 3, 0)}
 
 @dataclass(frozen=True, eq=False)
 class SensorColumns:
-    """Which reading each channel of a study is.
+    """Which reading each channel of a study is."""
 
-    Attributes:
-        groups: Groups of readings, keys of ``SENSORS``.
-        columns: Reading of each channel, counted over the groups.
-        sd: Noise of the channels, (num_channels,).
-    """
-
-    groups: tuple[str, ...]
-    columns: tuple[int, ...]
-    sd: Tensor
+    groups: tuple[str, ...]  # groups of readings, keys of ``SENSORS``
+    columns: tuple[int, ...]  # reading of each channel, counted over the groups
+    sd: Tensor  # noise of the channels, (num_channels,)
 
 
 def sensing_of(keys: SensorKeys, study: Study) -> SensorColumns:

@@ -79,40 +79,31 @@ class Windows:
 
     An initial state is that of 12 and, for the first window, the thrusts that were commanded before
     the record starts: a lag or a dead time brings them into it.
-
-    Attributes:
-        guess: Initial states estimated from the record, (num_windows, 12 + n_rotors).
-        measured: (num_windows, length, num_channels), NaN where nothing was recorded.
-        sd: Noise of the channels, (num_channels,).
-        acceleration: Recorded acceleration of the vehicle, (num_samples, 3), NED [m/s^2].
-        states: Recorded states of 12 at every sample, (num_samples, 12).
-        rows: Samples that the windows start from, (num_windows,).
-        rigid_spread: Of position [m], angles [rad], velocity [m/s] and body rates [rad/s] about
-            the guess.
-        past_spread: Of the thrusts before the record [N].
-        held: Which of these thrusts stay as they are in the guess, (n_rotors,) bool; none if left
-            out.
-        is_at_zero: Whether those are held because they are zero, and may rise.
-        idle: Projector onto thrusts that leave force and torque on the vehicle as they are,
-            (n_rotors, n_rotors); none if left out. No record shows them, and squares of them bend
-            the way of every search, so that they are small beforehand.
-        start: States where searches start, (num_windows, 12 + n_rotors): the best ones of one
-            model, the same for all, so that none depends on another. None: the guess.
-        known: What searches found at the last points of the parameters.
     """
 
-    guess: Tensor
-    measured: Tensor
-    sd: Tensor
+    guess: Tensor  # initial states estimated from the record, (num_windows, 12 + n_rotors)
+    measured: Tensor  # (num_windows, length, num_channels), NaN where nothing was recorded
+    sd: Tensor  # noise of the channels, (num_channels,)
+    # recorded acceleration of the vehicle, (num_samples, 3), NED [m/s^2]
     acceleration: Tensor = field(default_factory=lambda: torch.zeros(1, 3, dtype=torch.float64))
+    # recorded states of 12 at every sample, (num_samples, 12)
     states: Tensor = field(default_factory=lambda: torch.zeros(1, RIGID, dtype=torch.float64))
+    # samples that the windows start from, (num_windows,)
     rows: Tensor = field(default_factory=lambda: torch.zeros(1, dtype=torch.long))
+    # of position [m], angles [rad], velocity [m/s] and body rates [rad/s] about the guess
     rigid_spread: tuple[float, float, float, float] = SPREAD
-    past_spread: float = PAST_SPREAD
+    past_spread: float = PAST_SPREAD  # of the thrusts before the record [N]
+    # which of these thrusts stay as they are in the guess, (n_rotors,) bool; none if left out
     held: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.bool))
-    is_at_zero: bool = True
+    is_at_zero: bool = True  # whether those are held because they are zero, and may rise
+    # projector onto thrusts that leave force and torque on the vehicle as they are, (n_rotors,
+    # n_rotors); none if left out. No record shows them, and squares of them bend the way of every
+    # search, so that they are small beforehand.
     idle: Tensor | None = None
+    # states where searches start, (num_windows, 12 + n_rotors): the best ones of one model, the
+    # same for all, so that none depends on another. None: the guess.
     start: Tensor | None = None
+    # what searches found at the last points of the parameters
     known: Memo[FlightShooting] = memo_field(2)  # a step's end, and its start where it is not taken
 
     def __post_init__(self) -> None:
@@ -332,22 +323,14 @@ class FlightShooting:
     Departures d from the guess minimize |W (measured - predicted(d))|^2 + |d / spread|^2, here by
     Gauss-Newton with the tangents of one model: the prediction is the profile over d. Misfit that
     an initial state can explain is no evidence for anything.
-
-    Attributes:
-        windows: Record of the run, cut into windows.
-        measured: (num_windows, length * num_channels, 1), zero where nothing was recorded.
-        change: d of that model, (num_windows, 12 + n_rotors, 1).
-        tangent: d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors).
-        gain: Misfit to states, (num_windows, 12 + n_rotors, length * num_channels).
-        here: Prediction of that model at d, (num_windows, length * num_channels, 1).
     """
 
-    windows: Windows
-    measured: Tensor
-    change: Tensor
-    tangent: Tensor
-    gain: Tensor
-    here: Tensor
+    windows: Windows  # record of the run, cut into windows
+    measured: Tensor  # (num_windows, length * num_channels, 1), zero where nothing was recorded
+    change: Tensor  # d of that model, (num_windows, 12 + n_rotors, 1)
+    tangent: Tensor  # d predicted / d start, (num_windows, length * num_channels, 12 + n_rotors)
+    gain: Tensor  # misfit to states, (num_windows, 12 + n_rotors, length * num_channels)
+    here: Tensor  # prediction of that model at d, (num_windows, length * num_channels, 1)
 
     @classmethod
     def unfitted(cls, windows: Windows, predict: Predict) -> FlightShooting:

@@ -23,19 +23,13 @@ Values = Mapping[str, Tensor]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ThrustLaw:
-    """Thrusts that a run's commands ask for.
+    """Thrusts that a run's commands ask for."""
 
-    Attributes:
-        commands: Which columns, and what they mean.
-        thrust: Law of thrusts; None: commands are thrusts, or ``rotor`` has the law.
-        rotor: Model of motor and propeller; None: none given.
-        battery: Name of the command that is the battery's voltage; None: none.
-    """
-
-    commands: CommandKeys
+    commands: CommandKeys  # which columns, and what they mean
+    # law of thrusts; None: commands are thrusts, or ``rotor`` has the law
     thrust: ThrustKeys | None
-    rotor: RotorModel | None
-    battery: str | None
+    rotor: RotorModel | None  # model of motor and propeller; None: none given
+    battery: str | None  # name of the command that is the battery's voltage; None: none
 
     def thrusts(self, run: Run, values: Values) -> Tensor:
         """(points, num_samples, n_rotors) [N], before lag, gains and shares.

@@ -98,14 +98,11 @@ class RunGroups:
     """One size for all, and what each group of runs has beside it.
 
     A group that nobody has fitted is like all.
-
-    Attributes:
-        per: "run", or the fact of the runs whose values are the groups; None: no groups.
-        labels: Values of that fact in the study.
     """
 
+    # "run", or the fact of the runs whose values are the groups; None: no groups
     per: str | None = None
-    labels: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()  # values of that fact in the study
 
     @classmethod
     def of(cls, per: str | None, study: Study) -> RunGroups:

@@ -81,46 +81,32 @@ class DescribedMotion:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FormulaSystem:
-    """A description with its formulas parsed against a study.
-
-    Attributes:
-        held: Inputs, with whether they are held between samples.
-        unsure: Inputs of which nobody knows whether they are held between samples.
-        assumed: Inputs that are taken to be held though some run does not show it.
-        clocks: Channels that are late together, by the parameter that says how much.
-        known: Names that formulas may use.
-        columns: What was recorded beside inputs and channels, for formulas of own causes and laws:
-            its name, and whether it is a command that is held between samples.
-        starts: Start value of every state, a formula of numbers and inputs.
-        inputs: Formula of every input, of commands, facts and parameters.
-        network: Formulas of rates, readings and definitions.
-        own: The user's own causes.
-        base: Parameters, and what states, inputs and effects ask for beside them.
-        parts: Steps of the integrator per sample, where the description leaves that open.
-        gaps: Gaps of the runs in which held commands changed, by name of the run.
-        pieces: Pieces of the runs in which start states stop telling, by name of the run.
-        from_zero: Whether inputs were zero before a run, by the run.
-        known_of: Facts of a run and what is taken from its samples, by the run.
-    """
+    """A description with its formulas parsed against a study."""
 
     keys: FormulaKeys
     motion: DescribedMotion
     study: Study
-    held: Mapping[str, bool]
-    unsure: frozenset[str]
-    assumed: frozenset[str]
+    held: Mapping[str, bool]  # inputs, with whether they are held between samples
+    unsure: frozenset[str]  # inputs of which nobody knows whether they are held between samples
+    assumed: frozenset[str]  # inputs that are taken to be held though some run does not show it
+    # channels that are late together, by the parameter that says how much
     clocks: Mapping[str, tuple[str, ...]]
-    known: tuple[str, ...]
+    known: tuple[str, ...]  # names that formulas may use
+    # what was recorded beside inputs and channels, for formulas of own causes and laws: its name,
+    # and whether it is a command that is held between samples
     columns: Mapping[str, bool]
-    starts: Mapping[str, Expression]
-    inputs: Mapping[str, Expression]
-    network: Network
-    own: tuple[Effect, ...]
-    base: BaseParameters
-    parts: int = 1
+    starts: Mapping[str, Expression]  # start value of every state, a formula of numbers and inputs
+    inputs: Mapping[str, Expression]  # formula of every input, of commands, facts and parameters
+    network: Network  # formulas of rates, readings and definitions
+    own: tuple[Effect, ...]  # the user's own causes
+    base: BaseParameters  # parameters, and what states, inputs and effects ask for beside them
+    parts: int = 1  # steps of the integrator per sample, where the description leaves that open
+    # gaps of the runs in which held commands changed, by name of the run
     gaps: Mapping[str, tuple[Gap, ...]] = field(default_factory=dict)
+    # pieces of the runs in which start states stop telling, by name of the run
     pieces: Mapping[str, tuple[Piece, ...]] = field(default_factory=dict)
-    from_zero: Memo[bool] = memo_field()
+    from_zero: Memo[bool] = memo_field()  # whether inputs were zero before a run, by the run
+    # facts of a run and what is taken from its samples, by the run
     known_of: Memo[dict[str, Tensor]] = memo_field()
 
     @property

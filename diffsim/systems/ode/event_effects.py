@@ -39,22 +39,15 @@ FEWEST_KNOTS = 3.0  # a width that can be read off them, half of a period
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """Where an event enters.
+    """Where an event enters."""
 
-    Attributes:
-        name: Name of the place, input, definition or channel.
-        kind: Kind of cause.
-        unit: Unit of the size.
-        typical: Size that would be no surprise.
-        entry: Function of a name that no other cause has: what adds values to a scene there.
-        alike: Other ways in which the same record follows: name, unit, and size per size here.
-    """
-
-    name: str
-    kind: str
-    unit: str
-    typical: float
+    name: str  # name of the place, input, definition or channel
+    kind: str  # kind of cause
+    unit: str  # unit of the size
+    typical: float  # size that would be no surprise
+    # function of a name that no other cause has: what adds values to a scene there
     entry: Callable[[str], Entry]
+    # other ways in which the same record follows: name, unit, and size per size here
     alike: tuple[tuple[str, str, float], ...] = ()
 
 

@@ -21,18 +21,13 @@ from diffsim.identify.model import Parameter
 
 @dataclass(frozen=True)
 class Gap:
-    """A gap in the rows across which a held command changed.
+    """A gap in the rows across which a held command changed."""
 
-    Attributes:
-        name: Base parameter that says when: the share of the gap that was over.
-        start, end: Times of the rows beside it [s].
-        swept: Rows that are lost of a command that moves from row to row; 0: it jumped.
-    """
-
-    name: str
+    name: str  # base parameter that says when: the share of the gap that was over
+    # start, end: times of the rows beside it [s]
     start: float
     end: float
-    swept: int = 0
+    swept: int = 0  # rows that are lost of a command that moves from row to row; 0: it jumped
 
     @property
     def parameter(self) -> Parameter:

@@ -160,8 +160,6 @@ def coupling_in_words(inertia: float, name: str, size: float, values: Mapping[st
 
     Args:
         inertia: Inertia of both sides.
-        name: Name of the effect.
-        size: Its compliance.
         values: Base parameters by name.
     """
     part = 1.0 / (1.0 + math.exp(-values.get(f"{SHARE}_of_{name}", 0.0)))
@@ -177,10 +175,6 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
     Commands in it are late exactly. States, which do not jump, pass a rational function of second
     order (Pade), true to the third power of frequency; where the integrator's steps could not
     follow it, its poles are slower, and it is true to the second power.
-
-    Args:
-        definition: Name of the definition.
-        name: Name of the effect.
     """
     network = library.system.network
     plain = written_out(network.definitions[definition], network)
@@ -225,12 +219,7 @@ def late_inside(library: Library, definition: str, name: str) -> Apply:
 
 
 def limited_inside(library: Library, definition: str, name: str) -> Apply:
-    """A definition that goes no further than a limit either way, such as the torque of a motor.
-
-    Args:
-        definition: Name of the definition.
-        name: Name of the effect.
-    """
+    """A definition that goes no further than a limit either way, such as the torque of a motor."""
     # what other causes add to it, such as friction, is not limited
     plain = library.system.network.definitions[definition]
     parts = {"now": named(definition), "plain": plain, "size": named(symbol(name))}
@@ -265,13 +254,7 @@ def closed_loops(network: Network) -> tuple[str, ...]:
 
 
 def loses_by_sign(command: str, name: str, *, library: Library, channel: Channel) -> Apply:
-    """A voltage that is less in the direction of the current: dead time, brushes, a bridge.
-
-    Args:
-        command: Name of the voltage.
-        name: Name of the effect.
-        channel: Channel that shows the current.
-    """
+    """A voltage that is less in the direction of the current: dead time, brushes, a bridge."""
     network = library.system.network
     current = written_out(network.readings[channel.name], network)
     parts = {"u": named(command), "size": named(symbol(name)), "i": current}
@@ -305,7 +288,6 @@ def away_from_center(network: Network, pose: tuple[Channel, Channel, Channel], n
     Args:
         network: Formulas of the system.
         pose: Channels of x, y and heading.
-        name: Name of the effect.
     """
     x, y, turn = (channel.name for channel in pose)
     ahead, aside = f"{symbol(name)} ahead", f"{symbol(name)} aside"

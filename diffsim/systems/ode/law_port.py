@@ -55,13 +55,9 @@ _LASTING, _REACH, _SWING, _SLOW = "lasting", "slip_reach", "swing_rate", "slow_s
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OdeLaws(LawPort):
-    """Entries and variables of a described system.
+    """Entries and variables of a described system."""
 
-    Attributes:
-        library: Names and usual magnitudes of the described system.
-    """
-
-    library: Library
+    library: Library  # names and usual magnitudes of the described system
 
     @property
     def system(self) -> FormulaSystem:

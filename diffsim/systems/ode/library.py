@@ -33,57 +33,37 @@ RUNAWAY_MAGNITUDES = 1e80  # of a magnitude: a model that runs away
 
 @dataclass(frozen=True)
 class PlaceScale:
-    """Usual magnitudes at a place in the plain model, over the runs to fit.
+    """Usual magnitudes at a place in the plain model, over the runs to fit."""
 
-    Attributes:
-        force: Rms of inertia times rate of the velocity [unit of the force].
-        inertia: Inertia at the start [unit of the inertia].
-        position: Rms distance of the position from its start.
-        velocity: Rms velocity.
-        low, high: Least and greatest position.
-        below, above: How far these are from the start; never zero.
-    """
-
-    force: float
-    inertia: float
-    position: float
-    velocity: float
+    force: float  # rms of inertia times rate of the velocity [unit of the force]
+    inertia: float  # inertia at the start [unit of the inertia]
+    position: float  # rms distance of the position from its start
+    velocity: float  # rms velocity
+    # low, high: least and greatest position
     low: float
     high: float
+    # below, above: how far these are from the start; never zero
     below: float
     above: float
 
 
 @dataclass(frozen=True)
 class StoreScale:
-    """Usual magnitudes of a store in the plain model, over the runs to fit.
+    """Usual magnitudes of a store in the plain model, over the runs to fit."""
 
-    Attributes:
-        level: Rms level.
-        rate: Rms rate of the level [1/s].
-        high: Greatest level.
-        area: Rms of what a flow is divided by.
-    """
-
-    level: float
-    rate: float
-    high: float
-    area: float = 1.0
+    level: float  # rms level
+    rate: float  # rms rate of the level [1/s]
+    high: float  # greatest level
+    area: float = 1.0  # rms of what a flow is divided by
 
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """A described system with its usual magnitudes: what its causes are made from.
+    """A described system with its usual magnitudes: what its causes are made from."""
 
-    Attributes:
-        system: The description with its formulas parsed.
-        model: Its plain model.
-        scales: Usual magnitudes of inputs, channels, places, stores, definitions and laws.
-    """
-
-    system: FormulaSystem
-    model: SimModel
-    scales: Scales
+    system: FormulaSystem  # the description with its formulas parsed
+    model: SimModel  # its plain model
+    scales: Scales  # usual magnitudes of inputs, channels, places, stores, definitions and laws
 
     @property
     def study(self) -> Study:

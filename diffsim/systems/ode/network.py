@@ -24,26 +24,23 @@ _RAW = "{}~"  # an input or parameter as given, where a change stands for its na
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What an effect does to formulas.
+    """What an effect does to formulas."""
 
-    Attributes:
-        rates: Terms that are added to the rates of states, by state.
-        held_rates: New rates of states, made of ``RATE``, what all other terms make it.
-        factors: Factors on the rates of states, by state.
-        names: New formulas of definitions, inputs and parameters, by name, made of the old value.
-        readings: New formulas of channels, made of ``READING``, the old one.
-        states: Rates of further states, by name.
-        starts: Start values of those, by name; 0 if absent.
-        inputs: Names of further inputs, and whether they keep their value until the next time.
-    """
-
+    # terms that are added to the rates of states, by state
     rates: Mapping[str, Expression] = field(default_factory=dict)
+    # new rates of states, made of ``RATE``, what all other terms make it
     held_rates: Mapping[str, Expression] = field(default_factory=dict)
+    # factors on the rates of states, by state
     factors: Mapping[str, Expression] = field(default_factory=dict)
+    # new formulas of definitions, inputs and parameters, by name, made of the old value
     names: Mapping[str, Expression] = field(default_factory=dict)
+    # new formulas of channels, made of ``READING``, the old one
     readings: Mapping[str, Expression] = field(default_factory=dict)
+    # rates of further states, by name
     states: Mapping[str, Expression] = field(default_factory=dict)
+    # start values of those, by name; 0 if absent
     starts: Mapping[str, Expression] = field(default_factory=dict)
+    # names of further inputs, and whether they keep their value until the next time
     inputs: Mapping[str, bool] = field(default_factory=dict)
 
     @cached_property
@@ -52,11 +49,7 @@ class Change:
         return {}
 
     def again(self, sizes: tuple[str, ...]) -> Change:
-        """What the same effect does once more: its sizes, states and inputs have other names.
-
-        Args:
-            sizes: Symbols of its sizes.
-        """
+        """What the same effect does once more: its sizes, states and inputs have other names."""
         if sizes not in self._others:
             own = {n: named(once_more(n)) for n in (*sizes, *self.states, *self.inputs)}
 
@@ -90,18 +83,12 @@ READING, RATE = "reading before", "rate before"
 
 @dataclass(frozen=True, eq=False)
 class Solver:
-    """Formulas as the integrator takes them.
-
-    Attributes:
-        inputs: Names whose values it takes as inputs.
-        parameters: Names whose values it takes as parameters.
-        starts: Start values of states that changes have added, by name.
-    """
+    """Formulas as the integrator takes them."""
 
     ode: Ode
-    inputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    starts: Mapping[str, Expression]
+    inputs: tuple[str, ...]  # names whose values it takes as inputs
+    parameters: tuple[str, ...]  # names whose values it takes as parameters
+    starts: Mapping[str, Expression]  # start values of states that changes have added, by name
 
 
 class Network:

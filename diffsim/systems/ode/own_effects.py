@@ -29,7 +29,6 @@ def own_effect(
     """The effect of a block of ``effects.own``.
 
     Args:
-        where: Key of the block.
         known: Names that formulas may use.
         beside: Those of them that were recorded and are no inputs; whether they are held.
         states: Those of them that are states.

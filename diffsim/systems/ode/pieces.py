@@ -46,19 +46,12 @@ _TINY = 1e-9
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of a run that begins with a start state of its own.
+    """A piece of a run that begins with a start state of its own."""
 
-    Attributes:
-        time: When it begins [s].
-        start: State there as the record shows it, by state.
-        sd: How far it may differ from that, by state.
-        parting: How far two starts of the piece before part, in words.
-    """
-
-    time: float
-    start: Mapping[str, float]
-    sd: Mapping[str, float]
-    parting: str
+    time: float  # when it begins [s]
+    start: Mapping[str, float]  # state there as the record shows it, by state
+    sd: Mapping[str, float]  # how far it may differ from that, by state
+    parting: str  # how far two starts of the piece before part, in words
 
 
 def start_name(state: str, piece: Piece, run: Run) -> str:
@@ -97,21 +90,13 @@ class _Usual(NamedTuple):
 
 
 class _Parting(NamedTuple):
-    """Paths of moved starts beside a path, in usual motions.
+    """Paths of moved starts beside a path, in usual motions."""
 
-    Attributes:
-        states: Of the path between, (samples, n) [unit of the state].
-        change: From one of two starts moved along each state to the other, (n, samples, n).
-        apart: Its length, (n, samples).
-        bend: Distance of their sum from twice the path between, likewise.
-        seen: Distance in each channel, (n, samples, num_channels).
-    """
-
-    states: Array
-    change: Array
-    apart: Array
-    bend: Array
-    seen: Array
+    states: Array  # of the path between, (samples, n) [unit of the state]
+    change: Array  # from one of two starts moved along each state to the other, (n, samples, n)
+    apart: Array  # its length, (n, samples)
+    bend: Array  # distance of their sum from twice the path between, likewise
+    seen: Array  # distance in each channel, (n, samples, num_channels)
 
 
 class _End(NamedTuple):

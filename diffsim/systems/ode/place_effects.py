@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from diffsim.causes.ports import FADE_SHARE
 from diffsim.causes.row import Row
 from diffsim.core.expression import Expression, parse_expression
 from diffsim.core.figures import figure
@@ -17,7 +18,6 @@ from diffsim.systems.ode.library import SHARE_OF_USUAL, Library, PlaceScale
 from diffsim.systems.ode.network import RATE, Change, filled, is_linear, named, written_out
 from diffsim.systems.ode.scene import at_start
 
-STICK = 0.01  # of the usual velocity: below it dry friction fades
 SLIDING = "tanh(v/w)"  # of a law of dry friction
 STRIBECK = 0.2  # of the usual velocity, times e^fall: where friction has fallen to that of sliding
 STOP_STIFFNESS = 50.0  # usual forces per usual distance, times e^stop_hardness
@@ -70,7 +70,7 @@ def shapes(place: Place) -> dict[str, Quantity]:
 
 def _list_numbers(place: Place, scale: PlaceScale) -> dict[str, float]:
     return {
-        "width": place.stick_velocity or STICK * scale.velocity,
+        "width": place.stick_velocity or FADE_SHARE * scale.velocity,
         "vs": STRIBECK * scale.velocity,
         "usual": scale.position,
         "usual_v": scale.velocity,
@@ -109,10 +109,8 @@ def stop_in_words(name: str, end: float, inward: float, unit: str, size: float) 
     """A stop by where it is, of which its interval is the way into the plain model's range.
 
     Args:
-        name: Name of its row.
         end: Least or greatest position that the plain model reaches [unit].
         inward: Sign of the way into that range.
-        unit: Unit of the position.
         size: How far inside the stop lies [unit].
     """
     place = f"{name.replace('_', ' ')} {figure(end + inward * size)} {unit}"
@@ -182,11 +180,7 @@ def _holding(
 
 
 def add_inertia(library: Library, place: Place, name: str) -> Apply:
-    """How a larger inertia at a place enters the formulas.
-
-    Args:
-        name: Name of the effect.
-    """
+    """How a larger inertia at a place enters the formulas."""
     factor = filled(
         parse_expression("inertia/max(inertia + size, 0.05*inertia)"),
         {
@@ -231,9 +225,6 @@ def _is_force(system: FormulaSystem, name: str) -> bool:
 def load_at(system: FormulaSystem, place: Place, inertia: Expression) -> Expression:
     """The force that a place states; else what inputs put on it: inertia times what they change of
     its rate.
-
-    Args:
-        inertia: Inertia there.
     """
     if place.force is not None:
         return named(place.force)

@@ -35,11 +35,7 @@ def read_system(
     study: Study,
     reader: Reader,
 ) -> FormulaSystem:
-    """Parse a description's formulas against a study, and mend its model as the records ask.
-
-    Args:
-        given: What drives the system.
-    """
+    """Parse a description's formulas against a study, and mend its model as the records ask."""
     open_ = {i.name: list_commands_of(i, study) for i in given if i.held is None}
     moving = {name for name, commands in open_.items() if moves_on(study.runs, commands)}
     held = _find_held_inputs(given, moving, study, reader)

@@ -73,7 +73,6 @@ def strongest_frequency(model: SimModel, swing: Swing, run: Run, tried: Array) -
 
     Args:
         model: Plain model, with swings of amplitude zero.
-        swing: What may swing.
         tried: Frequencies [Hz].
     """
     names = [p.name for p in model.base]

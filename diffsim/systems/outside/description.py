@@ -16,7 +16,7 @@ from diffsim.causes.channel_groups import CLOCKS, clock_problems
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import HELD
 from diffsim.copter.exchange.mjcf_text import whole_scene
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked_methods
 from diffsim.core.inside import inside
 from diffsim.core.schema import Part
 from diffsim.core.schema_paths import CODE, INSIDE, PathWords
@@ -112,6 +112,7 @@ class EnvironmentKeys(Part):
     )
 
 
+@checked_methods
 class OutsideDescription(Description):
     """A simulator of the user's own: any function, class or Gymnasium environment."""
 
@@ -154,7 +155,6 @@ class OutsideDescription(Description):
             raise ValueError(f"{', '.join(sorted(both))}: in parameters or in start, not in both")
         return self
 
-    @checked(kinds_only=True)
     def source(self, study: Study) -> Source:
         """Where the simulator of a study is."""
         reading = Environment(**self.environment.model_dump())
@@ -165,7 +165,6 @@ class OutsideDescription(Description):
                 options["folder"] = str(study.folder)
         return Source(self.simulator, study.folder, options, reading)
 
-    @checked(kinds_only=True)
     def problems(self, study: Study) -> list[Problem]:
         """A simulator that is not there, hooks that no column has; nothing is run."""
         out = []
@@ -218,7 +217,6 @@ class OutsideDescription(Description):
             *(Problem("error", "model", said) for said in _free_places(text, self.hooks)),
         ]
 
-    @checked(kinds_only=True)
     def setup(self, study: Study) -> DiagnosisSetup:
         """Model, candidate causes and options for a study."""
         held = self._are_commands_held(study)
@@ -239,7 +237,6 @@ class OutsideDescription(Description):
             settings=settings_with(made.settings, self.effort),
         )
 
-    @checked(kinds_only=True)
     def plant(self, study: Study) -> Plant:
         """What the simulator offers to causes of a user."""
         return outside_plant(

@@ -12,50 +12,35 @@ from typing import Any
 
 import numpy as np
 
-from diffsim.causes.ports import OF_FORCES
+from diffsim.causes.ports import FADE_SHARE, OF_FORCES
 from diffsim.causes.scene import LawFormula
 from diffsim.core.arrays import Array
 from diffsim.core.checked import checked
 
 CONSTANT = "size"  # law of a force that depends on nothing
-SHARP = 0.01  # of the usual speed: below it Coulomb friction is viscous
 
 
 @dataclass(frozen=True)
 class Term:
-    """One force at one place.
+    """One force at one place."""
 
-    Attributes:
-        place: Name of the place.
-        law: Formula of ``OF_FORCES``: size, position x, speed v, and w, below which dry friction
-            fades.
-        size: Size of the law, in the effect's unit.
-        scale: Usual speed of the place, of which w is a hundredth.
-        shapes: Further numbers of the law, of simulators that have it as their own.
-    """
-
-    place: str
+    place: str  # name of the place
+    # formula of ``OF_FORCES``: size, position x, speed v, and w, below which dry friction fades
     law: LawFormula
-    size: float
-    scale: float = 1.0
+    size: float  # size of the law, in the effect's unit
+    scale: float = 1.0  # usual speed of the place, of which w is a hundredth
+    # further numbers of the law, of simulators that have it as their own
     shapes: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class ForceKnots:
-    """A force at one place that follows straight lines between knots in time.
+    """A force at one place that follows straight lines between knots in time."""
 
-    Attributes:
-        place: Name of the place.
-        start: Time of the first knot [s].
-        spacing: Time between two knots [s].
-        values: Force at the knots, (num_knots,).
-    """
-
-    place: str
-    start: float
-    spacing: float
-    values: tuple[float, ...]
+    place: str  # name of the place
+    start: float  # time of the first knot [s]
+    spacing: float  # time between two knots [s]
+    values: tuple[float, ...]  # force at the knots, (num_knots,)
 
     def at(self, time: float) -> float:
         """Force at a time [s], held beyond the ends."""
@@ -96,7 +81,7 @@ class PlaceForces:
     def _force_at(self, place: str) -> Callable[[float, float, float], float]:
         """The force at a place as a function of time, position and velocity."""
         laws = [
-            (t.law.on_floats(*OF_FORCES), t.size, SHARP * t.scale)
+            (t.law.on_floats(*OF_FORCES), t.size, FADE_SHARE * t.scale)
             for t in self.terms
             if t.place == place
         ]

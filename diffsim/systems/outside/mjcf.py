@@ -146,7 +146,6 @@ class Mjcf:
         """Weighted steps of a run: about a microsecond each (``benchmarks.step_costs``).
 
         Args:
-            run: Run that is simulated.
             force: Forces at joints; those that MuJoCo lacks are asked for at each step.
         """
         _, asked = self._take_own({}, force)
@@ -159,7 +158,6 @@ class Mjcf:
         """Whether it is open how soon friction takes hold that a cause brings to a joint.
 
         Args:
-            place: Name of the joint.
             parameters: Paths that a study states.
         """
         path = path_of_law(self.mujoco, self.numbers, "dry_friction", place)
@@ -333,12 +331,7 @@ MEANS_OTHERWISE = (
 
 
 def version_notes(text: str, version: str) -> list[str]:
-    """What a file means otherwise under other versions of MuJoCo, a sentence each.
-
-    Args:
-        text: The file with what it includes.
-        version: Version that is installed.
-    """
+    """What a file means otherwise under other versions of MuJoCo, a sentence each."""
     own = tuple(int(n) for n in re.findall(r"\d+", version)[:2])
     out = []
     for since, word, meaning in MEANS_OTHERWISE:

@@ -42,17 +42,11 @@ _VELOCITIES, _PUSHES = ("rad/s", "m/s"), ("N", "N m", "A")
 
 @dataclass
 class GuessedModel:
-    """Keys of ``model`` and what is said of them.
+    """Keys of ``model`` and what is said of them."""
 
-    Attributes:
-        keys: Keys of the outside description.
-        said: What was guessed, a sentence each.
-        todo: What the user must say, a sentence each.
-    """
-
-    keys: dict[str, Any] = field(default_factory=dict)
-    said: list[str] = field(default_factory=list)
-    todo: list[str] = field(default_factory=list)
+    keys: dict[str, Any] = field(default_factory=dict)  # keys of the outside description
+    said: list[str] = field(default_factory=list)  # what was guessed, a sentence each
+    todo: list[str] = field(default_factory=list)  # what the user must say, a sentence each
 
 
 def find_mjcf(folder: Path) -> tuple[Path, ...]:

@@ -45,14 +45,7 @@ def _by_formula() -> Mapping[str, str]:
 
 
 def path_of_law(mujoco: Any, numbers: Numbers, law: str, joint: str) -> str | None:
-    """The number that is a cause at a joint; None: MuJoCo has none, or not there.
-
-    Args:
-        mujoco: The module.
-        numbers: Of the model.
-        law: Name of the cause.
-        joint: Name of the joint.
-    """
+    """The number that is a cause at a joint; None: MuJoCo has none, or not there."""
     what = OWN_LAWS.get(law)
     if what is None:
         return None
@@ -73,7 +66,6 @@ def hold_of(numbers: Numbers, parameters: Collection[str], path: str) -> str | N
     Where a file or a study has friction, or another softness than MuJoCo's usual, that stays.
 
     Args:
-        numbers: Of the model.
         parameters: Paths that a study states.
         path: Number that a cause adds to.
     """
@@ -91,7 +83,6 @@ def with_hold(
     """How soon friction takes hold that a cause brings to a joint, by path; empty where it is said.
 
     Args:
-        numbers: Of the model.
         parameters: Paths that a study states.
         path: Number that a cause adds to.
         share: Of the way between ``HOLDS_S``, by ratios, as far as the file's own steps allow.
@@ -112,10 +103,7 @@ def take_own(
     A size that would make a number negative is left to Python.
 
     Args:
-        mujoco: The module.
-        numbers: Of the model.
         parameters: Values by path.
-        force: Forces that are asked for.
     """
     out = dict(parameters)
     if force is None or not force.acts:

@@ -109,19 +109,14 @@ def several_axes(joint: str, count: int) -> str:
 
 @dataclass(frozen=True)
 class Path:
-    """A parameter, taken apart.
+    """A parameter, taken apart."""
 
-    Attributes:
-        text: The whole path.
-        kind, name, what: Such as joint, elbow and damping.
-        entry: Entry of a vector; None: the number itself.
-    """
-
-    text: str
+    text: str  # the whole path
+    # kind, name, what: such as joint, elbow and damping
     kind: str
     name: str
     what: str
-    entry: int | None
+    entry: int | None  # entry of a vector; None: the number itself
 
     @classmethod
     def of(cls, text: str) -> Path:
@@ -150,21 +145,18 @@ class Path:
 
 @dataclass
 class Setting:
-    """What parameters mean beside the numbers of the model.
+    """What parameters mean beside the numbers of the model."""
 
-    Attributes:
-        positions, rates: Start values by their entry of qpos and qvel.
-        delays: Time by which an actuator hears its command late, by its index [s].
-        payloads: Mass that a body carries more, by the body's index [kg].
-        payloads_at: Where it hangs, 0 at the body's joint, 1 at its far end.
-        unbalances: Mass times what its center of mass is off, by the body's index, (3,) [kg m].
-    """
-
+    # positions, rates: start values by their entry of qpos and qvel
     positions: dict[int, float] = field(default_factory=dict)
     rates: dict[int, float] = field(default_factory=dict)
+    # time by which an actuator hears its command late, by its index [s]
     delays: dict[int, float] = field(default_factory=dict)
+    # mass that a body carries more, by the body's index [kg]
     payloads: dict[int, float] = field(default_factory=dict)
+    # where it hangs, 0 at the body's joint, 1 at its far end
     payloads_at: dict[int, float] = field(default_factory=dict)
+    # mass times what its center of mass is off, by the body's index, (3,) [kg m]
     unbalances: dict[int, Array] = field(default_factory=dict)
 
 

@@ -19,15 +19,10 @@ MAX_CARRIERS = 8  # bodies of a model; where more may carry something, nobody ca
 
 
 class Carrier(NamedTuple):
-    """A body that may carry a payload.
+    """A body that may carry a payload."""
 
-    Attributes:
-        mass: Its own [kg].
-        length: From its joint to its far end [m].
-    """
-
-    mass: float
-    length: float
+    mass: float  # its own [kg]
+    length: float  # from its joint to its far end [m]
 
 
 def carriers_of(mujoco: Any, model: Any) -> dict[str, Carrier]:
@@ -37,7 +32,6 @@ def carriers_of(mujoco: Any, model: Any) -> dict[str, Carrier]:
     several on another, such as a wheel or a finger, is none: what it holds, that other one carries.
 
     Args:
-        mujoco: The module.
         model: MuJoCo's model.
     """
     moving = [i for i in range(1, model.nbody) if _is_moving(model, i)]
@@ -75,10 +69,8 @@ def reach_of(mujoco: Any, model: Any, data: Any, body: int) -> tuple[Array, Arra
     shapes end. A body that is balanced about its joint, or has none, ends at its center of mass.
 
     Args:
-        mujoco: The module.
         model: MuJoCo's model.
         data: Its data, which are computed anew.
-        body: Index.
     """
     mujoco.mj_resetData(model, data)
     mujoco.mj_kinematics(model, data)
@@ -111,10 +103,8 @@ def _reach_of_shape(mujoco: Any, model: Any, data: Any, geom: int, way: Array) -
     """How far a shape reaches from its middle [m]; of a capsule its axis, where frames are put.
 
     Args:
-        mujoco: The module.
         model: MuJoCo's model.
         data: Its data with places.
-        geom: Index.
         way: Direction in the world, (3,).
     """
     kinds, size = mujoco.mjtGeom, model.geom_size[geom]
@@ -131,9 +121,7 @@ def put_payload(mujoco: Any, model: Any, body: int, mass: float, place: Array) -
     """Add a point mass to a body: its mass, center of mass and principal inertia.
 
     Args:
-        mujoco: The module.
         model: Model that is changed.
-        body: Index.
         mass: Of the payload [kg].
         place: In the body's frame, (3,) [m].
 
@@ -167,7 +155,6 @@ def put_unbalance(model: Any, body: int, moment: Array) -> None:
 
     Args:
         model: Model that is changed, with its masses.
-        body: Index.
         moment: Mass times the way that the center moves, in the body's frame, (3,) [kg m].
 
     Raises:

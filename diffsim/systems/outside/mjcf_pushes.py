@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,17 +13,13 @@ from diffsim.systems.outside.forces import PlaceForces
 from diffsim.systems.outside.mjcf_numbers import Numbers, several_axes
 
 
+@dataclass(frozen=True, eq=False)
 class Pushes:
-    """Forces at the joints of a model.
+    """Forces at the joints of a model."""
 
-    Args:
-        plain: The model.
-        numbers: Its numbers.
-        stages: Stages of a step of its integrator.
-    """
-
-    def __init__(self, plain: Any, numbers: Numbers, stages: int):
-        self.plain, self.numbers, self.stages = plain, numbers, stages
+    plain: Any
+    numbers: Numbers
+    stages: int  # of a step of its integrator
 
     def is_known(self, force: PlaceForces) -> bool:
         """Whether forces over time alone are all there is, and an integrator that asks for them

@@ -17,30 +17,20 @@ from diffsim.systems.outside.mjcf_steps import Steps
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A call of the simulator, ready to be stepped.
+    """A call of the simulator, ready to be stepped."""
 
-    Attributes:
-        model: Model with the numbers of the call.
-        steps: Steps over the run.
-        start: State at the first sample.
-        controls: Commands over the steps, (num_steps, num_controls).
-        at_samples: Commands at the samples, where sensors depend on them; None: they do not.
-        readers: Entry of ``sensordata`` for each channel.
-        force: Forces that Python adds; None: none.
-        pushes: The same over the steps, of each degree of freedom, (num_steps, nv), where they are
-            known before; None: they are not.
-        can_roll: Whether MuJoCo's own loop does it.
-    """
-
-    model: Any
-    steps: Steps
-    start: Array
-    controls: Array
+    model: Any  # model with the numbers of the call
+    steps: Steps  # steps over the run
+    start: Array  # state at the first sample
+    controls: Array  # commands over the steps, (num_steps, num_controls)
+    # commands at the samples, where sensors depend on them; None: they do not
     at_samples: Array | None
-    readers: Sequence[int]
-    force: PlaceForces | None
+    readers: Sequence[int]  # entry of ``sensordata`` for each channel
+    force: PlaceForces | None  # forces that Python adds; None: none
+    # the same over the steps, of each degree of freedom, (num_steps, nv), where they are known
+    # before; None: they are not
     pushes: Array | None
-    can_roll: bool
+    can_roll: bool  # whether MuJoCo's own loop does it
 
 
 class DivergedError(ArithmeticError):
@@ -177,9 +167,7 @@ def _alike(job: Job, is_read: Mask, *, alone: bool) -> Iterator[tuple[int, int]]
     """First and end of steps of one length under one command, after which a sample may be read.
 
     Args:
-        job: What is stepped.
         is_read: Whether sensors are read at each step, (num_steps,).
-        alone: Each step by itself.
     """
     ends = np.full(len(is_read), alone)
     ends |= is_read

@@ -15,21 +15,13 @@ MAX_STEPS = 20_000_000  # of one run
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps over a run; one more begins at the last sample, so that all samples are read alike.
+    """Steps over a run; one more begins at the last sample, so that all samples are read alike."""
 
-    Attributes:
-        sample_s: Times of the samples, (num_samples,) [s].
-        starts: Where steps begin, (num_steps,) [s].
-        lengths: How long they are, (num_steps,) [s].
-        samples: Steps that begin at the samples, (num_samples,).
-        is_even: Whether all steps are as long.
-    """
-
-    sample_s: Array
-    starts: Array
-    lengths: Array
-    samples: IntArray
-    is_even: bool
+    sample_s: Array  # times of the samples, (num_samples,) [s]
+    starts: Array  # where steps begin, (num_steps,) [s]
+    lengths: Array  # how long they are, (num_steps,) [s]
+    samples: IntArray  # steps that begin at the samples, (num_samples,)
+    is_even: bool  # whether all steps are as long
 
     @staticmethod
     def count(time_s: Array, longest: float) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,27 +22,15 @@ FREE_SENSORS = {"position": "framepos", "orientation": "framequat"}
 JOINT = re.compile(r"joint\.(.+)\.(position|velocity|orientation)(?:\[(\d)\])?")
 
 
+@dataclass(frozen=True, eq=False)
 class Wiring:
-    """Channels and commands of a study at the sensors and actuators of a model.
+    """Channels and commands of a study at the sensors and actuators of a model."""
 
-    Args:
-        mujoco: The package.
-        plain: The model.
-        numbers: Its numbers.
-        channels: Sensor for each channel; None: all, in their order.
-        commands: Actuator for each command; None: they are named alike.
-    """
-
-    def __init__(
-        self,
-        mujoco: Any,
-        plain: Any,
-        numbers: Numbers,
-        channels: Mapping[str, str] | None,
-        commands: Mapping[str, str] | None,
-    ):
-        self.mujoco, self.plain, self.numbers = mujoco, plain, numbers
-        self.channels, self.commands = channels, commands
+    mujoco: Any  # the package
+    plain: Any  # the model
+    numbers: Numbers
+    channels: Mapping[str, str] | None  # sensor for each channel; None: all, in their order
+    commands: Mapping[str, str] | None  # actuator for each command; None: they are named alike
 
     def reads_forces(self, readers: Sequence[int]) -> bool:
         """Whether a channel shows accelerations or forces, which depend on the command itself."""

@@ -19,7 +19,7 @@ from diffsim.causes.scales import HELD
 from diffsim.causes.scene import PLAY_START, Commands, Instruments, Scene
 from diffsim.causes.signals import DELAYS, Grid, SignalMap
 from diffsim.core.arrays import Array, IntArray
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked, checked_methods
 from diffsim.core.memo import Memo
 from diffsim.core.runs import run_each
 from diffsim.core.workers import Processes
@@ -44,27 +44,18 @@ class SimulatorError(PredictionError):
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One call of a simulator, ready to be sent to another process.
+    """One call of a simulator, ready to be sent to another process."""
 
-    Attributes:
-        run: Run with the commands as the actuators hear them.
-        values: Value of every parameter, by name.
-        forces: Forces that the simulator is asked to add; None: it takes none.
-        numerics: Factors on its own settings.
-        channels: Names of the channels.
-        delays: Time by which the simulator hears a command late, by name [s].
-        before: Values of such commands before the run; without a word their first ones.
-        rows: Those of the run's rows that were recorded; None: all were.
-    """
-
-    run: Run
-    values: Mapping[str, float]
-    forces: PlaceForces | None
-    numerics: Numerics
-    channels: tuple[str, ...]
+    run: Run  # run with the commands as the actuators hear them
+    values: Mapping[str, float]  # value of every parameter, by name
+    forces: PlaceForces | None  # forces that the simulator is asked to add; None: it takes none
+    numerics: Numerics  # factors on its own settings
+    channels: tuple[str, ...]  # names of the channels
+    # time by which the simulator hears a command late, by name [s]
     delays: Mapping[str, float] = field(default_factory=dict)
+    # values of such commands before the run; without a word their first ones
     before: Mapping[str, float] = field(default_factory=dict)
-    rows: IntArray | None = None
+    rows: IntArray | None = None  # those of the run's rows that were recorded; None: all were
 
 
 def call(predict: Predict, label: str, job: Job) -> Array:
@@ -178,19 +169,12 @@ class Records:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OutsideScene(Scene):
-    """One run of an outside simulator.
+    """One run of an outside simulator."""
 
-    Attributes:
-        model: Model that the scene belongs to.
-        run: Run as recorded.
-        numerics: Factors on the simulator's own settings.
-        knots: Forces over time.
-    """
-
-    model: OutsideModel
-    run: Run
-    numerics: Numerics
-    knots: tuple[ForceKnots, ...] = ()
+    model: OutsideModel  # model that the scene belongs to
+    run: Run  # run as recorded
+    numerics: Numerics  # factors on the simulator's own settings
+    knots: tuple[ForceKnots, ...] = ()  # forces over time
 
     def simulate(self) -> Tensor:
         """(num_samples, num_channels) predicted channels."""
@@ -263,7 +247,6 @@ def _without_delays(commands: Commands, names: Sequence[str]) -> tuple[Commands,
 
     Args:
         commands: Of one point, with all that changes them.
-        names: Name of each row.
     """
     delays: dict[str, float] = {}
     kept: list[tuple[tuple[int, ...], SignalMap]] = []
@@ -300,6 +283,7 @@ FitsHold = Callable[[str, Collection[str]], bool]
 SAMPLE = 20.0  # weighted steps of a sample: simulators take some of their own
 
 
+@checked_methods
 class OutsideModel(SimModel):
     """A simulator from outside, with base parameters.
 
@@ -364,7 +348,6 @@ class OutsideModel(SimModel):
         #: Rows that were lost behind each row of a run while commands were swept
         self.lost: Memo[IntArray] = Memo()
 
-    @checked(kinds_only=True)
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction; counted where the simulator counts its own."""
         return self._cost_of(run, numerics or Numerics(), None)
@@ -373,7 +356,6 @@ class OutsideModel(SimModel):
         """Weighted steps of a prediction.
 
         Args:
-            run: Run that is simulated.
             numerics: Factors on the simulator's own settings.
             forces: Forces of causes, if any.
         """
@@ -381,16 +363,13 @@ class OutsideModel(SimModel):
             return super().cost(run, numerics)
         return self.run_cost + float(self._count_steps(run, forces)) / numerics.time_step
 
-    @checked(kinds_only=True)
     def note_simulations(self, run: Run, number: int, numerics: Numerics | None = None) -> None:
         """Count nothing: calls are counted where they are made, records are used again."""
 
-    @checked(kinds_only=True)
     def count(self, job: Job) -> None:
         """Count a call of the simulator."""
         self.simulations.add(1, round(self._cost_of(job.run, job.numerics, job.forces)))
 
-    @checked(kinds_only=True)
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes, side by side where there are workers."""
         jobs = [scene.job() for scene in scenes]
@@ -428,7 +407,6 @@ class OutsideModel(SimModel):
             self._pool = None
             raise
 
-    @checked(kinds_only=True)
     def with_first_commands(self, commands: Commands, run: Run) -> Commands:
         """Commands with zero before the run where the study does not say it and they were."""
         is_stated = commands.before is not None and not bool(commands.before.isnan().any())

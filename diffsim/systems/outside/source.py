@@ -26,22 +26,15 @@ OFFERS = ("force", "time_step", *BY_NAME)
 
 @dataclass(frozen=True, eq=False)
 class Call:
-    """One call of a simulator that takes several at once (``predict_many``).
+    """One call of a simulator that takes several at once (``predict_many``)."""
 
-    Attributes:
-        parameters: Values by name.
-        run: Run with the commands as the actuators hear them.
-        force: Forces that it is asked to add; None: none.
-        time_step: Factor on its own step.
-        delays: Time by which it hears a command late, by name [s].
-        before: Values of such commands before the run; without a word their first ones.
-    """
-
-    parameters: Mapping[str, float]
-    run: Run
-    force: PlaceForces | None = None
-    time_step: float = 1.0
+    parameters: Mapping[str, float]  # values by name
+    run: Run  # run with the commands as the actuators hear them
+    force: PlaceForces | None = None  # forces that it is asked to add; None: none
+    time_step: float = 1.0  # factor on its own step
+    # time by which it hears a command late, by name [s]
     delays: Mapping[str, float] = field(default_factory=dict)
+    # values of such commands before the run; without a word their first ones
     before: Mapping[str, float] = field(default_factory=dict)
 
 

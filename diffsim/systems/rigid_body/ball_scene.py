@@ -21,72 +21,49 @@ MERGE_LENGTH = 0.004  # [m] gap over which two regions stop touching
 
 @dataclass(frozen=True)
 class BallBody:
-    """One ball as the scene knows it; keys are names of the scene's values.
+    """One ball as the scene knows it; keys are names of the scene's values."""
 
-    Attributes:
-        name: Name of the ball, before its place and velocity in the values: "coming_vx".
-        begins: "flying", "on_ground" or "at_rest".
-        restitution, friction: Keys of its contact with the ground; None: it flies for ever.
-        inertia: I / (m r^2) [-].
-    """
-
-    name: str
-    begins: str
+    name: str  # name of the ball, before its place and velocity in the values: "coming_vx"
+    begins: str  # "flying", "on_ground" or "at_rest"
     diameter: str
+    # restitution, friction: keys of its contact with the ground; None: it flies for ever
     restitution: str | None
     friction: str | None
-    inertia: float
+    inertia: float  # I / (m r^2) [-]
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two balls that meet once, on the ground.
+    """Two balls that meet once, on the ground."""
 
-    Attributes:
-        bodies: Indices of the ball that is struck and of the one that comes.
-        restitution, friction: Keys of their contact.
-        mass_ratio: Mass of the struck ball over that of the other [-].
-    """
-
-    bodies: tuple[int, int]
+    bodies: tuple[int, int]  # indices of the ball that is struck and of the one that comes
+    # restitution, friction: keys of their contact
     restitution: str
     friction: str
-    mass_ratio: float
+    mass_ratio: float  # mass of the struck ball over that of the other [-]
 
 
 @dataclass(frozen=True, eq=False)
 class PinholeCamera:
-    """The camera, but for what is fitted of it.
+    """The camera, but for what is fitted of it."""
 
-    Attributes:
-        rotation: (3, 3) before its small turn.
-        height_px: Height of the picture.
-        plain: Its numbers without distortion.
-        corners: (T, 3) places of clicked points [m] where the run holds them, else None.
-    """
-
-    rotation: Tensor
-    height_px: float
-    plain: Mapping[str, Tensor]
+    rotation: Tensor  # (3, 3) before its small turn
+    height_px: float  # height of the picture
+    plain: Mapping[str, Tensor]  # its numbers without distortion
+    # (T, 3) places of clicked points [m] where the run holds them, else None
     corners: Tensor | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class BallStage:
-    """What all runs of a study have in common.
-
-    Attributes:
-        pair: Two of them that meet; None: none do.
-        rows: Kind of measure, ball and component of each channel; "click" for clicked points.
-        frame: (3, 3) from the world, z up, to the recorded frame.
-        eye: Camera; None: no channel is in pixels.
-    """
+    """What all runs of a study have in common."""
 
     bodies: Sequence[BallBody]
-    pair: Pair | None
+    pair: Pair | None  # two of them that meet; None: none do
+    # kind of measure, ball and component of each channel; "click" for clicked points
     rows: Sequence[tuple[str, int, int]]
-    frame: Tensor
-    eye: PinholeCamera | None
+    frame: Tensor  # (3, 3) from the world, z up, to the recorded frame
+    eye: PinholeCamera | None  # camera; None: no channel is in pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +79,9 @@ class BallScene(Scene):
     """One run of the balls, or the points clicked in the camera's picture.
 
     Its numbers are quantities, start of the balls, camera, and what causes add to.
-
-    Attributes:
-        stage: What all runs have in common.
     """
 
-    stage: BallStage
+    stage: BallStage  # what all runs have in common
 
     def simulate(self) -> Tensor:
         """(..., T, num_channels)."""

@@ -21,33 +21,23 @@ REST = "rest_height_m"
 
 @dataclass(frozen=True, eq=False)
 class TossMotion:
-    """Motion of a body in the frame whose z points up.
+    """Motion of a body in the frame whose z points up."""
 
-    Attributes:
-        place, velocity: (..., 3) of the tracked point [m, m/s].
-        turn: (..., 4) quaternion from the body to the world.
-        rates: Body rates, (..., 3) [rad/s].
-        rest: Height of the center at rest, (..., 1) [m].
-    """
-
+    # place, velocity: (..., 3) of the tracked point [m, m/s]
     place: Tensor
-    turn: Tensor
+    turn: Tensor  # (..., 4) quaternion from the body to the world
     velocity: Tensor
-    rates: Tensor
-    rest: Tensor
+    rates: Tensor  # body rates, (..., 3) [rad/s]
+    rest: Tensor  # height of the center at rest, (..., 1) [m]
 
 
 @dataclass(frozen=True, eq=False)
 class PoseLayout:
-    """What each channel shows.
+    """What each channel shows."""
 
-    Attributes:
-        rows: Kind and component of each channel; the kinds of a measure, or "rest".
-        up: (4,) quaternion of the turn from the recorded frame to the one whose z points up.
-    """
-
+    # kind and component of each channel; the kinds of a measure, or "rest"
     rows: Sequence[tuple[str, int]]
-    up: Tensor
+    up: Tensor  # (4,) quaternion of the turn from the recorded frame to the one whose z points up
 
     def channels(self, flown: TossMotion, measured: Tensor) -> Tensor:
         """(..., num_channels); angles within half a turn of what was measured (same shape)."""

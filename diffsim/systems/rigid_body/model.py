@@ -30,36 +30,24 @@ from diffsim.systems.rigid_body.toss import Mass, Tosses, added
 
 @dataclass(frozen=True, eq=False)
 class TossSetup:
-    """What all tosses of a study have in common.
+    """What all tosses of a study have in common."""
 
-    Attributes:
-        parameters: Quantities of the description: restitution, friction, gravity, ground, edges.
-        mass: What is known of the body's mass.
-        layout: What the channels show.
-    """
-
+    # quantities of the description: restitution, friction, gravity, ground, edges
     parameters: BaseParameters
-    mass: Mass
-    layout: PoseLayout
+    mass: Mass  # what is known of the body's mass
+    layout: PoseLayout  # what the channels show
 
 
 @dataclass(frozen=True, eq=False)
 class TossTable:
-    """All tosses of a study and how their start states follow from the records.
+    """All tosses of a study and how their start states follow from the records."""
 
-    Attributes:
-        thrown: What the tosses have in common.
-        tosses: All tosses, side by side.
-        shooting: Fit of the start states of all tosses.
-        place: Index of each run in ``tosses``, by name of the run.
-        latest: The last prediction of all tosses by its arguments: they are flown at once, and
-            asked for one by one.
-    """
-
-    thrown: TossSetup
-    tosses: Tosses
-    shooting: TossShooting
-    place: Mapping[str, int]
+    thrown: TossSetup  # what the tosses have in common
+    tosses: Tosses  # all tosses, side by side
+    shooting: TossShooting  # fit of the start states of all tosses
+    place: Mapping[str, int]  # index of each run in ``tosses``, by name of the run
+    # the last prediction of all tosses by its arguments: they are flown at once, and asked for one
+    # by one
     latest: Memo[Tensor] = memo_field(1)
 
     def predict(
@@ -123,15 +111,10 @@ class TossTable:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TossScene(Scene):
-    """One toss; what causes add is zero until they do.
+    """One toss; what causes add is zero until they do."""
 
-    Attributes:
-        run: Recorded toss.
-        table: All tosses of the study with their start states.
-    """
-
-    run: Run
-    table: TossTable
+    run: Run  # recorded toss
+    table: TossTable  # all tosses of the study with their start states
 
     def simulate(self) -> Tensor:
         """(..., num_samples, num_channels) with the best start state."""
@@ -254,18 +237,12 @@ class TossShooting:
     |W (measured - predicted(d))|^2 + |d / spread|^2 by Gauss-Newton with the tangents of the model
     at its prior; they are then a smooth function of all other parameters. The prediction is the
     profile over d: misfit that an initial state can explain is no evidence for anything.
-
-    Attributes:
-        start: First guess, (num_windows, 12).
-        measured: (num_windows, length, num_channels), zero where nothing was recorded.
-        tangent: d predicted / d start, (num_windows, length * num_channels, 12).
-        gain: Misfit to states, (num_windows, 12, length * num_channels).
     """
 
-    start: Tensor
-    measured: Tensor
-    tangent: Tensor
-    gain: Tensor
+    start: Tensor  # first guess, (num_windows, 12)
+    measured: Tensor  # (num_windows, length, num_channels), zero where nothing was recorded
+    tangent: Tensor  # d predicted / d start, (num_windows, length * num_channels, 12)
+    gain: Tensor  # misfit to states, (num_windows, 12, length * num_channels)
 
     @classmethod
     def prepare(

@@ -36,23 +36,14 @@ class Ball:
 
 @dataclass(frozen=True, eq=False)
 class Laws:
-    """Parameters of the motion on the ground.
+    """Parameters of the motion on the ground."""
 
-    Attributes:
-        table_friction: Coulomb coefficient while a ball slips [-].
-        rolling_resistance: Deceleration over gravity [-].
-        tilt: (..., 2) slope of the table, downhill positive [rad].
-        air_drag: Deceleration over speed squared [1/m].
-        inertia: Moment of inertia over mass and squared radius, I / (m r^2) [-].
-        gravity: Strength of gravity [m/s^2].
-    """
-
-    table_friction: Tensor
-    rolling_resistance: Tensor
-    tilt: Tensor
-    air_drag: Tensor
-    inertia: Tensor
-    gravity: Tensor
+    table_friction: Tensor  # Coulomb coefficient while a ball slips [-]
+    rolling_resistance: Tensor  # deceleration over gravity [-]
+    tilt: Tensor  # (..., 2) slope of the table, downhill positive [rad]
+    air_drag: Tensor  # deceleration over speed squared [1/m]
+    inertia: Tensor  # moment of inertia over mass and squared radius, I / (m r^2) [-]
+    gravity: Tensor  # strength of gravity [m/s^2]
 
 
 def moved(ball: Ball, time: Tensor, laws: Laws) -> Ball:

@@ -46,42 +46,26 @@ def added() -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Mass:
-    """What is known of the body's mass beside the edges of a box.
+    """What is known of the body's mass beside the edges of a box."""
 
-    Attributes:
-        inertia: Moments of inertia per mass, (3,) [m^2]; None: those of a box of even density.
-        is_even: Whether the three moments are equal.
-        has_corners: Whether it is a box, which may touch the ground.
-    """
-
+    # moments of inertia per mass, (3,) [m^2]; None: those of a box of even density
     inertia: tuple[float, float, float] | None = None
-    is_even: bool = True
-    has_corners: bool = True
+    is_even: bool = True  # whether the three moments are equal
+    has_corners: bool = True  # whether it is a box, which may touch the ground
 
 
 @dataclass(frozen=True, eq=False)
 class Tosses:
-    """Several tosses side by side, padded to the longest.
+    """Several tosses side by side, padded to the longest."""
 
-    Attributes:
-        time_s: (num_tosses, length) from 0; padded by its last frame.
-        corner: (num_tosses, 3) the one that hits first, entries 1 or -1.
-        touch_s: (num_tosses, 1) when it is near the ground.
-        turn: (num_tosses, 4) first quaternion, scalar part first.
-        hits: (num_tosses, 1) 1 where the record goes on through the impact, else 0.
-        face: (num_tosses, 3) 1 for the axis of the body that is upright at rest, else 0.
-        measured: (num_tosses, length, num_channels), NaN in the padding.
-        start: (num_tosses, 12) first guess: position, turn, velocity, body rates.
-    """
-
-    time_s: Tensor
-    corner: Tensor
-    touch_s: Tensor
-    turn: Tensor
-    hits: Tensor
-    face: Tensor
-    measured: Tensor
-    start: Tensor
+    time_s: Tensor  # (num_tosses, length) from 0; padded by its last frame
+    corner: Tensor  # (num_tosses, 3) the one that hits first, entries 1 or -1
+    touch_s: Tensor  # (num_tosses, 1) when it is near the ground
+    turn: Tensor  # (num_tosses, 4) first quaternion, scalar part first
+    hits: Tensor  # (num_tosses, 1) 1 where the record goes on through the impact, else 0
+    face: Tensor  # (num_tosses, 3) 1 for the axis of the body that is upright at rest, else 0
+    measured: Tensor  # (num_tosses, length, num_channels), NaN in the padding
+    start: Tensor  # (num_tosses, 12) first guess: position, turn, velocity, body rates
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Tosses:

@@ -21,30 +21,19 @@ CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)
 
 @dataclass(frozen=True)
 class Touch:
-    """Where a toss first touches the ground.
+    """Where a toss first touches the ground."""
 
-    Attributes:
-        corner: Index into ``CORNERS`` of the one that hits first.
-        touch: First frame with that corner near the ground.
-        end: Frames used, if the rebound counts; equal to ``touch`` if it cannot.
-    """
-
-    corner: int
-    touch: int
-    end: int
+    corner: int  # index into ``CORNERS`` of the one that hits first
+    touch: int  # first frame with that corner near the ground
+    end: int  # frames used, if the rebound counts; equal to ``touch`` if it cannot
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedPoses:
-    """Recorded motion of one body in the frame whose z points up.
+    """Recorded motion of one body in the frame whose z points up."""
 
-    Attributes:
-        place: (num_frames, 3) [m], NaN where nothing shows it.
-        turn: (num_frames, 4) quaternion, scalar part first; None if nothing shows it.
-    """
-
-    place: Array
-    turn: Array | None
+    place: Array  # (num_frames, 3) [m], NaN where nothing shows it
+    turn: Array | None  # (num_frames, 4) quaternion, scalar part first; None if nothing shows it
 
 
 def continuous(quaternions: Array) -> Array:
@@ -109,7 +98,6 @@ def start_facts(run: Run, poses: RecordedPoses, gravity: float) -> dict[str, flo
 
     Args:
         run: Recorded toss.
-        poses: Its motion.
         gravity: Strength of gravity [m/s^2].
     """
     few = slice(0, max(min(8, len(run.time_s)), 3))

@@ -21,19 +21,13 @@ TIP = "tip"  # name of the free end, before its mass
 
 @dataclass(frozen=True, eq=False)
 class RodShape:
-    """Elements of a straight rod with a round section.
+    """Elements of a straight rod with a round section."""
 
-    Attributes:
-        edges: (N + 1,) arc length from the base at the ends of the elements [m].
-        radius: (N,) radius at their middles [m].
-        area: (N,) mean area of the section [m^2].
-        inertia: (N,) harmonic mean of the section's second moment, about one axis [m^4]: what
-            counts for bending is the mean of its inverse.
-    """
-
-    edges: Tensor
-    radius: Tensor
-    area: Tensor
+    edges: Tensor  # (N + 1,) arc length from the base at the ends of the elements [m]
+    radius: Tensor  # (N,) radius at their middles [m]
+    area: Tensor  # (N,) mean area of the section [m^2]
+    # (N,) harmonic mean of the section's second moment, about one axis [m^4]: what counts for
+    # bending is the mean of its inverse
     inertia: Tensor
 
     @property
@@ -87,34 +81,23 @@ def rod_shape(at: Array, radius: Array, cells: int, breaks: Sequence[float]) -> 
 
 @dataclass(frozen=True, eq=False)
 class TendonPaths:
-    """Where tendons run in the sections.
-
-    Attributes:
-        offset: (num_tendons, N, 3) from the axis, in the frame of the section (along, y, z) [m].
-        slope: (num_tendons, N, 3) change of the offset per arc length [-].
-        end: (num_tendons,) arc length where they are fixed [m].
-    """
+    """Where tendons run in the sections."""
 
     names: tuple[str, ...]
+    # (num_tendons, N, 3) from the axis, in the frame of the section (along, y, z) [m]
     offset: Tensor
-    slope: Tensor
-    end: Tensor
+    slope: Tensor  # (num_tendons, N, 3) change of the offset per arc length [-]
+    end: Tensor  # (num_tendons,) arc length where they are fixed [m]
 
 
 @dataclass(frozen=True, eq=False)
 class RodPoints:
-    """Points fixed to sections: markers, and where masses sit.
-
-    Attributes:
-        at: (P,) arc length of their section [m].
-        offset: (P, 3) from the axis, in the frame of the section (along, y, z) [m].
-        element: (P,) element around each.
-    """
+    """Points fixed to sections: markers, and where masses sit."""
 
     names: tuple[str, ...]
-    at: Tensor
-    offset: Tensor
-    element: Tensor
+    at: Tensor  # (P,) arc length of their section [m]
+    offset: Tensor  # (P, 3) from the axis, in the frame of the section (along, y, z) [m]
+    element: Tensor  # (P,) element around each
 
 
 def points_on(
@@ -131,33 +114,22 @@ def points_on(
 
 @dataclass(frozen=True, eq=False)
 class RodLayout:
-    """Constants of a rod on one set of elements.
-
-    Attributes:
-        paths: Where tendons run.
-        markers: Points that are seen.
-        masses: Points that may weigh something: stated masses, markers and the tip.
-        base: (3, 3) columns along, y and z of the first section.
-        place: (3,) of the base [m].
-        gravity: (3,) acceleration of free fall [m/s^2].
-        columns: (num_channels,) of each channel among 3 coordinates of each marker.
-    """
+    """Constants of a rod on one set of elements."""
 
     shape: RodShape
-    paths: TendonPaths
-    markers: RodPoints
-    masses: RodPoints
-    base: Tensor
-    place: Tensor
-    gravity: Tensor
-    columns: Tensor
+    paths: TendonPaths  # where tendons run
+    markers: RodPoints  # points that are seen
+    masses: RodPoints  # points that may weigh something: stated masses, markers and the tip
+    base: Tensor  # (3, 3) columns along, y and z of the first section
+    place: Tensor  # (3,) of the base [m]
+    gravity: Tensor  # (3,) acceleration of free fall [m/s^2]
+    columns: Tensor  # (num_channels,) of each channel among 3 coordinates of each marker
 
 
 def layout_of(given: RodKeys, channels: Sequence[str], finer: float) -> RodLayout:
     """Cut a described rod into elements.
 
     Args:
-        given: Description.
         channels: Names of the channels, in the order of the study.
         finer: Factor on the number of elements.
     """

@@ -46,65 +46,40 @@ OVERSHOT = 1.05  # times the turn before
 
 
 class Survey(NamedTuple):
-    """What else is known of rods, in equilibrium or not; no gradients.
+    """What else is known of rods, in equilibrium or not; no gradients."""
 
-    Attributes:
-        frames: (K, S, N + 1, 3, 3) rotations of the sections at the edges.
-        nodes: (K, S, N + 1, 3) their places [m].
-        stretches: (K, S, N, 3) stretch and shears of the elements, 1 0 0 at rest [-].
-        tensions: (K, S, N, T) of the tendons at the middles of the elements [N].
-        residual: (K, S, N, 3) moment that is left over in the sections [N m].
-    """
-
-    frames: Tensor
-    nodes: Tensor
-    stretches: Tensor
-    tensions: Tensor
-    residual: Tensor
+    frames: Tensor  # (K, S, N + 1, 3, 3) rotations of the sections at the edges
+    nodes: Tensor  # (K, S, N + 1, 3) their places [m]
+    stretches: Tensor  # (K, S, N, 3) stretch and shears of the elements, 1 0 0 at rest [-]
+    tensions: Tensor  # (K, S, N, T) of the tendons at the middles of the elements [N]
+    residual: Tensor  # (K, S, N, 3) moment that is left over in the sections [N m]
 
 
 @dataclass(frozen=True, eq=False)
 class RodStatics:
     """All numbers of rods; the leading axes (...) are at most two, K points and S poses, each whole
     or one.
-
-    Attributes:
-        shape: Elements.
-        bending: (..., N, 3) stiffness against twist and two bendings [N m^2].
-        stretch: (..., N, 3) stiffness against stretch and two shears [N].
-        rest: (..., N, 3) strain of bending without loads [1/m].
-        stiffening: (...,) share by which bending stiffness grows with (radius times bend)^2 [-].
-        weight: (..., N, 3) weight of the elements [N].
-        points: Where masses sit.
-        loads: (..., P, 3) their weights [N].
-        base: (..., 3, 3) rotation of the base: its columns are along, y and z of the first section.
-        place: (..., 3) of the base [m].
-        offset: (..., T, N, 3) of the tendons from the axis [m].
-        slope: (..., T, N, 3) change of that per arc length [-].
-        share: (..., T, N) how much of an element a tendon runs through [-].
-        pull: (..., T) tension at the base [N].
-        friction: (...,) coefficient of friction of a tendon around bends [-].
-        wobble: (...,) loss of tension per length, as by a rough channel [1/m].
-        rubber: (...,) share by which pressed sections widen and stiffen as rubber does [-].
     """
 
-    shape: RodShape
-    bending: Tensor
-    stretch: Tensor
-    rest: Tensor
+    shape: RodShape  # elements
+    bending: Tensor  # (..., N, 3) stiffness against twist and two bendings [N m^2]
+    stretch: Tensor  # (..., N, 3) stiffness against stretch and two shears [N]
+    rest: Tensor  # (..., N, 3) strain of bending without loads [1/m]
+    # (...,) share by which bending stiffness grows with (radius times bend)^2 [-]
     stiffening: Tensor
-    weight: Tensor
-    points: RodPoints
-    loads: Tensor
+    weight: Tensor  # (..., N, 3) weight of the elements [N]
+    points: RodPoints  # where masses sit
+    loads: Tensor  # (..., P, 3) their weights [N]
+    # (..., 3, 3) rotation of the base: its columns are along, y and z of the first section
     base: Tensor
-    place: Tensor
-    offset: Tensor
-    slope: Tensor
-    share: Tensor
-    pull: Tensor
-    friction: Tensor
-    wobble: Tensor
-    rubber: Tensor
+    place: Tensor  # (..., 3) of the base [m]
+    offset: Tensor  # (..., T, N, 3) of the tendons from the axis [m]
+    slope: Tensor  # (..., T, N, 3) change of that per arc length [-]
+    share: Tensor  # (..., T, N) how much of an element a tendon runs through [-]
+    pull: Tensor  # (..., T) tension at the base [N]
+    friction: Tensor  # (...,) coefficient of friction of a tendon around bends [-]
+    wobble: Tensor  # (...,) loss of tension per length, as by a rough channel [1/m]
+    rubber: Tensor  # (...,) share by which pressed sections widen and stiffen as rubber does [-]
 
     def solve(
         self,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from diffsim.causes.channel_groups import ChannelGroup, channel_groups, channels_of
 from diffsim.causes.commands import CommandGroup
@@ -16,19 +18,66 @@ from diffsim.causes.plant import IN_TIME, Place, Plant
 from diffsim.causes.readings import Instrument, instrument_of, usual_sample
 from diffsim.causes.row import spell_plainly
 from diffsim.causes.scales import Scales
+from diffsim.core.rotation import matrix_from_rotation_vector
 from diffsim.core.units import GRAVITY
+from diffsim.data.study import Run
 from diffsim.identify.effect import Apply
 from diffsim.identify.unknown import Unknown, UnknownForce, smooth_covariance
-from diffsim.systems.soft_body import forces, loads, material, sensor
+from diffsim.systems.soft_body import forces, loads, material
 from diffsim.systems.soft_body.hanging import hang_slack
 from diffsim.systems.soft_body.readings import main_axis
-from diffsim.systems.soft_body.scene import CLOCK_RATE, NUMBERS
+from diffsim.systems.soft_body.scene import CLOCK_RATE, NUMBERS, SoftScene
 from diffsim.systems.soft_body.support import move_support
 from diffsim.systems.soft_body.unknown import unknown_force, unknown_pull
 
 if TYPE_CHECKING:
     from diffsim.data.study import Study
     from diffsim.systems.soft_body.body_keys import SoftBodyKeys
+
+
+def displace(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    """Everything measured, displaced by ``size``, (3,) [m]."""
+    axes = list(scene.axes)
+    return scene.with_reading((), lambda y, grid: y + size[axes][:, None])
+
+
+def tilt_camera(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    """Measured in axes that are turned by ``size``, a rotation vector (3,) [rad]."""
+    if scene.rest_places is None:
+        cross = torch.linalg.cross
+        return _change_points(scene, "sensor_tilt", lambda u: u + cross(size.expand_as(u), u))
+    return _change_points(scene, "sensor_tilt", lambda u: u @ matrix_from_rotation_vector(size).T)
+
+
+def distort(scene: SoftScene, size: Tensor, run: Run) -> SoftScene:
+    """Radial distortion y (1 + size |y|^2) of each point, (1,) [1/m^2]."""
+
+    def bend(u: Tensor) -> Tensor:
+        return u * (1.0 + size[0] * (u * u).sum(-1, keepdim=True))
+
+    return _change_points(scene, "lens", bend)
+
+
+def _change_points(scene: SoftScene, effect: str, change: Callable[[Tensor], Tensor]) -> SoftScene:
+    """Change displacements (num_samples, num_points, 3): of markers, else of the channels."""
+    rest = scene.rest_places
+    if rest is None:
+        _require_triples(scene, effect)
+        return scene.with_reading((), lambda y, grid: change(_split_triples(y.mT)).flatten(1).mT)
+    return scene.with_places(lambda y, t: rest + change(_split_triples(y - rest)).reshape(y.shape))
+
+
+def _split_triples(y: Tensor) -> Tensor:
+    return y.reshape(len(y), -1, 3)
+
+
+def _require_triples(scene: SoftScene, effect: str) -> None:
+    if scene.axes != (0, 1, 2) * (len(scene.axes) // 3):
+        raise ValueError(
+            f"{effect} needs channels in triples x, y, z, got the axes {scene.axes}; leave it out "
+            "of the library or give all three"
+        )
+
 
 SOFT_BODY = "soft_body"  # the kind of system, and its table
 BODY, TIMED = "body", "is_timed"  # of the scales: magnitudes of the body; whether time matters
@@ -53,9 +102,9 @@ FUNCTIONS: Mapping[str, Apply] = MappingProxyType(
         "tip_mass": loads.load_free_end,
         "load_inertia": loads.attach_load,
         "slack_string": hang_slack,
-        "placement": sensor.displace,
-        "sensor_tilt": sensor.tilt_camera,
-        "lens": sensor.distort,
+        "placement": displace,
+        "sensor_tilt": tilt_camera,
+        "lens": distort,
     }
 )
 

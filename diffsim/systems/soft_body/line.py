@@ -25,14 +25,10 @@ Key = tuple[Effect | None, int]
 
 @dataclass(frozen=True, eq=False)
 class OwnedScene:
-    """A scene, and of each of its extra forces the effect that added it.
+    """A scene, and of each of its extra forces the effect that added it."""
 
-    Attributes:
-        scene: Scene of one run, with the effects built in.
-        owners: One per entry of ``scene.makers``; None: it was there before all effects.
-    """
-
-    scene: SoftScene
+    scene: SoftScene  # scene of one run, with the effects built in
+    # one per entry of ``scene.makers``; None: it was there before all effects
     owners: tuple[Effect | None, ...]
 
     def makers(self) -> dict[Key, Callable[[], Force]]:
@@ -47,17 +43,11 @@ class OwnedScene:
 
 @dataclass(frozen=True, eq=False)
 class SceneLine:
-    """One line: the scenes at the points of its stencil.
+    """One line: the scenes at the points of its stencil."""
 
-    Attributes:
-        stencil: Difference formula for what is cheap to evaluate at its points.
-        points: Scenes at the stencil's offsets.
-        effect: Effect whose size moves along the line; None: a base parameter does.
-    """
-
-    stencil: Stencil
-    points: tuple[OwnedScene, ...]
-    effect: Effect | None
+    stencil: Stencil  # difference formula for what is cheap to evaluate at its points
+    points: tuple[OwnedScene, ...]  # scenes at the stencil's offsets
+    effect: Effect | None  # effect whose size moves along the line; None: a base parameter does
 
     def mapped(self, f: Callable[[float, Any], SoftScene]) -> SceneLine:
         """The line of the scenes f(offset, scene) at its points."""

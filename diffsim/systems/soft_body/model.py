@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from diffsim.causes.scene import Instruments
-from diffsim.core.checked import checked
+from diffsim.core.checked import checked_methods
 from diffsim.core.memo import Memo
 from diffsim.identify.effect import Effect
 from diffsim.identify.model import SimModel
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 NODE_COST = 4.0  # weighted steps of a node in a time step
 
 
+@checked_methods
 class SoftModel(SimModel):
     """A simulator whose ``build`` makes :class:`SoftScene`; arguments as for ``SimModel``.
 
@@ -51,7 +52,6 @@ class SoftModel(SimModel):
     num_poses: int = 0
     mesh_power = 3.0
 
-    @checked(kinds_only=True)
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction, see :meth:`SimModel.cost`."""
         if not self.num_nodes:
@@ -62,12 +62,10 @@ class SoftModel(SimModel):
             steps = float(run.time_s[-1] - run.time_s[0]) / (self.dt_s * n.time_step)
         return self.run_cost + NODE_COST * self.num_nodes / n.mesh**self.mesh_power * steps
 
-    @checked(kinds_only=True)
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes of one run, at once where only commands differ."""
         return simulate_together(scenes)
 
-    @checked(kinds_only=True)
     def shape_at(
         self,
         run: Run,
@@ -81,7 +79,6 @@ class SoftModel(SimModel):
             scene = self.scene(run, q, physical, numerics)
             return surface_of(scene) if isinstance(scene, SoftScene) else None
 
-    @checked(kinds_only=True)
     def tangents(
         self,
         run: Run,

@@ -22,18 +22,12 @@ _ONE = torch.ones((), dtype=torch.float64)
 
 
 class _Together(NamedTuple):
-    """A hook that is evaluated once for several points.
-
-    Attributes:
-        hook: The hook, of the same form at all of them.
-        idx: (n,) the points.
-        factor: (n, 1, 1) how many times as large the force is at each.
-    """
+    """A hook that is evaluated once for several points."""
 
     scene: SoftScene
-    hook: Force
-    idx: Tensor
-    factor: Tensor
+    hook: Force  # the hook, of the same form at all of them
+    idx: Tensor  # (n,) the points
+    factor: Tensor  # (n, 1, 1) how many times as large the force is at each
 
     @classmethod
     def of(cls, scene: SoftScene, hook: Force, points: Mapping[int, Tensor]) -> _Together:

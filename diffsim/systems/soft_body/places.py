@@ -102,7 +102,6 @@ def point_weights(mesh: AnyMesh, point: Array) -> tuple[IntArray, Array]:
     """Nodes and weights with place(point) = weights @ place(nodes), by the shape functions.
 
     Args:
-        mesh: Mesh at rest.
         point: Place inside, (3,) [m].
 
     Raises:

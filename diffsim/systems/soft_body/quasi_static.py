@@ -23,15 +23,11 @@ class PosedScene(SoftScene):
 
     With one command, poses are computed at evenly spaced values of it, each from the one before,
     and others by cubics between them; else every pose by itself.
-
-    Attributes:
-        pose_commands: (num_poses,) values of the only command at which poses are computed; None:
-            at every sample.
-        kept: Poses that were computed before, by what they depend on.
     """
 
+    # (num_poses,) values of the only command at which poses are computed; None: at every sample
     pose_commands: Tensor | None = None
-    kept: Memo[Tensor]
+    kept: Memo[Tensor]  # poses that were computed before, by what they depend on
 
     def simulate(self) -> Tensor:
         """Predicted channels, (num_samples, num_channels)."""
@@ -122,7 +118,6 @@ def posed(scene: SoftScene, commands: Tensor | None, kept: Memo[Tensor]) -> Pose
     """The scene as a sequence of equilibria.
 
     Args:
-        scene: Scene of a run.
         commands: Values of the only command at which poses are computed; None: at every sample.
         kept: Where poses are kept, shared by all scenes of a body.
     """

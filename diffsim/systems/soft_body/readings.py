@@ -102,23 +102,14 @@ class Clock(Part):
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Markers on one mesh, and channels as linear functions of their places.
+    """Markers on one mesh, and channels as linear functions of their places."""
 
-    Attributes:
-        markers: Names of the markers.
-        nodes: (n,) nodes that carry markers.
-        weights: (num_markers, n) place of each marker by the places of the nodes.
-        rest: (3 num_markers,) places at rest [m].
-        rows: (num_channels, 3 num_markers) of the channels.
-        turns: (num_channels,) which channels show rotations.
-    """
-
-    markers: tuple[str, ...]
-    nodes: Tensor
-    weights: Tensor
-    rest: Tensor
-    rows: Tensor
-    turns: Tensor
+    markers: tuple[str, ...]  # names of the markers
+    nodes: Tensor  # (n,) nodes that carry markers
+    weights: Tensor  # (num_markers, n) place of each marker by the places of the nodes
+    rest: Tensor  # (3 num_markers,) places at rest [m]
+    rows: Tensor  # (num_channels, 3 num_markers) of the channels
+    turns: Tensor  # (num_channels,) which channels show rotations
 
     def places(self, x: Tensor) -> Tensor:
         """Places of all markers in a row, (..., 3 num_markers), of nodes (..., V, 3)."""
@@ -141,8 +132,6 @@ def look_of(
     """Markers that the channels use, and how.
 
     Args:
-        mesh: Mesh of the body.
-        markers: Markers by name.
         readings: Names and readings of the channels, in the order of the study.
 
     Raises:
@@ -205,10 +194,8 @@ def seen(look: Look, camera: Camera, values: Mapping[str, Tensor], channels: Seq
     """Function of places (num_samples, 3 num_markers) and times that gives the channels.
 
     Args:
-        look: Markers and rows of the channels.
         camera: What displacements count from.
         values: Quantities of the run: ``camera_...``, and ``zero_`` and ``scale_`` of channels.
-        channels: Names of the channels.
     """
     turn = torch.stack([values[f"camera_{n}"] for n in ("roll", "pitch", "yaw")])
     rotation = matrix_from_rotation_vector(turn)

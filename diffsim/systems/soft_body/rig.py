@@ -277,6 +277,5 @@ def mesh_softness(coarse: float, fine: float, here: float) -> float:
 
     Args:
         coarse, fine: Compliance of the stated cells, and of cells half as long.
-        here: Compliance of the mesh in use.
     """
     return here / (fine + (fine - coarse) / 3.0)

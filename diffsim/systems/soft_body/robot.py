@@ -35,20 +35,13 @@ SCALED = {"stiffness": "youngs_modulus", "density": "density"}
 
 @dataclass(frozen=True, eq=False)
 class DescribedRobot:
-    """A soft body of a description, ready to be steered.
+    """A soft body of a description, ready to be steered."""
 
-    Attributes:
-        scene: The body with its parameters, drives, fluid, walls and weights.
-        look: Markers and where they are on the mesh.
-        commands: Names of the commands.
-        units: Unit of each command.
-        members: The body of each member of a batch, where they differ; empty: all are ``scene``.
-    """
-
-    scene: SoftScene
-    look: Look
-    commands: tuple[str, ...]
-    units: tuple[str, ...]
+    scene: SoftScene  # the body with its parameters, drives, fluid, walls and weights
+    look: Look  # markers and where they are on the mesh
+    commands: tuple[str, ...]  # names of the commands
+    units: tuple[str, ...]  # unit of each command
+    # the body of each member of a batch, where they differ; empty: all are ``scene``
     members: tuple[SoftScene, ...] = ()
 
     @classmethod

@@ -45,18 +45,13 @@ OutputMap = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Moment:
-    """State of one time step, which a force may depend on.
+    """State of one time step, which a force may depend on."""
 
-    Attributes:
-        x, v: Positions [m] and velocities [m/s] of the nodes, (num_nodes, 3).
-        time: Time since the start [s].
-        dt: Time step [s].
-    """
-
+    # x, v: positions [m] and velocities [m/s] of the nodes, (num_nodes, 3)
     x: Tensor
     v: Tensor
-    time: float
-    dt: float
+    time: float  # time since the start [s]
+    dt: float  # time step [s]
 
 
 class Force:
@@ -98,16 +93,12 @@ class Force:
 
 @dataclass(frozen=True, eq=False)
 class ForcePlace:
-    """A point of the body and a direction, along which a force may act.
+    """A point of the body and a direction, along which a force may act."""
 
-    Attributes:
-        shares: (num_nodes, 3) by which the point's displacement is that of the nodes; a force at
-            the point acts on them alike.
-        speed: Usual speed of the point [m/s].
-    """
-
+    # (num_nodes, 3) by which the point's displacement is that of the nodes; a force at the point
+    # acts on them alike
     shares: Tensor
-    speed: float
+    speed: float  # usual speed of the point [m/s]
 
 
 class PointForce(Force):

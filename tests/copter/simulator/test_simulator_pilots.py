@@ -160,11 +160,11 @@ HEADER = "time_s,roll,pitch,yaw,throttle\n"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "line 1: column time_s is missing.*nothing"),
-        ("time_s,roll,pitch,throttle\n0,0,0,0\n", "line 1: column yaw is missing"),
+        ("", "the file is empty; expected a header line with time_s"),
+        ("time_s,roll,pitch,throttle\n0,0,0,0\n", "column yaw is missing"),
         (HEADER + "0,0,0,0,0\n1,0,x,0,0\n", "line 3: pitch must be a number, got 'x'"),
-        (HEADER + "0,0,0,0,0\n1,0,0,0\n", "line 3: throttle must be a number"),
-        (HEADER + "0,0,0,0,0\n1,0,nan,0,0\n", "line 3: pitch must be finite"),
+        (HEADER + "0,0,0,0,0\n1,0,0,0\n", "row 3: 4 cells, but the header has 5"),
+        (HEADER + "0,0,0,0,0\n1,0,nan,0,0\n", "line 3: pitch must be a number, got 'nan'"),
         (HEADER + "0,0,0,0,0\n1,1500,0,0,0\n", r"line 3: roll must lie in \[-1, 1\].*microsec"),
         (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", "line 3: time_s must increase"),
         (HEADER + "1,0,0,0,0\n2,0,0,0,0\n", "line 2: time_s must start at 0"),

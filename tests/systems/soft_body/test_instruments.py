@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from diffsim.data.study import Channel
 from diffsim.diagnose import diagnose
 from diffsim.systems.registry import setup_of
-from diffsim.systems.soft_body.sensor import tilt_camera
+from diffsim.systems.soft_body.causes import tilt_camera
 from tests.systems.soft_body.described import BAR, TENDON, predicted, run_of, study_of
 
 STEP = 0.02
