@@ -181,7 +181,7 @@ class Problem(Coordinates, WhitenedRuns):
         sizes = self.sizes_at(x)
         self._require_finite(run, x[: self.num_base], sizes)
         out = self.model.predict(run, self._simulated_at(x), sizes, self.numerics)
-        return self._add_correction(run, self._of_shape(run, out, run.measured.shape))
+        return self._complete_prediction(run, out, run.measured.shape)
 
     def shape_at(self, run: Run, x: Tensor) -> MovingShape | None:
         """What moves in the run as it is simulated; None where models show nothing."""
@@ -193,59 +193,49 @@ class Problem(Coordinates, WhitenedRuns):
         q = x[..., : self.num_base]
         return q if self.correction is None else q + self.correction.shift
 
-    def _add_correction(self, run: Run, out: Tensor) -> Tensor:
-        return out if self.correction is None else out + self.correction.of(run)
-
-    def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
-        """(K, num_samples, num_channels) at K points."""
-        x = torch.stack(list(points))
-        return self._predict_many(Asked(run, self._simulated_at(x), self.sizes_at(x)))
-
-    def _predict_many(self, asked: Asked) -> Tensor:
-        """Predictions of a run at many points, as many at once as room allows."""
-        run, q, sizes = asked
-        self._require_finite(run, q, sizes)
-        parts = max(AT_ONCE // (LANES * max(run.measured.size, 1)), 1)
-        at_once = LANES * parts
-        each = [
-            self.model.predict_many(
-                run,
-                q[k : k + at_once],
-                {effect: size[k : k + at_once] for effect, size in sizes.items()},
-                self.numerics,
-            )
-            for k in range(0, max(len(q), 1), at_once)
-        ]
-        out = each[0] if len(each) == 1 else torch.cat(each)
-        return self._add_correction(run, self._of_shape(run, out, (len(q), *run.measured.shape)))
-
-    def _predict_each(self, asked: Sequence[Asked]) -> list[Tensor]:
-        """Predictions of several runs at many points each, as many at once as room allows."""
-        needed = [a.run.measured.size * len(a.q) for a in asked]
-        if not self.model.joins_runs or len(asked) == 1 or sum(needed) > AT_ONCE:
-            middle = len(asked) // 2
-            if not self.model.joins_runs or middle == 0:
-                return [self._predict_many(a) for a in asked]
-            return self._predict_each(asked[:middle]) + self._predict_each(asked[middle:])
-        for a in asked:
-            self._require_finite(*a)
-        return self._of_runs(asked, self.model.predict_each(asked, self.numerics))
-
-    def _of_runs(self, asked: Sequence[Asked], found: Sequence[Tensor]) -> list[Tensor]:
-        """Predictions of the model as those of the problem."""
-        shapes = ((*a.q.shape[:-1], *a.run.measured.shape) for a in asked)
-        return [
-            self._add_correction(a.run, self._of_shape(a.run, out, shape))
-            for a, out, shape in zip(asked, found, shapes, strict=True)
-        ]
-
-    def _of_shape(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
+    def _complete_prediction(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
+        """What the model predicts of a run, if it has the shape asked for, with the correction."""
         if tuple(out.shape) != shape:
             raise ValueError(
                 f"model {self.model.name} predicts {tuple(out.shape)} for run {run.name}, "
                 f"expected {shape}: samples and channels of its ``measured``"
             )
-        return out
+        return out if self.correction is None else out + self.correction.of(run)
+
+    def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
+        """(K, num_samples, num_channels) at K points."""
+        x = torch.stack(list(points))
+        asked = Asked(run, self._simulated_at(x), self.sizes_at(x))
+        return self._predict_each([asked])[0]
+
+    def _predict_each(self, asked: Sequence[Asked]) -> list[Tensor]:
+        """Predictions of runs at a point or many, as many at once as room allows."""
+        counts = [1 if a.q.ndim == 1 else len(a.q) for a in asked]
+        needed = sum(n * a.run.measured.size for n, a in zip(counts, asked, strict=True))
+        if needed > AT_ONCE and len(asked) > 1:
+            middle = len(asked) // 2
+            return self._predict_each(asked[:middle]) + self._predict_each(asked[middle:])
+        if needed > AT_ONCE and counts[0] > LANES:
+            run, q, sizes = asked[0]
+            middle = LANES * max(counts[0] // (2 * LANES), 1)
+            halves = [
+                Asked(run, q[half], {effect: size[half] for effect, size in sizes.items()})
+                for half in (slice(middle), slice(middle, None))
+            ]
+            return [torch.cat([self._predict_each([half])[0] for half in halves])]
+        for a in asked:
+            if a.q.ndim > 1:
+                self._require_finite(*a)
+        found = zip(asked, self.model.predict_each(asked, self.numerics), strict=True)
+        return [
+            self._complete_prediction(a.run, out, (*a.q.shape[:-1], *a.run.measured.shape))
+            for a, out in found
+        ]
+
+    def _points_of(self, run: Run, scaled: Tensor) -> Asked:
+        """A run at K points in scaled coordinates, (K, n)."""
+        sizes = self.sizes_of(scaled[:, self.num_base :])
+        return Asked(run, self._simulated_at(scaled), sizes)
 
     def record(self, x: Array) -> Array:
         """Predicted samples of all runs at x, (N,) [unit of the channel].
@@ -259,13 +249,9 @@ class Problem(Coordinates, WhitenedRuns):
             for first in self.runs[:1]:
                 self._require_finite(first, point[: self.num_base], sizes)
 
-        def each(runs: Sequence[Run]) -> list[Array]:
-            asked = [Asked(run, q, sizes) for run in runs]
-            with torch.no_grad():
-                found = self._of_runs(asked, self.model.predict_each(asked, self.numerics))
-            return [_finite(run, out.numpy()) for run, out in zip(runs, found, strict=True)]
-
-        return np.concatenate(self._compute_parts(each))
+        found = self._predict_all([Asked(run, q, sizes) for run in self.runs])
+        given = zip(self.runs, found, strict=True)
+        return np.concatenate([_finite(run, out.numpy()) for run, out in given])
 
     def residual(self, x: Array) -> Array:
         """(num_valid,) whitened residual of all runs."""
@@ -298,13 +284,10 @@ class Problem(Coordinates, WhitenedRuns):
         Args:
             points: Standardized coordinates, (K, n).
         """
-        given = [torch.from_numpy(np.array(x)) for x in points]
-
-        def one(run: Run) -> Array:
-            with torch.no_grad():
-                return self.predict_many(run, given).numpy().reshape(len(given), -1)
-
-        return np.concatenate(self._compute_each(one), axis=1)
+        x = torch.from_numpy(np.array(points))
+        q, sizes = self._simulated_at(x), self.sizes_at(x)
+        found = self._predict_all([Asked(run, q, sizes) for run in self.runs])
+        return np.concatenate([out.numpy().reshape(len(x), -1) for out in found], axis=1)
 
     def linearize(
         self, x: Array, *, screen: bool = False, only: Sequence[int] | None = None
@@ -358,39 +341,31 @@ class Problem(Coordinates, WhitenedRuns):
             for run in self.runs
         }
 
-        def many(runs: Sequence[Run], points: Sequence[Tensor]) -> list[Tensor]:
-            return self._predict_each(
-                [
-                    Asked(run, self._simulated_at(u), self.sizes_of(u[:, self.num_base :]))
-                    for run, u in zip(runs, points, strict=True)
-                ]
-            )
-
         def one(run: Run) -> tuple[Array, Array]:
             return self.jacobian.columns(
-                lambda points: many([run], [torch.stack(list(points))])[0],
+                lambda points: self._predict_each(
+                    [self._points_of(run, torch.stack(list(points)))]
+                )[0],
                 point,
                 own[run.name],
                 quick=quick.intersection(own[run.name]),
                 tangents=lambda stencils: self._tangents(run, point, stencils),
             )
 
-        def each(runs: Sequence[Run]) -> list[Array]:
-            if self.model.joins_runs and self.jacobian.method != "forward_mode":
-                points = [difference_points(point, own[run.name]) for run in runs]
-                with torch.no_grad():
-                    found = many(runs, points)
-                parts = [
-                    differences(rows.numpy().reshape(len(rows), -1), own[run.name])
-                    for run, rows in zip(runs, found, strict=True)
-                ]
-            else:
-                parts = [one(run) for run in runs]
-            for run, (_, columns) in zip(runs, parts, strict=True):
-                of_run[run.name][:, [place[i] for i in own[run.name]]] = columns
-            return [_finite(run, here) for run, (here, _) in zip(runs, parts, strict=True)]
-
-        return np.concatenate(self._compute_parts(each)), slopes
+        if self.model.joins_runs and self.jacobian.method != "forward_mode":
+            points = [difference_points(point, own[run.name]) for run in self.runs]
+            rows = self._predict_all([*map(self._points_of, self.runs, points)])
+            columns_of = [
+                differences(found.numpy().reshape(len(found), -1), own[run.name])
+                for run, found in zip(self.runs, rows, strict=True)
+            ]
+        else:
+            columns_of = self._compute_each(one, self.runs)
+        record = []
+        for run, (here, columns) in zip(self.runs, columns_of, strict=True):
+            of_run[run.name][:, [place[i] for i in own[run.name]]] = columns
+            record.append(_finite(run, here))
+        return np.concatenate(record), slopes
 
     def _choose_stencils(self, x: Array, idx: Sequence[int], screen: bool) -> dict[int, Stencil]:
         """Difference formulas along scaled coordinates, inward at bounds."""
@@ -437,9 +412,8 @@ class Problem(Coordinates, WhitenedRuns):
         self.model.note_derivatives(run, len(stencils), self.numerics)
         here, columns = given
         shape = run.measured.shape
-        columns = self._of_shape(run, columns, (len(stencils), *shape))
-        here = self._add_correction(run, self._of_shape(run, here, shape))
-        return here.numpy().ravel(), columns.reshape(len(stencils), -1).numpy().T
+        here = self._complete_prediction(run, here, shape)
+        return here.numpy().ravel(), columns.reshape(len(stencils), here.numel()).numpy().T
 
     def _point(self, scaled: Tensor) -> ModelPoint:
         return ModelPoint(self._simulated_at(scaled), self.sizes_of(scaled[self.num_base :]))
@@ -491,29 +465,21 @@ class Problem(Coordinates, WhitenedRuns):
             (grad,) = torch.autograd.grad((predicted * given).sum(), leaf)
             return value, np.asarray(grad.numpy())
 
-        parts = self._compute_each(one)
+        parts = self._compute_each(one, self.runs)
         return sum(p[0] for p in parts), np.asarray(np.sum([p[1] for p in parts], axis=0))
 
-    def _compute_each(self, job: Callable[[Run], Any]) -> list[Any]:
-        return self._compute_parts(lambda runs: [job(run) for run in runs], most=1)
+    def _predict_all(self, asked: Sequence[Asked]) -> list[Tensor]:
+        """Predictions as of ``_predict_each`` without gradients, in a part for each worker."""
+        predict, size = torch.no_grad()(self._predict_each), -(-len(asked) // self.workers)
+        parts = [asked[k : k + size] for k in range(0, len(asked), size or 1)]
+        return [out for part in self._compute_each(predict, parts) for out in part]
 
-    def _compute_parts(
-        self, job: Callable[[Sequence[Run]], list[Any]], most: int | None = None
-    ) -> list[Any]:
-        """What a job makes of each run; of all at once, or of as many parts as there are workers.
-
-        Args:
-            job: Runs -> one value each.
-            most: Runs of a part; None: as many as workers leave.
-        """
-        if self.workers <= 1:
-            return job(self.runs)
-        size = most or -(-len(self.runs) // self.workers)
-        parts = [self.runs[k : k + size] for k in range(0, len(self.runs), size)]
-        with ThreadPoolExecutor(self.workers) as pool:
-            contexts = [copy_context() for _ in parts]  # records of solves go along
-            found = pool.map(lambda c, part: c.run(job, part), contexts, parts)
-            return [value for part in found for value in part]
+    def _compute_each(self, job: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+        if self.workers > 1:
+            with ThreadPoolExecutor(self.workers) as pool:
+                contexts = [copy_context() for _ in items]  # records of solves go along
+                return list(pool.map(lambda c, item: c.run(job, item), contexts, items))
+        return [job(item) for item in items]
 
 
 def _finite(run: Run, predicted: Array) -> Array:

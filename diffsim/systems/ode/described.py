@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache, partial
 from typing import Any
@@ -17,21 +17,21 @@ from diffsim.causes.readings import with_play_start
 from diffsim.causes.scene import PLAY_START, Commands
 from diffsim.causes.signals import Grid, late_by
 from diffsim.core.arrays import Array
+from diffsim.core.checked import checked_methods
 from diffsim.core.expression import Expression
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.identify.model import SimModel
-from diffsim.identify.numerics import Numerics
+from diffsim.identify.model import Asked, SimModel, joined
+from diffsim.identify.numerics import NumericalEffect, Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.first_commands import FEWEST_READINGS, LATE, is_heard_at_once
 from diffsim.systems.ode.gaps import Gap
 from diffsim.systems.ode.keys import Events, FormulaKeys, Place, Store, Swing
-from diffsim.systems.ode.model import OdeModel
 from diffsim.systems.ode.names import data_values, facts_of, scalars
 from diffsim.systems.ode.network import TIME, Network
 from diffsim.systems.ode.pieces import Piece, start_name
-from diffsim.systems.ode.scene import OdeScene
+from diffsim.systems.ode.scene import OdeScene, simulate_together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +155,33 @@ class FormulaSystem:
     def formulas(self) -> str:
         """What the model is made of, in text."""
         return repr((self.keys, self.parts, self.held))
+
+
+@checked_methods
+class OdeModel(SimModel):
+    """A model whose scenes are systems of formulas, of several runs at once."""
+
+    leaves_zeros = True
+    joins_runs = True
+
+    def predict_each(
+        self, asked: Sequence[Asked], numerics: Numerics | None = None
+    ) -> list[Tensor]:
+        """Predictions as of ``SimModel``, with the same bits, those of few points together."""
+        every = (pair for a in asked for pair in a.sizes.items())
+        is_refined = any(isinstance(e, NumericalEffect) and bool(s.any()) for e, s in every)
+        if torch.is_grad_enabled() or is_refined:
+            return super().predict_each(asked, numerics)
+        made: list[tuple[list[list[int]], list[Any]]] = []
+        for run, q, sizes in asked:
+            self.note_simulations(run, 1 if q.ndim == 1 else len(q), numerics)
+            if q.ndim == 1:
+                made.append(([], [self.scene(run, q, sizes, numerics)]))
+            else:
+                made.append(self.grouped_scenes(run, q, sizes, numerics))
+        found = iter(simulate_together([scene for _, scenes in made for scene in scenes]))
+        parts = [(rows, [next(found) for _ in scenes]) for rows, scenes in made]
+        return [joined(rows, own) if rows else own[0] for rows, own in parts]
 
 
 def model_of(system: FormulaSystem) -> SimModel:
