@@ -62,7 +62,7 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     said = _say_laws(report, laws, _say_turn(report, by_name))
     first, *more = report.sentences
     acting = (by_name[row.name].entry for row in rows)
-    levels = {entry.target for entry in acting if entry.kind in OF_NUMBERS}
+    levels = {part.target for e in acting if e.kind in OF_NUMBERS for part in e.parts or (e,)}
     far = [row.words for row in report.base if row.name in levels and abs(row.pull) > row.limit]
     more += [f"The level of {words} cannot be told from that of its law." for words in far]
     # a law is claimed where something that was not fitted could contradict it
@@ -80,7 +80,7 @@ def in_words(report: Report, found: FoundLaws) -> Report:
     words = {law.name: _depends(law) for law in found.laws}
     held = {effect.name for effect in report.best.problem.effects}
     acting = (law.entry for law in found.laws if law.name in held)
-    levels = {entry.target for entry in acting if entry.kind in OF_NUMBERS}
+    levels = {part.target for e in acting if e.kind in OF_NUMBERS for part in e.parts or (e,)}
     rows = (
         replace(
             row,
@@ -232,6 +232,7 @@ _ROUNDED_POWER = re.compile(rf"{VALUE}\*\({VALUE}\*\*2 \+ [^()]+\)\*\*\(\(([^()]
 
 def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: Fit) -> str:
     what, on = _what(law), law.variable.name
+    on += f" ({VALUE})" if law.variable.parts else ""
     size = numbers.get("amplitude")
     amount = "" if size is None else f", {_amount(size, law.unit)}"
     like = f"; looks like {' or '.join(looks)}" if looks else ""
@@ -268,7 +269,9 @@ def _write_term(law: Law, fit: Fit) -> str:
     for short, name in values.items():
         if name in fit.values:
             text = re.sub(rf"\b{short}\b", figure(fit.values[name]), text)
-    text = re.sub(rf"\b{VALUE}\b", law.variable.own_name, _shorten(text))
+    text = _shorten(text)
+    if not law.variable.parts:  # of which each place has its own
+        text = re.sub(rf"\b{VALUE}\b", law.variable.own_name, text)
     return text if law.variable.times is None else f"{law.variable.times.name}*{text}"
 
 
