@@ -16,7 +16,15 @@ from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import UNCONTRADICTED
-from diffsim.diagnose.judge.records import CERTAIN, DATA_SHEET, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
+from diffsim.diagnose.judge.records import (
+    CERTAIN,
+    DATA_SHEET,
+    HALF_LEVEL,
+    LIKELY,
+    UNTOLD,
+    CauseRow,
+    Interval,
+)
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
     DescribedLaw,
@@ -196,6 +204,10 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     fit = report.best
     status = row.status if row.status in (CERTAIN, LIKELY) else POSSIBLE
     numbers = {}
+    # as the answer states them: over all sets of causes, widened to the spread over runs left out
+    intervals = {b.name: Interval(b.value, b.low, b.high) for b in report.base}
+    if row.size:
+        intervals[law.name] = next(iter(row.size.values()))
     size = "rate" if law.term.startswith("exp(size") else "amplitude"
     for short, name, unit in (
         (size, law.name, law.unit),
@@ -203,13 +215,17 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     ):
         if name not in fit.values:  # of a law beside the best set
             continue
-        value, sd = fit.values[name], fit.sd[name] * report.interval_factor
-        value_shown = abs(value) if short == "amplitude" and law.form == "periodic" else value
+        value, half = fit.values[name], HALF_LEVEL * float(fit.sd[name]) * report.interval_factor
+        told = intervals.get(name, Interval(value, value - half, value + half))
+        # what runs left out say may lie aside of the value that the model holds
+        low, high = min(told.low, value), max(told.high, value)
+        if short == "amplitude" and law.form == "periodic" and value < 0.0:
+            value, low, high = -value, -high, -low
         if short == "swing_rate":
-            short, value_shown, sd, unit = "frequency", value / math.tau, sd / math.tau, "Hz"
+            short, unit = "frequency", "Hz"
+            value, low, high = value / math.tau, low / math.tau, high / math.tau
         short = {"lasting": "time", "slip_reach": "threshold"}.get(short, short)
-        half = HALF_LEVEL * float(sd)
-        numbers[short] = Number(value_shown, value_shown - half, value_shown + half, unit)
+        numbers[short] = Number(value, low, high, unit)
     entry = {"kind": law.entry.kind, "target": law.entry.target}
     looks = look_alikes(law)
     return DescribedLaw(
