@@ -40,7 +40,7 @@ class Entry:
         unit: Unit of the term.
         scale: Usual magnitude there [unit]: a term of a tenth of it would be no surprise.
         channel: Index of the channel, of a reading.
-        per: Formula of what the term is divided by; "": nothing.
+        per: Formula of what the term is divided by; None: nothing.
         parts: Alike entries at all of which one law acts; (): it is one entry.
     """
 
@@ -49,7 +49,7 @@ class Entry:
     unit: str
     scale: float
     channel: int = -1
-    per: str = ""
+    per: str | None = None
     parts: tuple[Entry, ...] = ()
 
     @property
