@@ -161,7 +161,8 @@ def _numeric_time(
     step = float(np.median(np.abs(np.diff(now)))) if len(now) > 1 else 0.0
     unit, todo, how = column.unit, [], ""
     if unit is None:
-        unit = unit_of_clock(column.base)
+        # "elapsed s": of a clock its last word may be a unit, which elsewhere is a letter
+        unit = unit_of_clock(column.base) or unit_of_clock(column.name.rpartition(" ")[2])
     if unit is None or (unit != "-" and to_si(unit).unit != "s") or unit == "-":
         if (since := _unit_since_1970(now, step)) is not None:
             unit, how = since, " since 1970 by its values"

@@ -335,7 +335,8 @@ def _with_laws(
     elif budget.is_short:
         asked = asked.within(budget.steps)
     if budget.is_short:
-        targets = {law.entry.target for law in found.laws}
+        entries = [law.entry for law in found.laws]
+        targets = {part.target for entry in entries for part in entry.parts or (entry,)}
         kept = names | found.beside | _names_near_best(answer, targets)
         effects = tuple(e for e in effects if e.name in kept)
     try:

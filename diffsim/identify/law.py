@@ -40,6 +40,8 @@ class Entry:
         unit: Unit of the term.
         scale: Usual magnitude there [unit]: a term of a tenth of it would be no surprise.
         channel: Index of the channel, of a reading.
+        per: Formula of what the term is divided by; None: nothing.
+        parts: Alike entries at all of which one law acts; (): it is one entry.
     """
 
     kind: Where
@@ -47,6 +49,8 @@ class Entry:
     unit: str
     scale: float
     channel: int = -1
+    per: str | None = None
+    parts: tuple[Entry, ...] = ()
 
     @property
     def words(self) -> str:
@@ -86,6 +90,7 @@ class Variable:
         is_turn: Whether laws that repeat are tried: states, readings and time, not what is hidden.
         at: Words of the entries at which a law of it may enter; (): all.
         times: What all of a law of it is multiplied by; None: nothing.
+        parts: At alike entries, what stands for it at each; (): the same everywhere.
     """
 
     name: str
@@ -100,10 +105,16 @@ class Variable:
     is_turn: bool = False
     at: tuple[str, ...] = ()
     times: Variable | None = None
+    parts: tuple[Variable, ...] = ()
+
+    def at_parts(self, entry: Entry) -> tuple[tuple[Entry, Variable], ...]:
+        """Where a law of it enters, and what it depends on there."""
+        where = entry.parts or (entry,)
+        return tuple(zip(where, self.parts or (self,) * len(where), strict=True))
 
     def may_be_at(self, entry: Entry) -> bool:
-        """Whether a law of it may enter somewhere."""
-        return not self.at or entry.words in self.at
+        """Whether a law of it may enter somewhere; at several places at once if it is plain."""
+        return entry.words in self.at or not (self.at or (entry.parts and self.memory))
 
     @property
     def own_name(self) -> str:

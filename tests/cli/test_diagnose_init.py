@@ -753,6 +753,16 @@ def test_a_unit_of_the_clock_that_is_guessed_says_how_long_runs_would_be(tmp_pat
     )
 
 
+def test_the_last_word_of_a_clock_may_be_its_unit(tmp_path, capsys):
+    """Steps of 2 s of a hopper, whose header said so, were taken for milliseconds."""
+    for k in range(2):
+        clock = 2.0 * np.arange(len(T))
+        write(tmp_path / f"r{k}.csv", "elapsed s,x (mm),force_N", [clock, noisy(k), T > 200])
+    assert init(tmp_path) == 0
+    assert "clock: column elapsed s in s, steps of 2 s" in capsys.readouterr().out
+    assert not any(one.startswith("time.unit") for one in load_study(tmp_path).todo)
+
+
 def test_a_serial_log_with_remarks_is_a_table(tmp_path):
     """A banner above the names, a remark between rows: `.log` was no table, a remark an error."""
     rows = [f"{2000 * k},{20.0 + 0.1 * (k % 7):.2f},{0.6 * (k % 9 < 4):.1f}" for k in range(60)]

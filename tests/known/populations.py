@@ -145,7 +145,9 @@ def slopes_of(study: Callable[[Path], Study]) -> Callable[[Path], Mapping[str, A
         if setup.bank:
             out["bank"] = [[r.name, r.time_s, r.measured, r.command, r.setup] for r in setup.bank]
         if (laws := setup.laws) is not None:
-            known, entries = laws.variables(), list(laws.entries)
+            # alike places one by one: all at once are in tests/diagnose/discover/test_alike.py
+            entries = [entry for entry in laws.entries if not entry.parts]
+            known = [variable for variable in laws.variables() if not variable.parts]
             out["entries"] = entries
             out["variables"] = [[v.name, v.formula, v.unit, v.at, v.numbers] for v in known]
             at_once = [v for v in known if not v.memory][-2 * FEW :]

@@ -16,7 +16,15 @@ from diffsim.diagnose.discover.screen import Candidate
 from diffsim.diagnose.discover.stage import TABLE, FittedLaw, FoundLaws
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import UNCONTRADICTED
-from diffsim.diagnose.judge.records import CERTAIN, DATA_SHEET, HALF_LEVEL, LIKELY, UNTOLD, CauseRow
+from diffsim.diagnose.judge.records import (
+    CERTAIN,
+    DATA_SHEET,
+    HALF_LEVEL,
+    LIKELY,
+    UNTOLD,
+    CauseRow,
+    Interval,
+)
 from diffsim.diagnose.say.law_records import (
     DESCRIBED,
     DescribedLaw,
@@ -62,7 +70,7 @@ def with_laws_said(report: Report, found: FoundLaws) -> Report:
     said = _say_laws(report, laws, _say_turn(report, by_name))
     first, *more = report.sentences
     acting = (by_name[row.name].entry for row in rows)
-    levels = {entry.target for entry in acting if entry.kind in OF_NUMBERS}
+    levels = {part.target for e in acting if e.kind in OF_NUMBERS for part in e.parts or (e,)}
     far = [row.words for row in report.base if row.name in levels and abs(row.pull) > row.limit]
     more += [f"The level of {words} cannot be told from that of its law." for words in far]
     # a law is claimed where something that was not fitted could contradict it
@@ -80,7 +88,7 @@ def in_words(report: Report, found: FoundLaws) -> Report:
     words = {law.name: _depends(law) for law in found.laws}
     held = {effect.name for effect in report.best.problem.effects}
     acting = (law.entry for law in found.laws if law.name in held)
-    levels = {entry.target for entry in acting if entry.kind in OF_NUMBERS}
+    levels = {part.target for e in acting if e.kind in OF_NUMBERS for part in e.parts or (e,)}
     rows = (
         replace(
             row,
@@ -196,6 +204,10 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     fit = report.best
     status = row.status if row.status in (CERTAIN, LIKELY) else POSSIBLE
     numbers = {}
+    # as the answer states them: over all sets of causes, widened to the spread over runs left out
+    intervals = {b.name: Interval(b.value, b.low, b.high) for b in report.base}
+    if row.size:
+        intervals[law.name] = next(iter(row.size.values()))
     size = "rate" if law.term.startswith("exp(size") else "amplitude"
     for short, name, unit in (
         (size, law.name, law.unit),
@@ -203,13 +215,17 @@ def _describe(report: Report, law: Law, row: CauseRow) -> DescribedLaw:
     ):
         if name not in fit.values:  # of a law beside the best set
             continue
-        value, sd = fit.values[name], fit.sd[name] * report.interval_factor
-        value_shown = abs(value) if short == "amplitude" and law.form == "periodic" else value
+        value, half = fit.values[name], HALF_LEVEL * float(fit.sd[name]) * report.interval_factor
+        told = intervals.get(name, Interval(value, value - half, value + half))
+        # what runs left out say may lie aside of the value that the model holds
+        low, high = min(told.low, value), max(told.high, value)
+        if short == "amplitude" and law.form == "periodic" and value < 0.0:
+            value, low, high = -value, -high, -low
         if short == "swing_rate":
-            short, value_shown, sd, unit = "frequency", value / math.tau, sd / math.tau, "Hz"
+            short, unit = "frequency", "Hz"
+            value, low, high = value / math.tau, low / math.tau, high / math.tau
         short = {"lasting": "time", "slip_reach": "threshold"}.get(short, short)
-        half = HALF_LEVEL * float(sd)
-        numbers[short] = Number(value_shown, value_shown - half, value_shown + half, unit)
+        numbers[short] = Number(value, low, high, unit)
     entry = {"kind": law.entry.kind, "target": law.entry.target}
     looks = look_alikes(law)
     return DescribedLaw(
@@ -232,6 +248,7 @@ _ROUNDED_POWER = re.compile(rf"{VALUE}\*\({VALUE}\*\*2 \+ [^()]+\)\*\*\(\(([^()]
 
 def _sentence(law: Law, numbers: dict[str, Number], looks: Sequence[str], fit: Fit) -> str:
     what, on = _what(law), law.variable.name
+    on += f" ({VALUE})" if law.variable.parts else ""
     size = numbers.get("amplitude")
     amount = "" if size is None else f", {_amount(size, law.unit)}"
     like = f"; looks like {' or '.join(looks)}" if looks else ""
@@ -268,7 +285,9 @@ def _write_term(law: Law, fit: Fit) -> str:
     for short, name in values.items():
         if name in fit.values:
             text = re.sub(rf"\b{short}\b", figure(fit.values[name]), text)
-    text = re.sub(rf"\b{VALUE}\b", law.variable.own_name, _shorten(text))
+    text = _shorten(text)
+    if not law.variable.parts:  # of which each place has its own
+        text = re.sub(rf"\b{VALUE}\b", law.variable.own_name, text)
     return text if law.variable.times is None else f"{law.variable.times.name}*{text}"
 
 

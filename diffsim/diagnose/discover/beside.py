@@ -74,7 +74,7 @@ def best_pairs(screen: Screen, causes: Sequence[CauseAlong]) -> tuple[list[Pair]
     Returns:
         The pairs, the best first, and how many were weighed.
     """
-    laws = list({(c.entry, c.variable.name): c for c in reversed(screen.found)}.values())
+    laws = list({(c.entry, c.variable.name): c for c in reversed(screen.holding)}.values())
     laws = sorted(laws, key=lambda c: c.rank)[:MOST_PAIRED]
     count = len(laws) * len(causes)
     if not count:

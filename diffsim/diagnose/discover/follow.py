@@ -92,6 +92,38 @@ class Reach:
         return np.concatenate([run.basis.T @ part for run, part in each])
 
 
+@dataclass(frozen=True)
+class JointReach:
+    """What one law at several alike entries does; a variable may be another one at each.
+
+    Attributes:
+        parts: What terms at each entry do.
+    """
+
+    parts: tuple[Reach, ...]
+
+    @property
+    def runs(self) -> tuple[ReachInRun, ...]:
+        """Those of the first entry."""
+        return self.parts[0].runs
+
+    def columns(self, terms: Sequence[Array]) -> Array:
+        """Whitened response, (num_valid, num_terms).
+
+        Args:
+            terms: Terms at the samples of each run, the same at all entries or those of one entry
+                below those of the other.
+        """
+        out = []
+        for k, reach in enumerate(self.parts):
+            own = []
+            for run, every in zip(reach.runs, terms, strict=True):
+                count = run.spread.shape[1]
+                own.append(every if len(every) == count else every[k * count : (k + 1) * count])
+            out.append(reach.columns(own))
+        return np.asarray(sum(out[1:], out[0]))
+
+
 def _reach_of(
     problem: Problem, gains: Gains, responses: Array, to_knots: sparse.csr_array
 ) -> ReachInRun:
@@ -185,8 +217,12 @@ class FollowedRecord:
     jacobian: Array  # whitened slopes by the coordinates of the fit, (num_valid, n)
     chi2: float  # misfit with the course
 
-    def reach(self, port: LawPort, entry: Entry) -> Reach | None:
+    def reach(self, port: LawPort, entry: Entry) -> Reach | JointReach | None:
         """What terms at an entry do; None where they must be simulated."""
+        parts = [self.reach(port, part) for part in entry.parts]
+        if parts:
+            known = tuple(part for part in parts if isinstance(part, Reach))
+            return JointReach(known) if len(known) == len(parts) else None
         out = []
         for k, (problem, x) in enumerate(zip(self.problems, self.points, strict=True)):
             found = port.gains(problem, x, entry)

@@ -18,9 +18,9 @@ from scipy import linalg
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import DiffsimError
-from diffsim.diagnose.discover.follow import FollowedRecord, Reach
+from diffsim.diagnose.discover.follow import FollowedRecord, JointReach, Reach
 from diffsim.diagnose.discover.forms import Curve, LawMisfit
-from diffsim.diagnose.search.evidence import AMPLITUDES
+from diffsim.diagnose.search.evidence import AMPLITUDES, KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Fit, Problem
 from diffsim.identify.gaussian import Gaussian
@@ -144,8 +144,23 @@ class Screen:
     weigher: Weigher
     found: tuple[Candidate, ...]
     courses: Mapping[int, Sequence[Array]]
-    reaches: Mapping[Entry, Reach | None]
+    reaches: Mapping[Entry, Reach | JointReach | None]
     simulated: Mapping[tuple[Entry, int], Array]
+
+    @cached_property
+    def holding(self) -> tuple[Candidate, ...]:
+        """The laws but for those at several places that explain no more than at one of them alone,
+        be it of what they are fitted to or of what was left out: at the others such a law only
+        follows what else is missing."""
+        one = {(c.entry, c.variable.name, c.basis.wave): c for c in self.found}
+        out = []
+        for c in self.found:
+            at = c.variable.at_parts(c.entry) if c.entry.parts else ()
+            places = ((part, own.name, c.basis.wave) for part, own in at)
+            alone = [one[place] for place in places if place in one]
+            if all(min(c.nats - o.nats, c.gained - o.gained) > KEEP_NATS for o in alone):
+                out.append(c)
+        return tuple(out)
 
     def values(self, candidate: Candidate) -> Sequence[Array]:
         """A law's variable along the recordings, (num_samples,) for each run."""
@@ -181,7 +196,7 @@ class Screen:
         screen, nats = replace(self, courses=courses), list[float]()
         for entry in entries:
             reach = self.reaches[entry]
-            if entry.kind not in WITH_PAIRS or reach is None:
+            if entry.kind not in WITH_PAIRS or not isinstance(reach, Reach):
                 continue
             plain = {c.variable.name: c for c in self.found if c.entry == entry and c.is_plain}
             own = []
@@ -227,8 +242,9 @@ class Screen:
         return LawMisfit(curve.u, *told, self._is_of_number(candidate))
 
     def _is_of_number(self, candidate: Candidate) -> bool:
-        is_free = candidate.entry.target in self.followed.fit.problem.names
-        return candidate.entry.kind == "number" and is_free
+        entry, names = candidate.entry, self.followed.fit.problem.names
+        is_free = all(part.target in names for part in entry.parts or (entry,))
+        return entry.kind == "number" and is_free
 
     def with_law(self, law: Candidate) -> Screen:
         """What laws would explain beside one that stands, of those that explain anything alone."""
@@ -273,15 +289,20 @@ def screen_laws(
     entries = port.entries
     weigher = Weigher.of(followed)
     variables = port.variables()
-    along = followed.courses(port, variables)
-    courses = {id(v): [course[:, i] for course in along] for i, v in enumerate(variables)}
+    plain = [v for v in variables if not v.parts]
+    along = followed.courses(port, plain)
+    courses = {id(v): [course[:, i] for course in along] for i, v in enumerate(plain)}
+    for v in (v for v in variables if v.parts):
+        each = [courses[id(part)] for part in v.parts]
+        courses[id(v)] = [np.concatenate(run) for run in zip(*each, strict=True)]
     most_work = MOST_WORK / max(len(entries) * sum(v.is_turn for v in variables), 1)
-    reaches: dict[Entry, Reach | None] = {}
+    reaches: dict[Entry, Reach | JointReach | None] = {}
     dear: list[tuple[Variable, _AtEntry]] = []
     for k, entry in enumerate(entries):
         progress("laws", 0.5 * k / len(entries), f"at {entry.words}")
         reaches[entry] = followed.reach(port, entry)
-    seen = {e: (r, weigher.seen_by(r)) for e, r in reaches.items() if r and e.kind != "input"}
+    at_one = {e: r for e, r in reaches.items() if isinstance(r, Reach) and e.kind != "input"}
+    seen = {e: (r, weigher.seen_by(r)) for e, r in at_one.items()}
     waves = {
         id(v): _repeating(
             {e: s for e, s in seen.items() if v.may_be_at(e)}, courses[id(v)], most_work
@@ -297,7 +318,9 @@ def screen_laws(
             dear += [(variable, at) for variable in own]
         else:
             numbers = {id(v): waves.get(id(v), {}).get(entry, []) for v in own}
-            out += at.weigh(own, courses, numbers)
+            for has_parts in (False, True):  # values of each place below those of the others
+                alike = [v for v in own if bool(v.parts) is has_parts]
+                out += at.weigh(alike, courses, numbers)
     # what is there at once is tried before what lasts, its own past before that of others
     dear.sort(key=lambda d: (bool(d[0].memory), d[0].of not in ("", d[1].entry.target)))
     simulated: dict[tuple[Entry, int], Array] = {}
@@ -359,7 +382,7 @@ class _AtEntry:
     weigher: Weigher
     port: LawPort
     entry: Entry
-    reach: Reach | None
+    reach: Reach | JointReach | None
 
     def weigh(
         self,

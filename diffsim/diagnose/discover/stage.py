@@ -191,7 +191,9 @@ def _begins_at_each(fitted: Sequence[FittedLaw], laws: Sequence[Law]) -> tuple[B
     """Where a search begins: at all formulas of the first law, and one of each other law of its
     variable: elsewhere it may do nearly the same, which slopes from afar do not show."""
     begins: dict[frozenset[str], Begin] = {}
-    of = [f for f in fitted if f.candidate.variable == fitted[0].candidate.variable]
+    variables = [f.candidate.variable for f in fitted]
+    names = [{part.name for part in v.parts or (v,)} for v in variables]
+    of = [f for f, own in zip(fitted, names, strict=True) if own & names[0]]
     for k, f in enumerate(of):
         for begin_at in list(_begins_of(f, laws))[: 1 if k else None]:
             begins.setdefault(frozenset(begin_at.sizes), begin_at)
@@ -263,7 +265,7 @@ def _with_best_fitted(screen: Screen, fit: Fit, port: LawPort, most_steps: float
     """The screen with the first of its best laws that keeps what it promises, or the one that keeps
     most: slopes of one law may hold nowhere near, such as of a mass whose frequency is off."""
     tried = [_ScreenWithFit(screen, None, None, sum(len(c.basis.tried) for c in screen.found))]
-    for candidate in _choose(screen.found, KEEP_NATS)[:NUM_JUDGING]:
+    for candidate in _choose(screen.holding, KEEP_NATS)[:NUM_JUDGING]:
         law = _fit_law(screen, fit, candidate, port, (), most_steps)
         kept = 0.0 if law is None else law.nats
         tried.append(replace(tried[0], candidate=candidate, law=law, kept=kept))
@@ -287,7 +289,7 @@ def _rounds(
     for _ in MOST_LAWS:
         fitted: list[FittedLaw] = []
         least = max(KEEP_NATS + float(np.log(max(len(screen.found), 1))), NEXT_SHARE * first)
-        for candidate in _choose(screen.found, least):
+        for candidate in _choose(screen.holding, least):
             # along the recordings nats are others than in the simulator: like is held against like
             best = max((min(f.nats, f.candidate.nats) for f in fitted), default=0.0)
             is_fitted = candidate is screened.candidate  # it costs nothing more

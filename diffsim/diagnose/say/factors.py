@@ -13,7 +13,7 @@ from diffsim.diagnose.judge.records import CauseRow, Interval
 
 WIDEST = 0.06  # of a factor: a wider interval holds it by chance
 SAME = 0.03  # of a factor: closer ones are one
-GAINS = ("command_gain", "sensor_scale")  # causes whose size is a factor less one
+GAINS = ("command_gain", "gain_inside", "sensor_scale")  # causes whose size is a factor less one
 _COUNTED: tuple[tuple[float, str], ...] = (
     (4.0, "is a gear counted twice"),
     (0.25, "is a gear counted twice"),

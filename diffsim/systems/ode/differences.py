@@ -11,7 +11,7 @@ from diffsim.systems.ode.network import Network, filled, named
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference of two places in a definition.
+    """A difference of two places in a definition, or of a place and what it shall follow.
 
     Attributes:
         node: As it is written there.
@@ -47,7 +47,7 @@ class Difference:
 
 
 def differences(network: Network) -> dict[str, Difference]:
-    """The first difference of two places in each definition, by its name."""
+    """The first such difference in each definition, by its name."""
     found = ((n, next(_find(e.root, network), None)) for n, e in network.definitions.items())
     return {name: first for name, first in found if first is not None}
 
@@ -62,10 +62,13 @@ def _find(node: Node, network: Network) -> Iterator[Difference]:
         return
     if node.operation == "sub":
         places = [_place_in(part, network) for part in node.parts]
+        goals = [_is_input(part, network) for part in node.parts]
         if all(places) and places[0] != places[1]:
             is_plain = all(isinstance(part, Name) for part in node.parts)
             speeds = (_speed_of(place, network) for place in places)
             yield Difference(node, tuple(speeds) if is_plain else None)
+        elif any(places) and any(goals):
+            yield Difference(node, None)  # what a controller makes of its speeds stays
     for part in node.parts:
         yield from _find(part, network)
 
@@ -77,6 +80,13 @@ def _place_in(node: Node, network: Network) -> str:
     states = names & network.rates.keys()
     is_alone = len(states) == 1 and not names & (network.inputs.keys() | network.definitions.keys())
     return next((s for s in states if _speed_of(s, network)), "") if is_alone else ""
+
+
+def _is_input(node: Node, network: Network) -> bool:
+    """Whether a formula is made of one input alone, beside numbers: what a controller follows."""
+    names = set(_formula_of(node).names)
+    is_alone = not names & (network.rates.keys() | network.definitions.keys())
+    return is_alone and len(names & network.inputs.keys()) == 1
 
 
 def _speed_of(place: str, network: Network) -> str:

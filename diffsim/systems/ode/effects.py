@@ -32,7 +32,9 @@ from diffsim.systems.ode.joint_effects import (
     late_inside,
     limited_inside,
     loses_by_sign,
+    made_larger,
     pose_of,
+    without_gain,
 )
 from diffsim.systems.ode.law_effects import law_effects
 from diffsim.systems.ode.library import SHARE_OF_USUAL, Library
@@ -112,11 +114,13 @@ def plant_of(library: Library) -> Plant:
     def coupling(place: str, name: str) -> Apply:
         return elastic_coupling(library, places[place][0], name)
 
+    numbers = tuple(system.base.quantities)
     current, pose = current_of(library.study.channels), pose_of(library.study.channels)
     functions: dict[str, Any] = {
         "extra_inertia": inertia,
         COUPLING: coupling,
         "delay_inside": partial(late_inside, library),
+        "gain_inside": partial(made_larger, library),
         LIMIT: partial(limited_inside, library),
         SLACK: partial(slack_inside, library),
         "slow_share": come_slowly,
@@ -137,7 +141,7 @@ def plant_of(library: Library) -> Plant:
         channels=library.study.channels,
         commands={name: "held" if held else "straight" for name, held in system.held.items()},
         ways=input_ways(library),
-        numbers=tuple(system.base.quantities),
+        numbers=numbers,
         places=_list_places(library),
         stores=_list_stores(library),
         facts={
@@ -146,6 +150,7 @@ def plant_of(library: Library) -> Plant:
         },
         parts={
             "definition": {name: name for name in closed_loops(system.network)},
+            "drive": {name: name for name in without_gain(system.network, numbers)},
             "difference": {name: name for name in differences(system.network)},
         },
         functions=functions,

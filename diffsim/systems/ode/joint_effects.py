@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 
+import numpy as np
 from torch import Tensor
 
 from diffsim.causes.signals import SignalMap, late_by
@@ -226,6 +227,37 @@ def limited_inside(library: Library, definition: str, name: str) -> Apply:
     most = f"{library.usual[definition]!r}/max(size, {_NO_LIMIT!r})"
     formula = filled(parse_expression(f"now + (clip(plain, -{most}, {most}) - plain)"), parts)
     return by_formulas(Change(names={definition: formula}), symbol(name))
+
+
+def made_larger(library: Library, definition: str, name: str) -> Apply:
+    """A definition that is larger by a share: a gear counted twice, another constant of a motor.
+
+    Args:
+        definition: Name of the definition.
+        name: Name of the effect.
+    """
+    plain = library.system.network.definitions[definition]
+    parts = {"now": named(definition), "plain": plain, "size": named(symbol(name))}
+    formula = filled(parse_expression("now + size*plain"), parts)
+    return by_formulas(Change(names={definition: formula}), symbol(name))
+
+
+def without_gain(network: Network, numbers: Iterable[str]) -> tuple[str, ...]:
+    """Controllers of several numbers, none of which is a factor of all they do.
+
+    Args:
+        numbers: Names of the model's parameters.
+    """
+    rng, out = np.random.default_rng(0), []
+    for name in closed_loops(network):
+        formula = written_out(network.definitions[name], network)
+        at = rng.uniform(0.5, 1.5, len(formula.names))
+        value = formula.on_floats(*formula.names)
+        own = [k for k, n in enumerate(formula.names) if n in set(numbers)]
+        left = [value(*np.where(np.arange(len(at)) == k, 0.0, at)) for k in own]
+        if len(own) > 1 and all(math.isfinite(v) and v != 0.0 for v in left):
+            out.append(name)
+    return tuple(out)
 
 
 def _come_late(

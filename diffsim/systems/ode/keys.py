@@ -262,6 +262,9 @@ class OwnEffect(Part):
         None, description="What `term` is a factor of, instead: 1 where size is 0"
     )
     term: Formula | None = Field(None, description="Formula of the term or factor")
+    adds: dict[str, Formula] = Field(
+        {}, description="Instead of `adds_to`: what is added to each of several, by their names"
+    )
     changes: dict[str, Formula] = Field(
         {},
         description="New formulas instead, by name of a definition, input, parameter or channel; "
@@ -320,8 +323,10 @@ class OwnEffect(Part):
         has_target = self.adds_to is not None or self.multiplies is not None
         if has_target != (self.term is not None):
             raise ValueError("adds_to or multiplies needs a term, and a term one of them")
-        if not has_target and not self.changes:
+        if not has_target and not self.changes and not self.adds:
             raise ValueError("it changes nothing; give adds_to or multiplies with term, or changes")
+        if both := sorted({*self.adds} & {*self.changes, self.adds_to, self.multiplies}):
+            raise ValueError(f"adds and another key change {both[0]}; give one of them")
         return self
 
 

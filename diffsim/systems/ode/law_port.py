@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,7 +15,8 @@ import torch
 from torch import Tensor
 
 from diffsim.core.arrays import Array
-from diffsim.core.expression import Expression, parse_expression
+from diffsim.core.expression import Expression, parse_expression, syntax_tree
+from diffsim.core.units import NO_UNIT, factor
 from diffsim.data.columns_beside import outputs_of
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
@@ -34,8 +37,6 @@ from diffsim.identify.problem import Problem
 from diffsim.identify.setup import LawPort, law_effect
 from diffsim.identify.whitening import WhiteNoise
 from diffsim.systems.ode.applying import entering, symbol
-from diffsim.systems.ode.described import FormulaSystem
-from diffsim.systems.ode.keys import Place
 from diffsim.systems.ode.library import Library
 from diffsim.systems.ode.network import TIME, Change, filled, named, product
 from diffsim.systems.ode.scene import OdeScene, at_start
@@ -47,6 +48,12 @@ GIVING_WAY = (0.03, 0.1, 0.3)
 SWINGING = tuple(0.02 * 8.0 ** (k / 23) for k in range(24))
 SLOW_SHARE = 0.5  # of the usual speed of a place, below which it rests
 LIGHTLY = 0.05  # damping ratio of a hidden mass that nobody knows
+
+_FLOWS = ("W", "N", "N m", "m^3/s", "kg/s", "A")  # units in which what drives a rate is said
+_OWN = "its own"
+MOST_LISTED = 3  # names of alike places; of more the first and the last
+#: what tells names of alike numbers apart: h1 and h2, k_left and k_right, kpx and kpy
+_OWN_PART = re.compile(r"\d+|_[A-Za-z]+$|(?<=[a-z])[A-Zxyz]$")
 
 _HIDDEN = "hidden"  # what a hidden state is called in blocks
 _RATE = "hidden_rate"
@@ -60,17 +67,14 @@ class OdeLaws(LawPort):
     library: Library  # names and usual magnitudes of the described system
 
     @property
-    def system(self) -> FormulaSystem:
-        """The description with its formulas parsed."""
-        return self.library.system
-
-    @property
     def entries(self) -> Sequence[Entry]:
-        """Places, rates that nothing else tells, numbers, inputs and channels."""
-        return tuple(self._list_entries())
+        """Places, rates that nothing else tells, numbers, inputs and channels; alike ones at once,
+        too."""
+        one = tuple(self._list_entries())
+        return (*one, *_alike_entries(one, self.library, self._units()))
 
     def _list_entries(self) -> Iterator[Entry]:
-        motion, library = self.system.motion, self.library
+        motion, library = self.library.system.motion, self.library
         places = library.places
         for place, scale in places:
             yield Entry("force", place.name, place.unit, scale.force)
@@ -80,25 +84,22 @@ class OdeLaws(LawPort):
             if state in mechanical or text.strip() in motion.states:
                 continue
             yield Entry("rate", state, "1/s", self._usual_rate(state))
-        used = self._names_in_use()
-        for name, q in self.system.keys.parameters.items():
+        network = self.library.system.network
+        formulas = (*network.rates.values(), *network.definitions.values())
+        # names that rates, definitions and readings are made of
+        used = {n for e in (*formulas, *network.readings.values()) for n in e.names}
+        for name, q in self.library.system.keys.parameters.items():
             if name not in used:
                 continue
             if q.sd is not None and q.sd >= abs(q.value):  # a share of what may be zero says little
                 yield Entry("value", name, q.unit, q.sd)
             elif q.value != 0.0:
                 yield Entry("number", name, "-", 1.0)
-        for name in self.system.held if motion.states else ():
+        for name in self.library.system.held if motion.states else ():
             reach = library.scales.of_commands((name,))["reach"]
             unit = next((c.unit for c in self.study.commands if c.name == name), None)
             yield Entry("input", name, unit or "-", reach)
         yield from reading_entries(self.study)
-
-    def _names_in_use(self) -> set[str]:
-        """Names that rates, definitions and readings are made of."""
-        network = self.system.network
-        formulas = (*network.rates.values(), *network.definitions.values())
-        return {n for e in (*formulas, *network.readings.values()) for n in e.names}
 
     def _usual_rate(self, state: str) -> float:
         for store, scale in self.library.stores:
@@ -114,19 +115,23 @@ class OdeLaws(LawPort):
 
     def variables(self) -> Sequence[Variable]:
         """What the model knows, what was recorded beside it, and memories of these."""
-        return (*self._list_plain(), *self._list_memories())
+        plain = tuple(self._list_plain())
+        own = (v for e in self.entries if e.parts for v in _own_variables(e, plain, self.library))
+        return (*plain, *own, *self._list_memories())
 
     def _list_plain(self) -> Iterator[Variable]:
-        motion, runs = self.system.motion, self.study.fit_runs
-        names = dict.fromkeys((*motion.states, *self.system.held, *self.system.keys.define))
+        motion, runs = self.library.system.motion, self.study.fit_runs
+        names = dict.fromkeys(
+            (*motion.states, *self.library.system.held, *self.library.system.keys.define)
+        )
         units = self._units()
         for name in names:
             yield Variable(name, name, units.get(name, "-"), is_turn=True)
-        for channel, text in self.system.keys.readings.items():
+        for channel, text in self.library.system.keys.readings.items():
             if text.strip() not in names:
                 yield Variable(channel, f"({text})", units.get(channel, "-"), is_turn=True)
-        outputs = outputs_of(self.study) if self.system.columns else ()
-        for column in (name for name in self.system.columns if name not in outputs):
+        outputs = outputs_of(self.study) if self.library.system.columns else ()
+        for column in (name for name in self.library.system.columns if name not in outputs):
             unit = units.get(column, "-")
             yield Variable(column, column, unit, columns=(column,), is_turn=True)
         if motion.states:
@@ -139,19 +144,19 @@ class OdeLaws(LawPort):
         out = {c.name: c.unit for c in self.study.channels}
         out |= {c.name: c.unit for c in self.study.commands if c.unit}
         out |= {c.name: c.unit for c in self.study.columns if c.unit}
-        for channel, text in self.system.keys.readings.items():
+        for channel, text in self.library.system.keys.readings.items():
             out.setdefault(text.strip(), out[channel])
-        for place in self.system.motion.places:
+        for place in self.library.system.motion.places:
             out[place.position] = place.position_unit
             out[place.velocity] = f"{place.position_unit}/s"
         return out
 
     def _list_memories(self) -> Iterator[Variable]:
         library = self.library
-        if not self.system.motion.states:
+        if not self.library.system.motion.states:
             return
         longest = library.scales.longest_s
-        signals = dict.fromkeys((*self.system.motion.states, *self.system.held))
+        signals = dict.fromkeys((*self.library.system.motion.states, *self.library.system.held))
         for name in signals:
             for share in LASTING:
                 time = {_LASTING: share * longest}
@@ -236,7 +241,7 @@ class OdeLaws(LawPort):
 
     @property
     def _driven_states(self) -> list[str]:
-        motion = self.system.motion
+        motion = self.library.system.motion
         return [s for s, text in motion.rates.items() if text.strip() not in motion.states]
 
     def gains(self, problem: Problem, x: Array, entry: Entry) -> Gains:
@@ -247,7 +252,7 @@ class OdeLaws(LawPort):
         scene = self._scene(problem, x, problem.runs[0]).with_change(change, zero)
         with torch.no_grad():
             _, states = scene.solved()
-        solver = self.system.network.solver(scene.changes)
+        solver = self.library.system.network.solver(scene.changes)
         ode, times = solver.ode, scene.grid.times
         unit = torch.zeros(len(times), dtype=torch.float64, requires_grad=True)
         values = {TIME: times, **dict(zip(ode.rates, states.unbind(-1), strict=True))}
@@ -275,7 +280,7 @@ class OdeLaws(LawPort):
 
     def courses(self, problem: Problem, x: Array, variables: Sequence[Variable]) -> list[Array]:
         """Variables as a problem simulates them, (num_samples, num_variables) for each run."""
-        network = self.system.network
+        network = self.library.system.network
         out = []
         for run in problem.runs:
             scene = self._scene(problem, x, run)
@@ -295,19 +300,24 @@ class OdeLaws(LawPort):
         self, entry: Entry, variable: Variable, terms: Sequence[str], name: str, typical: float
     ) -> Effect:
         """An effect whose components are the factors of terms of a variable."""
-        change, value = self._read(variable, name)
         symbols = [f"{symbol(name)} {k}" for k in range(len(terms))]
-        total = parse_expression("0")
-        for text, factor in zip(terms, symbols, strict=True):
-            term = filled(parse_expression(text, (VALUE,)), {VALUE: value})
-            parts = {"before": total, "factor": named(factor), "term": term}
-            total = filled(parse_expression("before + factor*term"), parts)
-        if variable.times is not None:
-            factor_text = variable.times.formula
-            total = product(total, parse_expression(factor_text, self._names_for(variable)))
+        change = Change()
+        each = variable.at_parts(entry) if entry.parts else ((entry, variable),)
+        for part, own in each:
+            read, value = self._read(own, name)
+            change = replace(read, rates=change.rates, names=change.names, readings=change.readings)
+            total = parse_expression("0")
+            for text, size in zip(terms, symbols, strict=True):
+                term = filled(parse_expression(text, (VALUE,)), {VALUE: value})
+                parts = {"before": total, "factor": named(size), "term": term}
+                total = filled(parse_expression("before + factor*term"), parts)
+            if own.times is not None:
+                factor_text = own.times.formula
+                total = product(total, parse_expression(factor_text, self._names_for(own)))
+            change = self._enter(part, total, change)
         apply = partial(
             _apply_terms,
-            change=self._enter(entry, total, change),
+            change=change,
             symbols=tuple(symbols),
             numbers=self._numbers(variable, name),
         )
@@ -333,32 +343,49 @@ class OdeLaws(LawPort):
             states[s]: self._start(parse_expression(h.start, known), parts)
             for s, h in variable.states.items()
         }
-        columns = {n: self.system.columns[n] for n in variable.columns}
+        columns = {n: self.library.system.columns[n] for n in variable.columns}
         change = Change(states=rates, starts=starts, inputs=columns)
         return change, filled(parse_expression(variable.formula, known), parts)
 
     def _names_for(self, variable: Variable) -> tuple[str, ...]:
-        return (*self.system.known, *variable.columns)
+        return (*self.library.system.known, *variable.columns)
 
     def _start(self, formula: Expression, parts: Mapping[str, Expression]) -> Expression:
-        begins = {s: named(at_start(s)) for s in self.system.motion.states}
+        begins = {s: named(at_start(s)) for s in self.library.system.motion.states}
         return filled(formula, {**parts, **begins})
 
     def _enter(self, entry: Entry, total: Expression, change: Change) -> Change:
         """The term added where it enters."""
-        made = entering(self.system, entry.kind, entry.target, total)
-        return replace(change, rates=made.rates, names=made.names, readings=made.readings)
-
-    def _place(self, name: str) -> Place:
-        return next(place for place, _ in self.library.places if place.name == name)
+        if entry.per:
+            per = parse_expression(entry.per, self.library.system.known)
+            total = filled(parse_expression("flow/per"), {"flow": total, "per": per})
+        made = entering(self.library.system, entry.kind, entry.target, total)
+        return replace(
+            change,
+            rates={**change.rates, **made.rates},
+            names={**change.names, **made.names},
+            readings={**change.readings, **made.readings},
+        )
 
     def action(self, law: Law) -> Mapping[str, Any]:
         """What a law changes, in the keys of a cause of formulas."""
         entry, variable = law.entry, law.variable
+        states = {s: {"rate": h.rate, "start": h.start} for s, h in variable.states.items()}
         term = put_variable(law.term, variable)
+        if entry.parts:
+            added = {}
+            for part, own in variable.at_parts(entry):
+                one = self.action(replace(law, entry=part, variable=own))
+                if "multiplies" in one:
+                    added[part.target] = f"{part.target}*({one['term']} - 1)"
+                else:
+                    added[one["adds_to"]] = one["term"]
+            return {"adds": added, "states": states}
         target = {"adds_to": entry.target}
-        if entry.kind == "force":
-            place = self._place(entry.target)
+        if entry.per:
+            term = f"({term})/({entry.per})"
+        elif entry.kind == "force":
+            place = next(p for p, _ in self.library.places if p.name == entry.target)
             if place.force is None:
                 target = {"adds_to": place.velocity}
                 term = f"({term})/({place.inertia})"
@@ -366,8 +393,104 @@ class OdeLaws(LawPort):
                 target = {"adds_to": place.force}
         elif entry.kind == "number":
             target, term = {"multiplies": entry.target}, f"1 + ({term})"
-        states = {s: {"rate": h.rate, "start": h.start} for s, h in variable.states.items()}
         return {**target, "term": term, "states": states}
+
+
+def _alike_entries(
+    entries: Sequence[Entry], library: Library, units: Mapping[str, str]
+) -> Iterator[Entry]:
+    """One entry for each group of alike ones, at all of which one law may act: zones, joints.
+
+    What radiates, sags or rubs in one of them mostly does so in all, each by its own value. Tried
+    at one place alone, such a law explains a part, and the parts are found one by one or not at
+    all.
+
+    Args:
+        units: Units of states, by name.
+    """
+    groups: dict[tuple[str, ...], list[Entry]] = {}
+    for entry in entries:
+        if entry.kind == "rate" and (unit := units.get(entry.target, NO_UNIT)) != NO_UNIT:
+            flow = _as_flow(entry, library, unit)
+            groups.setdefault((entry.kind, unit, flow.unit), []).append(flow)
+        elif entry.kind == "force":
+            place = next(p for p, _ in library.places if p.name == entry.target)
+            groups.setdefault((entry.kind, entry.unit, place.position_unit), []).append(entry)
+        elif entry.kind == "number" and (stem := _OWN_PART.sub("#", entry.target)) != entry.target:
+            said = library.system.keys.parameters[entry.target].unit
+            groups.setdefault((entry.kind, said, stem), []).append(entry)
+        elif entry.kind in ("input", "reading") and entry.unit != NO_UNIT:
+            groups.setdefault((entry.kind, entry.unit), []).append(entry)
+    for parts in groups.values():
+        if len(parts) > 1:
+            targets = [part.target for part in parts]
+            is_row = len(targets) > MOST_LISTED
+            listed = f"{targets[0]} to {targets[-1]}" if is_row else " and ".join(targets)
+            scale = float(np.sqrt(np.mean([part.scale**2 for part in parts])))
+            yield Entry(
+                parts[0].kind, f"each of {listed}", parts[0].unit, scale, parts=tuple(parts)
+            )
+
+
+def _own_variables(
+    entry: Entry, variables: Iterable[Variable], library: Library
+) -> Iterator[Variable]:
+    """What a law at alike entries may depend on that is another one at each: its own value.
+
+    Args:
+        variables: Those that are the same everywhere.
+    """
+    plain = {v.formula: v for v in variables if not v.memory}
+    places = {place.name: place for place, _ in library.places}
+    read = library.system.keys.readings
+    kinds = {"force": ("position", "speed"), "number": ()}
+    for what in kinds.get(entry.kind, ("value",)):
+        found = []
+        for part in entry.parts:
+            if entry.kind == "force":
+                place = places[part.target]
+                formula = place.position if what == "position" else place.velocity
+            elif entry.kind == "reading":
+                formula = read[part.target].strip()
+            else:
+                formula = part.target
+            found += [v for key in (formula, f"({formula})") if (v := plain.get(key))]
+        if len(found) == len(entry.parts):
+            own = replace(found[0], name=f"{_OWN} {what}", at=(entry.words,), is_turn=False)
+            yield replace(own, parts=tuple(found))
+
+
+def _as_flow(entry: Entry, library: Library, unit: str) -> Entry:
+    """What drives a rate, before a constant divides it, such as the heat into a zone."""
+    system = library.system
+    try:
+        root = syntax_tree(system.motion.rates[entry.target].strip())
+    except (SyntaxError, ValueError):  # written over several lines
+        return entry
+    if not (isinstance(root, ast.BinOp) and isinstance(root.op, ast.Div)):
+        return entry
+    per = ast.unparse(root.right)
+    formula, numbers = parse_expression(per), system.keys.parameters
+    if not formula.names or not {*formula.names} <= {*numbers}:
+        return entry
+    size = formula.on_floats(*formula.names)(*(numbers[n].value for n in formula.names))
+    if not (math.isfinite(size) and size):
+        return entry
+    said = numbers[per].unit if per in numbers else NO_UNIT
+    return replace(entry, per=per, scale=entry.scale * abs(size), unit=_flow_unit(said, unit))
+
+
+def _flow_unit(per: str, unit: str) -> str:
+    """Unit of what a constant divides to give a rate; none where it is none of the usual ones."""
+    if per == NO_UNIT:
+        return NO_UNIT
+    for flow in _FLOWS:
+        try:
+            if math.isclose(factor(f"({per})*{unit}/s", flow), 1.0):
+                return flow
+        except ValueError:
+            continue
+    return NO_UNIT
 
 
 def _apply_terms(

@@ -70,7 +70,8 @@ def _say_form(block: OwnEffect) -> str:
         return f"{block.term} is added to {block.adds_to}."
     if block.multiplies is not None:
         return f"{block.multiplies} times {block.term}."
-    return "; ".join(f"{k} becomes {v}" for k, v in block.changes.items()) + "."
+    added = [f"{v} is added to {k}" for k, v in block.adds.items()]
+    return "; ".join([*added, *(f"{k} becomes {v}" for k, v in block.changes.items())]) + "."
 
 
 def _make_change(
@@ -108,12 +109,19 @@ def _make_change(
         else:
             parts_of_new = {"before": named(target), "term": term}
             made[target] = filled(parse_expression(f"before {operator} term"), parts_of_new)
+    for name, text in block.adds.items():
+        term = read(f"adds.{name}", text)
+        if name in states:
+            rates[name] = term
+        else:
+            parts_of_new = {"before": named(name), "term": term}
+            made[name] = filled(parse_expression("before + term"), parts_of_new)
     new, readings = {}, {}
     for name in (*made, *block.changes):
         is_known = name in channels or (name in known and name not in states)
         if not is_known:
             reader.report(
-                f"{where}.{key}",
+                f"{where}.{'adds' if name in block.adds else key}",
                 f"{name!r} is no state, definition, input, parameter or channel of the model"
                 if name not in states
                 else f"{name!r} is a state: change its rate by adds_to or multiplies",

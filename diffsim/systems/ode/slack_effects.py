@@ -1,4 +1,5 @@
-"""Slack inside a description: a difference of two places within which nothing is pulled.
+"""Slack inside a description: a difference of two places within which nothing is pulled, or of a
+place and what a controller makes it follow.
 
 A belt, gear or cable between two places is a definition such as ``k*(motor - load)``. Commands know
 nothing of its play, and an added force at either place would have to be the spring itself.

@@ -66,6 +66,9 @@ def test_a_hidden_cogging_is_described(cogs):
         number = law.numbers[name]
         assert number.low < truth < number.high and number.unit == unit
         assert number.high - number.low < 0.2 * truth
+    (size,) = next(c for c in cogs.causes if c.name == law.name).size.values()
+    told = law.numbers["amplitude"]  # as the answer states it, wider than one set's at its fit
+    assert (told.low, told.high) == pytest.approx((size.low, size.high))
     assert "cogging" in law.looks_like and law.sentence in cogs.sentences[1]
     assert "7" in law.sentence.partition(" times a turn")[0] or "6.99" in law.sentence
 

@@ -217,7 +217,10 @@ def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
     law = SimpleNamespace(nats=278.0, candidate=candidate, fit=noisy)
     after = SimpleNamespace(found=())
     screen = SimpleNamespace(
-        found=(candidate,), with_pairs=lambda _: (screen, [], 1), beside=lambda _: after
+        found=(candidate,),
+        holding=(candidate,),
+        with_pairs=lambda _: (screen, [], 1),
+        beside=lambda _: after,
     )
     screened = stage._ScreenWithFit(screen, candidate, law, 1)  # type: ignore[arg-type]
     rounds = stage._rounds(screened, None, None, lambda: False)  # type: ignore[arg-type]
