@@ -470,7 +470,8 @@ class Problem(Coordinates, WhitenedRuns):
 
     def _predict_all(self, asked: Sequence[Asked]) -> list[Tensor]:
         """Predictions as of ``_predict_each`` without gradients, in a part for each worker."""
-        predict, size = torch.no_grad()(self._predict_each), -(-len(asked) // self.workers)
+        predict = torch.no_grad()(self._predict_each)
+        size = -(-len(asked) // self.workers) if self.model.joins_runs else 1
         parts = [asked[k : k + size] for k in range(0, len(asked), size or 1)]
         return [out for part in self._compute_each(predict, parts) for out in part]
 
