@@ -207,7 +207,7 @@ class Tally:
         return Work(now.simulations - before.simulations, now.steps - before.steps)
 
 
-class Asked(NamedTuple):
+class RunPoints(NamedTuple):
     """A run that is to be predicted at one point, or at K.
 
     Attributes:
@@ -431,11 +431,11 @@ class SimModel:
                     acting[k][effect] = size[k]
             scenes = [self.scene(run, *at, numerics) for at in zip(q, acting, strict=True)]
             return torch.stack(self.simulate_scenes(scenes))
-        rows, scenes = self.grouped_scenes(run, q, sizes, numerics)
+        rows, scenes = self._group_scenes(run, q, sizes, numerics)
         return joined(rows, [scene.simulate() for scene in scenes])
 
     @checked(kinds_only=True)
-    def grouped_scenes(
+    def _group_scenes(
         self,
         run: Run,
         q: Tensor,
@@ -460,7 +460,7 @@ class SimModel:
 
     @checked(kinds_only=True)
     def predict_each(
-        self, asked: Sequence[Asked], numerics: Numerics | None = None
+        self, asked: Sequence[RunPoints], numerics: Numerics | None = None
     ) -> list[Tensor]:
         """Predictions of several runs, each at its own points; models that have a faster way
         override this, and say so by ``joins_runs``.

@@ -38,7 +38,7 @@ from diffsim.identify.effect import (
 )
 from diffsim.identify.jacobian import Jacobian, Stencil, difference_points, differences
 from diffsim.identify.line import DifferenceLine, ModelPoint
-from diffsim.identify.model import TOGETHER, Asked, SimModel, has_tangents
+from diffsim.identify.model import TOGETHER, RunPoints, SimModel, has_tangents
 from diffsim.identify.numerics import Numerics
 from diffsim.identify.shape import MovingShape
 from diffsim.identify.whitening import WhitenedRuns, Whitener
@@ -205,10 +205,10 @@ class Problem(Coordinates, WhitenedRuns):
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points."""
         x = torch.stack(list(points))
-        asked = Asked(run, self._simulated_at(x), self.sizes_at(x))
+        asked = RunPoints(run, self._simulated_at(x), self.sizes_at(x))
         return self._predict_each([asked])[0]
 
-    def _predict_each(self, asked: Sequence[Asked]) -> list[Tensor]:
+    def _predict_each(self, asked: Sequence[RunPoints]) -> list[Tensor]:
         """Predictions of runs at a point or many, as many at once as room allows."""
         counts = [1 if a.q.ndim == 1 else len(a.q) for a in asked]
         needed = sum(n * a.run.measured.size for n, a in zip(counts, asked, strict=True))
@@ -219,7 +219,7 @@ class Problem(Coordinates, WhitenedRuns):
             run, q, sizes = asked[0]
             middle = LANES * max(counts[0] // (2 * LANES), 1)
             halves = [
-                Asked(run, q[half], {effect: size[half] for effect, size in sizes.items()})
+                RunPoints(run, q[half], {effect: size[half] for effect, size in sizes.items()})
                 for half in (slice(middle), slice(middle, None))
             ]
             return [torch.cat([self._predict_each([half])[0] for half in halves])]
@@ -232,10 +232,10 @@ class Problem(Coordinates, WhitenedRuns):
             for a, out in found
         ]
 
-    def _points_of(self, run: Run, scaled: Tensor) -> Asked:
+    def _points_of(self, run: Run, scaled: Tensor) -> RunPoints:
         """A run at K points in scaled coordinates, (K, n)."""
         sizes = self.sizes_of(scaled[:, self.num_base :])
-        return Asked(run, self._simulated_at(scaled), sizes)
+        return RunPoints(run, self._simulated_at(scaled), sizes)
 
     def record(self, x: Array) -> Array:
         """Predicted samples of all runs at x, (N,) [unit of the channel].
@@ -249,7 +249,7 @@ class Problem(Coordinates, WhitenedRuns):
             for first in self.runs[:1]:
                 self._require_finite(first, point[: self.num_base], sizes)
 
-        found = self._predict_all([Asked(run, q, sizes) for run in self.runs])
+        found = self._predict_all([RunPoints(run, q, sizes) for run in self.runs])
         given = zip(self.runs, found, strict=True)
         return np.concatenate([_finite(run, out.numpy()) for run, out in given])
 
@@ -286,7 +286,7 @@ class Problem(Coordinates, WhitenedRuns):
         """
         x = torch.from_numpy(np.array(points))
         q, sizes = self._simulated_at(x), self.sizes_at(x)
-        found = self._predict_all([Asked(run, q, sizes) for run in self.runs])
+        found = self._predict_all([RunPoints(run, q, sizes) for run in self.runs])
         return np.concatenate([out.numpy().reshape(len(x), -1) for out in found], axis=1)
 
     def linearize(
@@ -468,7 +468,7 @@ class Problem(Coordinates, WhitenedRuns):
         parts = self._compute_each(one, self.runs)
         return sum(p[0] for p in parts), np.asarray(np.sum([p[1] for p in parts], axis=0))
 
-    def _predict_all(self, asked: Sequence[Asked]) -> list[Tensor]:
+    def _predict_all(self, asked: Sequence[RunPoints]) -> list[Tensor]:
         """Predictions as of ``_predict_each`` without gradients, in a part for each worker."""
         predict = torch.no_grad()(self._predict_each)
         size = -(-len(asked) // self.workers) if self.model.joins_runs else 1

@@ -30,7 +30,7 @@ from diffsim.core.units import factor
 from diffsim.data import load_study, save_study
 from diffsim.data.study import Run, Study
 from diffsim.identify import Effect, Numerics, Problem, WhiteNoise, coarse, fit
-from diffsim.identify.model import Asked, SimModel
+from diffsim.identify.model import RunPoints, SimModel
 from diffsim.identify.model_file import read_extended, rebuilt, save_extended
 from diffsim.identify.setup import DiagnosisSetup
 from diffsim.systems.ode.description import OdeDescription
@@ -691,7 +691,10 @@ def many_runs_are_as_one_by_one(ready: Ready) -> None:
     sizes = [sized(ready, names, share) for share in (0.0, SHARE)]
     both = {e: torch.stack([own[e] for own in sizes]) for e in sizes[0]}
     runs = ready.cut.runs
-    asked = [*(Asked(run, q[1], sizes[1]) for run in runs), *(Asked(r, q, both) for r in runs)]
+    asked = [
+        *(RunPoints(run, q[1], sizes[1]) for run in runs),
+        *(RunPoints(r, q, both) for r in runs),
+    ]
     with torch.no_grad():
         found = model.predict_each(asked)
         alone = [SimModel.predict_each(model, [a])[0] for a in asked]

@@ -22,7 +22,7 @@ from diffsim.core.expression import Expression
 from diffsim.core.memo import Memo, memo_field
 from diffsim.data.study import Run, Study
 from diffsim.identify.effect import Effect
-from diffsim.identify.model import Asked, SimModel, joined
+from diffsim.identify.model import RunPoints, SimModel, joined
 from diffsim.identify.numerics import NumericalEffect, Numerics
 from diffsim.systems.description import BaseParameters, Quantity
 from diffsim.systems.first_commands import FEWEST_READINGS, LATE, is_heard_at_once
@@ -165,7 +165,7 @@ class OdeModel(SimModel):
     joins_runs = True
 
     def predict_each(
-        self, asked: Sequence[Asked], numerics: Numerics | None = None
+        self, asked: Sequence[RunPoints], numerics: Numerics | None = None
     ) -> list[Tensor]:
         """Predictions as of ``SimModel``, with the same bits, those of few points together."""
         every = (pair for a in asked for pair in a.sizes.items())
@@ -178,7 +178,7 @@ class OdeModel(SimModel):
             if q.ndim == 1:
                 made.append(([], [self.scene(run, q, sizes, numerics)]))
             else:
-                made.append(self.grouped_scenes(run, q, sizes, numerics))
+                made.append(self._group_scenes(run, q, sizes, numerics))
         found = iter(simulate_together([scene for _, scenes in made for scene in scenes]))
         parts = [(rows, [next(found) for _ in scenes]) for rows, scenes in made]
         return [joined(rows, own) if rows else own[0] for rows, own in parts]
