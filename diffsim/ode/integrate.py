@@ -158,12 +158,13 @@ class Ode:
         lost = ~seen.reshape(-1, *states.shape[-2:-1], seen.shape[-1]).isfinite()
         item, sample, quantity = (int(i) for i in lost.nonzero()[0])
         name = [*self.rates, *self.readings][quantity]
+        time = float(times.expand(len(lost), -1)[item, sample])
         of = f" of item {item}" if len(lost) > 1 else ""
         raise IntegrationError(
-            f"{name}{of} is no number from {float(times[sample]):g} s on: a formula has no value "
+            f"{name}{of} is no number from {time:g} s on: a formula has no value "
             f"there, or the steps are too long; look at its terms, or raise num_steps",
             item=item,
-            time=float(times[sample]),
+            time=time,
         )
 
     @checked

@@ -247,6 +247,11 @@ def test_the_member_of_a_batch_that_is_lost_is_said():
     with pytest.raises(IntegrationError, match="x of item 1") as lost:
         ode.solve(times, torch.tensor([[4.0], [0.5]], dtype=torch.float64))
     assert lost.value.item == 1
+    own = times * torch.tensor([[1.0], [1.5]], dtype=torch.float64)
+    with pytest.raises(IntegrationError, match="x of item 1") as later:
+        ode.solve(own, torch.tensor([[4.0], [0.5]], dtype=torch.float64))
+    assert later.value.time in own[1].tolist()
+    assert abs(later.value.time - lost.value.time) < 0.1  # x'(t) is the same, as is where it ends
 
 
 def test_times_carry_no_gradient_and_say_so():
