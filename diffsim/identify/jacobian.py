@@ -114,7 +114,7 @@ def _differences(
     """Differences of simulations, all in one call."""
     with torch.no_grad():
         rows = many(difference_points(at, stencils).unbind()).detach().numpy()
-    return differences(rows.reshape(len(rows), -1), stencils)
+    return differences(rows, stencils)
 
 
 def difference_points(at: Tensor, stencils: Mapping[int, Stencil]) -> Tensor:
@@ -135,12 +135,13 @@ def differences(rows: Array, stencils: Mapping[int, Stencil]) -> tuple[Array, Ar
     """Prediction and its derivatives by difference formulas.
 
     Args:
-        rows: Predictions at ``difference_points``, (K, num_outputs).
+        rows: Predictions at ``difference_points``, (K, ...), num_outputs of each.
         stencils: Difference formulas by coordinate.
 
     Returns:
         (num_outputs,) and (num_outputs, len(stencils)).
     """
+    rows = rows.reshape(len(rows), -1)
     out, k = np.zeros((len(stencils), rows[0].size)), 1
     with np.errstate(invalid="ignore", over="ignore"):  # whoever asks refuses infinities
         for j, stencil in enumerate(stencils.values()):

@@ -434,7 +434,6 @@ class SimModel:
         rows, scenes = self._group_scenes(run, q, sizes, numerics)
         return joined(rows, [scene.simulate() for scene in scenes])
 
-    @checked(kinds_only=True)
     def _group_scenes(
         self,
         run: Run,

@@ -193,14 +193,17 @@ class Problem(Coordinates, WhitenedRuns):
         q = x[..., : self.num_base]
         return q if self.correction is None else q + self.correction.shift
 
-    def _complete_prediction(self, run: Run, out: Tensor, shape: tuple[int, ...]) -> Tensor:
-        """What the model predicts of a run, if it has the shape asked for, with the correction."""
+    def _complete_prediction(
+        self, run: Run, out: Tensor, shape: tuple[int, ...], *, is_slope: bool = False
+    ) -> Tensor:
+        """What the model predicts of a run, if it has the shape asked for, with the correction,
+        which slopes have none of."""
         if tuple(out.shape) != shape:
             raise ValueError(
                 f"model {self.model.name} predicts {tuple(out.shape)} for run {run.name}, "
                 f"expected {shape}: samples and channels of its ``measured``"
             )
-        return out if self.correction is None else out + self.correction.of(run)
+        return out if self.correction is None or is_slope else out + self.correction.of(run)
 
     def predict_many(self, run: Run, points: Sequence[Tensor]) -> Tensor:
         """(K, num_samples, num_channels) at K points."""
@@ -356,7 +359,7 @@ class Problem(Coordinates, WhitenedRuns):
             points = [difference_points(point, own[run.name]) for run in self.runs]
             rows = self._predict_all([*map(self._points_of, self.runs, points)])
             columns_of = [
-                differences(found.numpy().reshape(len(found), -1), own[run.name])
+                differences(found.numpy(), own[run.name])
                 for run, found in zip(self.runs, rows, strict=True)
             ]
         else:
@@ -412,8 +415,9 @@ class Problem(Coordinates, WhitenedRuns):
         self.model.note_derivatives(run, len(stencils), self.numerics)
         here, columns = given
         shape = run.measured.shape
+        columns = self._complete_prediction(run, columns, (len(stencils), *shape), is_slope=True)
         here = self._complete_prediction(run, here, shape)
-        return here.numpy().ravel(), columns.reshape(len(stencils), here.numel()).numpy().T
+        return here.numpy().ravel(), columns.reshape(len(stencils), -1).numpy().T
 
     def _point(self, scaled: Tensor) -> ModelPoint:
         return ModelPoint(self._simulated_at(scaled), self.sizes_of(scaled[self.num_base :]))

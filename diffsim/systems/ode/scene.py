@@ -18,7 +18,7 @@ from diffsim.ode import Ode
 from diffsim.ode.integrate import integrated
 from diffsim.systems.ode.network import TIME, Change, Network, filled, once_more
 
-LANES = 16  # members that the integrator takes at once; a batch of as many gains by no other
+SIDE_BY_SIDE = 16  # members that the integrator takes at once; a batch of as many gains by no other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -267,29 +267,28 @@ def simulate_together(scenes: Sequence[OdeScene]) -> list[Tensor]:
     point fills one of its lanes, and takes as long as with all of them full. Those of the same
     formulas go together, the like in length beside each other.
     """
-    out: list[Tensor | None] = [None] * len(scenes)
-    flows = [None if scene.restarts else scene.flow() for scene in scenes]
-    few = {k: f for k, f in enumerate(flows) if f is not None and math.prod(f.lead) < LANES}
+    flows = {k: scene.flow() for k, scene in enumerate(scenes) if not scene.restarts}
     groups: list[list[int]] = []
     room, last = 0, None
-    for k in sorted(few, key=lambda k: (id(few[k].ode), -len(few[k].times), k)):
-        if few[k].ode is not last or math.prod(few[k].lead) > room:
+    for k in sorted(flows, key=lambda k: (id(flows[k].ode), -len(flows[k].times), k)):
+        members = math.prod(flows[k].lead)
+        if flows[k].ode is not last or members > room:
             groups.append([])
-            room, last = LANES, few[k].ode
+            room, last = SIDE_BY_SIDE, flows[k].ode
         groups[-1].append(k)
-        room -= math.prod(few[k].lead)
+        room -= members
+    out: dict[int, Tensor] = {}
     for group in groups:
-        readings = _integrate_together([few[k] for k in group])
-        for k, own in zip(group, readings, strict=True):
-            out[k] = scenes[k].read(own)
-    return [
-        scene.simulate() if part is None else part for scene, part in zip(scenes, out, strict=True)
-    ]
+        found = _integrate_together([flows[k] for k in group])
+        out |= {k: scenes[k].read(own) for k, own in zip(group, found, strict=True)}
+    return [out[k] if k in out else scene.simulate() for k, scene in enumerate(scenes)]
 
 
 def _integrate_together(flows: Sequence[Flow]) -> list[Tensor]:
     """Readings of flows of the same formulas, (..., num_times, num_channels); the shorter ones
     stay where they end."""
+    if len(flows) == 1:
+        return [flow.solve(flow.start, 0, len(flow.times) - 1)[0] for flow in flows]
     longest = max(len(flow.times) for flow in flows)
     counts = [math.prod(flow.lead) for flow in flows]
     times, starts, inputs, parameters = [], [], [], []
