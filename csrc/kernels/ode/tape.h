@@ -8,6 +8,9 @@
 
 #include <cmath>
 #include <cstdint>
+#if defined(__SSE2__)
+#include <emmintrin.h>
+#endif
 
 #include "kernels/ode/elementary.h"
 
@@ -78,7 +81,14 @@ DIFFSIM_INLINE Native one_where(const NativeMask& mask) {
 DIFFSIM_INLINE Native sign(const Native& a) {
   return one_where(less<Native>(Native{}, a)) - one_where(less<Native>(a, Native{}));
 }
-DIFFSIM_INLINE NativeMask not_zero(const Native& a) { return a != Native{}; }
+DIFFSIM_INLINE NativeMask not_zero(const Native& a) {
+#if defined(__SSE2__) && !defined(__AVX__)
+  // g++ 12 fails ("gimple_expand_vec_cond_expr") where it joins such a comparison with another
+  return (NativeMask)_mm_cmpneq_pd(a, Native{});
+#else
+  return a != Native{};
+#endif
+}
 inline Native pow(const Native& a, const Native& b) {
   return each_lane(a, b, [](double base, double power) { return std::pow(base, power); });
 }
