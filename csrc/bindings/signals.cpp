@@ -61,16 +61,48 @@ void bind_approach(nb::module_& m) {
   });
 }
 
-}  // namespace
-
-void bind_signals(nb::module_& m) {
-  bind_follow(m);
-  bind_approach(m);
+void bind_lines(nb::module_& m) {
   m.def("find_intervals", [](std::int64_t num_times, Address times, std::int64_t num_places,
                              Address places, bool of_equal_after, Address found) {
     nb::gil_scoped_release release;
     find_intervals(num_times, in(times), num_places, in(places), of_equal_after, out_index(found));
   });
+  nb::class_<Lines>(m, "Lines")
+      .def(
+          "__init__",
+          [](Lines* l, std::int64_t num_rows, std::int64_t num_times, std::int64_t num_places,
+             std::int64_t num_signals, std::int64_t num_ways, bool both_sides, Address values,
+             Address times, Address places) {
+            const std::int64_t value_stride = num_signals > 1 ? num_times : 0;
+            const std::int64_t place_stride = num_ways > 1 ? num_places : 0;
+            new (l) Lines{num_rows,   num_times,    num_places,   in(values), in(times),
+                          in(places), value_stride, place_stride, both_sides};
+          },
+          nb::arg("num_rows"), nb::arg("num_times"), nb::arg("num_places"), nb::arg("num_signals"),
+          nb::arg("num_ways"), nb::arg("both_sides"), nb::arg("values"), nb::arg("times"),
+          nb::arg("places"));
+  m.def("read_lines", [](const Lines& l, Address readings) {
+    nb::gil_scoped_release release;
+    read_lines(l, out(readings));
+  });
+  m.def("read_lines_vjp",
+        [](const Lines& l, Address grad_readings, Address grad_values, Address grad_places) {
+          nb::gil_scoped_release release;
+          read_lines_vjp(l, in(grad_readings), out(grad_values), out(grad_places));
+        });
+  m.def("read_lines_tangent",
+        [](const Lines& l, Address d_values, Address d_places, Address d_readings) {
+          nb::gil_scoped_release release;
+          read_lines_tangent(l, in(d_values), in(d_places), out(d_readings));
+        });
+}
+
+}  // namespace
+
+void bind_signals(nb::module_& m) {
+  bind_follow(m);
+  bind_approach(m);
+  bind_lines(m);
 }
 
 }  // namespace diffsim

@@ -70,6 +70,30 @@ def find_intervals(times: Tensor, places: Tensor, *, of_equal: Literal["left", "
     return torch.from_numpy(found)
 
 
+def read_lines(
+    values: Tensor, times: Tensor, places: Tensor, *, both_sides: bool = False
+) -> Tensor:
+    """Straight lines through values, read anywhere; the first and last go on beyond the ends.
+
+    Args:
+        values: (..., num_times).
+        times: (num_times,) increasing, two at least.
+        places: (..., num_places); leading axes broadcast; quick where they go along with the times.
+        both_sides: Whether the slope at a time is the mean of both sides, not that before it.
+
+    Returns:
+        (..., num_places).
+    """
+    lead = np.broadcast_shapes(values.shape[:-1], places.shape[:-1])
+    alone = [math.prod(given.shape[:-1]) == 1 for given in (values, places)]
+    rows = [
+        _rows(given, (1,) * len(lead) if is_one else lead)
+        for given, is_one in zip((values, places), alone, strict=True)
+    ]
+    found = _read_lines(rows[0], times.contiguous(), rows[1], both_sides)
+    return found.view(*lead, places.shape[-1])
+
+
 def _numbers(values: Tensor) -> Array:
     return np.ascontiguousarray(values.numpy(), dtype=np.float64)
 
@@ -190,4 +214,66 @@ _approach = Op(
     adjoint=_pull_approached,
     tangent=_push_approached,
     in_torch=_approach_in_torch,
+)
+
+
+def _describe_lines(call: Call) -> Any:
+    names = ("num_rows", "num_times", "num_places", "num_signals", "num_ways", "both_sides")
+    sizes = {name: call.sizes[name] for name in names}
+    return core.Lines(**sizes, **call.addresses("values", "times", "places"))
+
+
+def _read_rows(call: Call) -> None:
+    core.read_lines(_describe_lines(call), *call.addresses("readings").values())
+
+
+def _pull_read(call: Call) -> None:
+    grads = ("grad_readings", "grad_values", "grad_places")
+    core.read_lines_vjp(_describe_lines(call), *call.addresses(*grads).values())
+
+
+def _push_read(call: Call) -> None:
+    moved = ("d_values", "d_places", "d_readings")
+    core.read_lines_tangent(_describe_lines(call), *call.addresses(*moved).values())
+
+
+def _count_rows(call: Call) -> dict[str, int]:
+    counts = {len(call["values"]), len(call["places"])}
+    if len(counts | {1}) > 2:
+        raise ValueError(f"values and places must have as many rows, or one: got {counts}")
+    return {"num_rows": max(counts)}
+
+
+def _read_in_torch(given: Given) -> tuple[Tensor, ...]:
+    """``read_lines`` by PyTorch's own operations."""
+    values, times, places = given["values"], given["times"], given["places"]
+    rows = max(len(values), len(places))
+    values, places = values.expand(rows, -1), places.expand(rows, -1).contiguous()
+
+    def line(right: bool) -> Tensor:
+        left = (torch.searchsorted(times, places.detach(), right=right) - 1).clamp(
+            0, len(times) - 2
+        )
+        share = (places - times[left]) / (times[left + 1] - times[left])
+        low = values.gather(-1, left)
+        return low + share * (values.gather(-1, left + 1) - low)
+
+    below = line(False)
+    return (0.5 * (below + line(True)) if given["both_sides"] else below,)
+
+
+_read_lines = Op(
+    "read_lines",
+    inputs={
+        "values": array("num_signals", "num_times"),
+        "times": array("num_times", smooth=False),
+        "places": array("num_ways", "num_places"),
+    },
+    outputs={"readings": array("num_rows", "num_places")},
+    options="bool both_sides",
+    sizes=_count_rows,
+    kernel=_read_rows,
+    adjoint=_pull_read,
+    tangent=_push_read,
+    in_torch=_read_in_torch,
 )

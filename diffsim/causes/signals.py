@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from diffsim.causes._ops_signals import approach, find_intervals, follow
+from diffsim.causes._ops_signals import approach, find_intervals, follow, read_lines
 from diffsim.core.arrays import Array, IntArray
 
 SHORTEST_LAG = 1e-3  # of the shortest step: below it exp(-dt / tau) is zero to the last digit
@@ -84,8 +84,13 @@ class Grid:
         if isinstance(values, Tensor):
             return self._read_tensor(values, held)
         if held:
-            return torch.from_numpy(np.ascontiguousarray(values[self._last_sample]))
+            known = values if self._has_samples_alone else values[self._last_sample]
+            return torch.from_numpy(np.array(known))
         return torch.from_numpy(np.interp(self.times.numpy(), self.seconds, values))
+
+    @cached_property
+    def _has_samples_alone(self) -> bool:
+        return np.array_equal(self.times.numpy(), self.seconds)
 
     @cached_property
     def _last_sample(self) -> IntArray:
@@ -191,7 +196,7 @@ def smoothly_delayed(u: Tensor, grid: Grid, delay: Tensor) -> Tensor:
         return _alone(u, delay)
     t = grid.times
     place = (t - delay[..., None]).clamp(float(t[0]), float(t[-1]))
-    left = _left_of(t, place)
+    left = find_intervals(t, place.detach(), of_equal="right")
     h = t.diff()[left]
     s = (place - t[left]) / h
     slopes = _monotone_slopes(u, t)
@@ -411,11 +416,6 @@ def _decay(grid: Grid, time_constant: Tensor) -> tuple[Tensor, Tensor]:
     return steps, torch.exp(-steps / time_constant[..., None].clamp(min=shortest))
 
 
-def _left_of(times: Tensor, place: Tensor, of_equal: Literal["left", "right"] = "right") -> Tensor:
-    """Index of the interval that holds each place."""
-    return find_intervals(times, place.detach(), of_equal=of_equal)
-
-
 def _take_at(values: Tensor, index: Tensor) -> Tensor:
     """values[..., index] with broadcast leading axes."""
     if index.ndim == 1:
@@ -439,17 +439,7 @@ def _read_at(values: Tensor, times: Tensor, place: Tensor, *, both_sides: bool =
     far = _measure_beyond(times)
     wide = torch.cat([times[:1] - far, times, times[-1:] + far])
     place = place.clamp(float(wide[0]), float(wide[-1]))
-    left = _left_of(wide, place, "left")
-    below = _interpolate_straight(values, wide, place, left)
-    if not both_sides or torch.equal(left, right := _left_of(wide, place)):
-        return below  # no place is a time of the grid
-    return 0.5 * (below + _interpolate_straight(values, wide, place, right))
-
-
-def _interpolate_straight(values: Tensor, times: Tensor, place: Tensor, left: Tensor) -> Tensor:
-    share = (place - times[left]) / (times[left + 1] - times[left])
-    y0 = _take_at(values, left)
-    return y0 + share * (_take_at(values, left + 1) - y0)
+    return read_lines(values, wide, place, both_sides=both_sides)
 
 
 def _monotone_slopes(u: Tensor, times: Tensor) -> Tensor:

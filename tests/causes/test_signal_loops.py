@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes._ops_signals import _approach, _follow, find_intervals
+from diffsim.causes._ops_signals import _approach, _follow, _read_lines, find_intervals
 from diffsim.causes.signals import Grid, slowed, with_play
 
 RNG = np.random.default_rng(5)
@@ -30,7 +30,12 @@ def loops(seed):
         f"reached, held {held}": (_approach, (u, steps, most, fastest, held))
         for held in (False, True)
     }
+    times = tensor(np.cumsum(rng.uniform(0.05, 0.2, 20)))
+    ways = tensor(rng.uniform(float(times[0]) - 0.5, float(times[-1]) + 0.5, (4, 20)))
     return places | {
+        "read": (_read_lines, (u, times, ways, True)),
+        "read, one signal": (_read_lines, (u[:1].clone(), times, ways, True)),
+        "read, one way": (_read_lines, (u, times, ways[:1].clone(), False)),
         "play": (_follow, (u, room, start, 0)),
         "slowed": (_follow, (u, room, start, 1)),
         "decays": (_follow, (u, share, start, 2)),
@@ -42,7 +47,7 @@ def test_values_and_slopes_are_those_of_torchs_own_operations(name):
     """Both modes, away from the kinks of numbers that were drawn; then slopes of slopes."""
     op, args = loops(1)[name]
     given = dict(zip(op.arguments, args, strict=True))
-    moving = [n for n in op.arguments if isinstance(given[n], torch.Tensor) and n != "steps"]
+    moving = [n for n in op.arguments if isinstance(given[n], torch.Tensor) and op.inputs[n].smooth]
     at = tuple(given[n].requires_grad_() for n in moving)
 
     def compiled(*values):
@@ -52,7 +57,7 @@ def test_values_and_slopes_are_those_of_torchs_own_operations(name):
         return op.in_torch(given | dict(zip(moving, values, strict=True)))[0]
 
     torch.testing.assert_close(compiled(*at), in_torch(*at), rtol=1e-13, atol=1e-13)
-    weight = tensor(RNG.normal(size=given["targets"].shape))
+    weight = tensor(RNG.normal(size=(4, 20)))
     slopes = [torch.autograd.grad((f(*at) * weight).sum(), at) for f in (compiled, in_torch)]
     torch.testing.assert_close(*slopes, rtol=1e-10, atol=1e-12)
     along = tuple(tensor(RNG.normal(size=value.shape)) for value in at)
@@ -107,3 +112,18 @@ def test_intervals_are_those_of_a_binary_search(of_equal, places):
     found = torch.searchsorted(times, wanted, right=of_equal == "right")
     expected = (found - 1).clamp(0, len(times) - 2)
     assert torch.equal(find_intervals(times, wanted, of_equal=of_equal), expected)
+
+
+@pytest.mark.parametrize("both_sides", [False, True])
+def test_lines_are_read_as_numpy_reads_them_and_have_the_slopes_of_both_sides(both_sides):
+    times, u = TIMES.times, U[:, 0]
+    inside = tensor(RNG.permutation(np.linspace(float(times[0]), float(times[-1]), 300)))
+    read = _read_lines(u, times, inside[None], both_sides)
+    expected = [np.interp(inside, times, row) for row in u]
+    torch.testing.assert_close(read, tensor(np.array(expected)), rtol=1e-13, atol=1e-13)
+
+    at = times[None, 1:-1].clone().requires_grad_()  # at times themselves
+    slopes = torch.autograd.grad(_read_lines(u[:1], times, at, both_sides).sum(), at)[0]
+    sides = u[0].diff() / times.diff()
+    mean = 0.5 * (sides[:-1] + sides[1:])
+    torch.testing.assert_close(slopes[0], mean if both_sides else sides[:-1])

@@ -119,30 +119,105 @@ void follow_tangent(const Followers& f, const double* states, const double* d_ta
   });
 }
 
+namespace {
+
+/// Finds the intervals of places that mostly go along with the times.
+class Search {
+ public:
+  Search(std::int64_t num_times, const double* times)
+      : times_(times), end_(times + num_times), last_(num_times - 2) {}
+
+  /// @param lies_after  whether a place is beyond a time
+  /// @param bound       std::lower_bound or std::upper_bound, as lies_after has it
+  template <typename After, typename Bound>
+  std::int64_t find(double place, const After& lies_after, const Bound& bound) {
+    const bool begins_before = left_ == 0 || lies_after(place, times_[left_]);
+    // the interval of the place before, and the two after it
+    std::int64_t near = left_;
+    while (near < last_ && near < left_ + 2 && lies_after(place, times_[near + 1])) ++near;
+    const bool ends_after = near == last_ || !lies_after(place, times_[near + 1]);
+    left_ = begins_before && ends_after
+                ? near
+                : std::clamp<std::int64_t>(bound(times_, end_, place) - times_ - 1, 0, last_);
+    return left_;
+  }
+
+  std::int64_t before(double place) {
+    return find(
+        place, [](double at, double time) { return at > time; },
+        [](auto... range) { return std::lower_bound(range...); });
+  }
+  std::int64_t after(double place) {
+    return find(
+        place, [](double at, double time) { return at >= time; },
+        [](auto... range) { return std::upper_bound(range...); });
+  }
+
+ private:
+  const double *times_, *end_;
+  std::int64_t last_, left_ = 0;
+};
+
+/// Calls visit(row, place's index, interval, place, weight) for every line that is read.
+template <typename Visit>
+void each_line(const Lines& l, const Visit& visit) {
+  for (std::int64_t row = 0; row < l.num_rows; ++row) {
+    Search search(l.num_times, l.times);
+    const double* const places = l.places + row * l.place_stride;
+    for (std::int64_t i = 0; i < l.num_places; ++i) {
+      const std::int64_t k = search.before(places[i]);
+      const bool two = l.both_sides && k + 2 < l.num_times && places[i] == l.times[k + 1];
+      visit(row, i, k, places[i], two);
+    }
+  }
+}
+
+}  // namespace
+
 void find_intervals(std::int64_t num_times, const double* times, std::int64_t num_places,
                     const double* places, bool of_equal_after, std::int64_t* out) {
-  const auto lies_after = [&](double place, double time) {
-    return of_equal_after ? place >= time : place > time;
-  };
-  const double* const end = times + num_times;
-  const std::int64_t last = num_times - 2;
-  std::int64_t left = 0;
-  for (std::int64_t i = 0; i < num_places; ++i) {
-    const double place = places[i];
-    const bool begins_before = left == 0 || lies_after(place, times[left]);
-    // the interval of the place before, and the two after it
-    std::int64_t near = left;
-    while (near < last && near < left + 2 && lies_after(place, times[near + 1])) ++near;
-    const bool ends_after = near == last || !lies_after(place, times[near + 1]);
-    if (begins_before && ends_after) {
-      left = near;
-    } else {
-      const double* const found = of_equal_after ? std::upper_bound(times, end, place)
-                                                 : std::lower_bound(times, end, place);
-      left = std::clamp<std::int64_t>(found - times - 1, 0, last);
-    }
-    out[i] = left;
-  }
+  Search search(num_times, times);
+  for (std::int64_t i = 0; i < num_places; ++i)
+    out[i] = of_equal_after ? search.after(places[i]) : search.before(places[i]);
+}
+
+void read_lines(const Lines& l, double* readings) {
+  each_line(l, [&](std::int64_t row, std::int64_t i, std::int64_t k, double place, bool two) {
+    const double *y = l.values + row * l.value_stride + k, *t = l.times + k;
+    double& out = readings[row * l.num_places + i];
+    out = y[0] + (place - t[0]) / (t[1] - t[0]) * (y[1] - y[0]);
+    // at its end a line is rounded as in between; the next one begins with the value itself
+    if (two) out = 0.5 * (out + y[1]);
+  });
+}
+
+void read_lines_vjp(const Lines& l, const double* grad_readings, double* grad_values,
+                    double* grad_places) {
+  each_line(l, [&](std::int64_t row, std::int64_t i, std::int64_t k, double place, bool two) {
+    const double *y = l.values + row * l.value_stride + k, *t = l.times + k;
+    double *gy = grad_values + row * l.value_stride + k, *gp = grad_places + row * l.place_stride;
+    const double g = grad_readings[row * l.num_places + i];
+    const double of_line = two ? 0.5 * g : g, width = t[1] - t[0], share = (place - t[0]) / width;
+    gy[0] += of_line * (1.0 - share);
+    gy[1] += of_line * share;
+    gp[i] += of_line * ((y[1] - y[0]) / width);
+    if (!two) return;
+    gy[1] += of_line;
+    gp[i] += of_line * ((y[2] - y[1]) / (t[2] - t[1]));
+  });
+}
+
+void read_lines_tangent(const Lines& l, const double* d_values, const double* d_places,
+                        double* d_readings) {
+  each_line(l, [&](std::int64_t row, std::int64_t i, std::int64_t k, double place, bool two) {
+    const double *y = l.values + row * l.value_stride + k, *t = l.times + k;
+    const double* dy = d_values + row * l.value_stride + k;
+    const double dp = d_places[row * l.place_stride + i];
+    const double width = t[1] - t[0], share = (place - t[0]) / width;
+    double& out = d_readings[row * l.num_places + i];
+    out = dy[0] + share * (dy[1] - dy[0]) + dp * ((y[1] - y[0]) / width);
+    if (two) out = 0.5 * (out + dy[1] + dp * ((y[2] - y[1]) / (t[2] - t[1])));
+  });
 }
 
 }  // namespace diffsim

@@ -66,4 +66,26 @@ void approach_tangent(const Approach& a, const double* d_targets, const double* 
 void find_intervals(std::int64_t num_times, const double* times, std::int64_t num_places,
                     const double* places, bool of_equal_after, std::int64_t* out);
 
+/// Straight lines through `values` (num_rows, num_times) at increasing `times`, read at `places`
+/// (num_rows, num_places); a stride of 0: one row for all.
+///
+/// The first and last line go on beyond the ends. A place that is a time has the slope of the line
+/// before it, or, of `both_sides`, the mean of the two: then it is read on both.
+struct Lines {
+  std::int64_t num_rows, num_times, num_places;
+  const double *values, *times, *places;
+  std::int64_t value_stride, place_stride;
+  bool both_sides;
+};
+
+void read_lines(const Lines& l, double* readings);
+
+/// Adds the gradients from those of the readings.
+void read_lines_vjp(const Lines& l, const double* grad_readings, double* grad_values,
+                    double* grad_places);
+
+/// Directions of the readings.
+void read_lines_tangent(const Lines& l, const double* d_values, const double* d_places,
+                        double* d_readings);
+
 }  // namespace diffsim

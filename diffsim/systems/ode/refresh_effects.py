@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from diffsim.causes._ops_signals import read_lines
 from diffsim.causes.catalogue import rows
 from diffsim.causes.signals import Grid
 from diffsim.data.refresh import age, phase_of, refresh_period
@@ -79,15 +80,17 @@ def _read_at_ticks(
 
     def held(signal: Tensor, grid: Grid) -> Tensor:
         """Some of a signal (..., width, num_times) as of the last tick, the rest as it is."""
-        seconds = grid.times.numpy()
-        ticks = np.maximum(seconds - age(seconds, period, phase), seconds[0])
-        after = np.clip(np.searchsorted(seconds, ticks), 1, len(seconds) - 1)
-        part = (ticks - seconds[after - 1]) / (seconds[after] - seconds[after - 1])
-        later = torch.from_numpy(after)
-        low, high = signal[..., later - 1], signal[..., later]
-        return signal + share * (low + torch.from_numpy(part) * (high - low) - signal)
+        ticks = _last_ticks(grid.times.numpy().tobytes(), period, phase)
+        return signal + share * (read_lines(signal, grid.times, ticks) - signal)
 
     return scene.with_reading((place,), held)
+
+
+@lru_cache(maxsize=512)
+def _last_ticks(times: bytes, period: float, phase: float) -> Tensor:
+    """Time of the last tick at or before each time, the first one before any."""
+    seconds = np.frombuffer(times)
+    return torch.from_numpy(np.maximum(seconds - age(seconds, period, phase), seconds[0]))
 
 
 @lru_cache(maxsize=512)
