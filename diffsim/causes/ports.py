@@ -5,8 +5,8 @@ Between sessions of recording somebody may have changed something: a size for ea
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -31,16 +31,37 @@ FADE_SHARE = 0.01  # of the usual speed: below it dry friction fades
 class SignalChange:
     """A map of signals at a size: f(signals (..., width, num_times), grid)."""
 
-    map: SizedMap  # function (signals, grid, size)
+    map: Callable[..., Tensor]  # function (signals, grid, size, *shapes)
     size: Tensor  # (..., 1), or (..., width) where each signal has its own
     is_kinked: bool = False  # whether the map has a kink at size 0
     is_joint: bool = False  # whether a signal depends on the others
+    shapes: tuple[Tensor, ...] = ()  # further numbers of the map, (..., 1) each
+    start: Tensor | None = None  # where in a play the run begins, (..., 1)
+    is_plain: bool = False  # whether the map depends on these numbers alone
 
     def __call__(self, u: Tensor, grid: Grid) -> Tensor:
-        changed = self.map(u, grid, self.size)
+        begins = {} if self.start is None else {"start": self.start}
+        changed = torch.as_tensor(self.map(u, grid, self.size, *self.shapes, **begins))
         if not self.is_kinked:
             return changed
         return torch.where(self.size[..., None] != 0.0, changed, u)
+
+    @property
+    def numbers(self) -> tuple[Tensor, ...] | None:
+        """All that tells points apart; None: the map knows more."""
+        if not self.is_plain:
+            return None
+        return (self.size, *self.shapes, *([] if self.start is None else [self.start]))
+
+    def at_points(self, points: Tensor) -> SignalChange:
+        """The change at some of its points, by their indices."""
+
+        def taken(number: Tensor) -> Tensor:
+            return number if number.ndim < 2 else number.index_select(0, points)
+
+        shapes = tuple(taken(shape) for shape in self.shapes)
+        start = None if self.start is None else taken(self.start)
+        return replace(self, size=taken(self.size), shapes=shapes, start=start)
 
     @property
     def is_none(self) -> bool:
@@ -96,13 +117,17 @@ class SignalMapper:
             scene: Scene with ``play_start``.
             size: (..., 1), or (..., width) where each signal has its own.
         """
-        change, count = self.map, size.shape[-1] - self.num_shapes
-        if self.num_shapes:
-            shapes = tuple(size[..., k, None] for k in range(count, size.shape[-1]))
-            change, size = partial(_with_shapes, map=self.map, shapes=shapes), size[..., :count]
-        if self.has_start and (start := scene.play_start) is not None:
-            change = partial(change, start=start[..., None])  # type: ignore[call-arg]  # a play's
-        return SignalChange(change, size, self.is_kinked, self.is_joint)
+        count = size.shape[-1] - self.num_shapes
+        start = scene.play_start if self.has_start else None
+        return SignalChange(
+            self.map,
+            size[..., :count],
+            self.is_kinked,
+            self.is_joint,
+            shapes=size[..., count:].split(1, -1) if self.num_shapes else (),
+            start=None if start is None else start[..., None],
+            is_plain=True,
+        )
 
 
 @lru_cache(maxsize=256)
@@ -124,12 +149,6 @@ def _evaluate(
     values |= {name: shape[..., None] for name, shape in zip(own, shapes, strict=True)}
     formula = _formula(text, (*OF_SIGNALS, *values))
     return formula({**values, "u": u, "size": size[..., None], "t": grid.since_start})
-
-
-def _with_shapes(
-    u: Tensor, grid: Grid, size: Tensor, *, map: Any, shapes: tuple[Tensor, ...]
-) -> Tensor:
-    return torch.as_tensor(map(u, grid, size, *shapes))
 
 
 def on_commands(

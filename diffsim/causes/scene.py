@@ -33,7 +33,7 @@ from diffsim.causes.signals import (
 from diffsim.core.check import require_choice
 from diffsim.core.checked import checked_methods
 from diffsim.core.numbers import values_of
-from diffsim.core.torch_names import on_constants
+from diffsim.core.torch_names import is_in_forward_mode, is_in_func, on_constants
 from diffsim.data.study import Command, Run
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class Commands:
     values: Tensor  # as recorded, (..., width, num_times), in the unit of each command
     rows: Mapping[str, tuple[int, ...]]  # rows of ``values`` that a name stands for
     # rows and the maps that change them, in the order in which they act
-    changes: tuple[tuple[tuple[int, ...], SignalMap], ...] = ()
+    changes: tuple[tuple[tuple[int, ...], Any], ...] = ()  # of SignalMap
     # values before the run, (width,), NaN where a row had its first one; None: all had
     before: Tensor | None = None
 
@@ -194,15 +194,40 @@ class Commands:
 
     def each_heard(self, grid: Grid) -> list[Tensor]:
         """The same row by row, (..., num_times) each: points of one row are not those of others."""
+        changes = self.changes
+        alike = self._find_alike() if changes else None
+        if alike is not None:
+            changes = tuple((rows, change.at_points(alike[0])) for rows, change in changes)
         rows = list(self.values.unbind(-2))
-        for places, change in self.changes:
+        for places, change in changes:
             parts = [places] if getattr(change, "is_joint", False) else [(k,) for k in places]
             for part in parts:
                 given = torch.stack(torch.broadcast_tensors(*(rows[k] for k in part)), -2)
                 changed = self.act(change, part, given, grid)
                 for k, row in zip(part, changed.unbind(-2), strict=True):
                     rows[k] = row
-        return rows
+        if alike is None:
+            return rows
+        return [row if row.ndim < 2 else row.index_select(0, alike[1]) for row in rows]
+
+    def _find_alike(self) -> tuple[Tensor, Tensor] | None:
+        """Points that differ in what changes the commands, and for each point which of these it is:
+        most points of a linearization move other numbers. None: where that is not known."""
+        # by their values, so where no slopes go with these
+        if self.values.ndim != 2 or torch.is_grad_enabled() or is_in_func() or is_in_forward_mode():
+            return None
+        numbers: list[Tensor] = []
+        for _, change in self.changes:
+            own = getattr(change, "numbers", None)
+            if own is None:
+                return None
+            numbers.extend(number for number in own if number.ndim > 1)
+        if len({number.shape[:-1] for number in numbers}) != 1 or numbers[0].ndim != 2:
+            return None
+        keys = [row.tobytes() for row in torch.cat(numbers, -1).numpy()]
+        first = dict(zip(reversed(keys), reversed(range(len(keys))), strict=True))
+        place = {key: k for k, key in enumerate(first)}
+        return torch.tensor(list(first.values())), torch.tensor([place[key] for key in keys])
 
     def act(self, change: SignalMap, rows: tuple[int, ...], u: Tensor, grid: Grid) -> Tensor:
         """What a change makes of commands, with what they were before the run.

@@ -84,13 +84,8 @@ class Grid:
         if isinstance(values, Tensor):
             return self._read_tensor(values, held)
         if held:
-            known = values if self._has_samples_alone else values[self._last_sample]
-            return torch.from_numpy(np.array(known))
+            return torch.from_numpy(np.ascontiguousarray(values[self._last_sample]))
         return torch.from_numpy(np.interp(self.times.numpy(), self.seconds, values))
-
-    @cached_property
-    def _has_samples_alone(self) -> bool:
-        return np.array_equal(self.times.numpy(), self.seconds)
 
     @cached_property
     def _last_sample(self) -> IntArray:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from diffsim.causes.signals import Grid, accelerated, held_accelerated
+from diffsim.causes.ports import SignalChange
+from diffsim.causes.scene import Commands
+from diffsim.causes.signals import MAPS, Grid, accelerated, held_accelerated
 from diffsim.causes.ties import tie
 from diffsim.data.study import Channel, Command, Run, Study
 from diffsim.identify import Problem, WhiteNoise, fit
@@ -164,3 +166,27 @@ def test_sizes_that_are_simulated_together_are_those_of_one_by_one():
         points[:, problem.columns_of(effect)] = np.array([[0.5], [0.2], [0.9]])
         together, alone = problem.records(points), [problem.record(x) for x in points]
         np.testing.assert_allclose(together, alone, rtol=0, atol=1e-10, err_msg=effect.name)
+
+
+@pytest.mark.parametrize("row", ["delayed", "lagged", "slowed", "with_play", "in_steps"])
+def test_points_at_which_a_command_changes_alike_are_heard_once_with_the_same_bits(row):
+    grid = Grid.even(len(T), 0.01)
+    u = torch.from_numpy(np.random.default_rng(1).normal(size=(2, len(T))))
+    drawn = torch.tensor([0.02, 0.3, 0.02, 0.0, 0.3, 0.02], dtype=torch.float64)[:, None]
+    asked = []
+
+    def counted(signal, grid, size):
+        asked.append(len(size))
+        return MAPS[row]["straight"](signal, grid, size)
+
+    commands = Commands.named(("a", "b"), u).changed(
+        (), SignalChange(counted, drawn, is_plain=True)
+    )
+    with torch.no_grad():
+        heard = commands.each_heard(grid)
+        alone = [SignalChange(counted, size, is_plain=True)(u, grid) for size in drawn]
+    assert asked[:2] == [3, 3]
+    for k in range(2):
+        assert torch.equal(heard[k], torch.stack([one[k] for one in alone]))
+    commands.each_heard(grid)  # where slopes are asked for, every point has its own
+    assert asked[-1] == len(drawn)
