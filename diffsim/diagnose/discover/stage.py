@@ -51,6 +51,7 @@ TWIN_NATS = 0.01  # between laws that do the same
 NUM_FORMS = 2  # of each of these, that the search weighs
 SCREEN_SHARE = 0.5  # of what laws may cost, for terms that a screen must simulate
 TABLE = "table"  # a form that is no formula
+PRODUCT = "size*(u)"  # a form that is the variable itself, times another one where it has one
 TABLE_PRICE = 3.0  # nats for each factor of a curve that stands for a formula
 FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
 NUM_POINTS = 101  # of a curve
@@ -382,12 +383,26 @@ def _name(laws: Sequence[Law], k: int) -> str:
 
 
 def _without_twins(laws: Sequence[Law]) -> list[Law]:
-    """Laws of different entries, variables or formulas: several fits may ask for one."""
+    """Laws of different entries, variables or formulas: several fits may ask for one. A product of
+    two variables stands for what multiplies the one by a law of the other, too."""
     first: dict[tuple[str, str, str, str], Law] = {}
+    products: dict[tuple[str, str, frozenset[str]], str] = {}
     for law in laws:
         kind = law.term if law.form != "periodic" else law.form
         first.setdefault((law.entry.kind, law.entry.target, law.variable.name, kind), law)
-    return list(first.values())
+        if law.variable.times is not None and law.term == PRODUCT:
+            products.setdefault(_pair_of(law), law.variable.name)
+    return [
+        law
+        for law in first.values()
+        if law.variable.name == products.get(_pair_of(law), law.variable.name)
+    ]
+
+
+def _pair_of(law: Law) -> tuple[str, str, frozenset[str]]:
+    """Where a law enters, and its variables in no order."""
+    others = [law.variable.times.name] if law.variable.times is not None else []
+    return law.entry.kind, law.entry.target, frozenset([law.variable.own_name, *others])
 
 
 def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -413,9 +428,7 @@ def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
     for c in best:
         at = sum(c.entry == other.entry for other in chosen)
         on = sum(c.variable.name == other.variable.name for other in chosen)
-        # twins are one law to these recordings: of one variable, by entries in proportion
-        twins = (o for o in chosen if c.variable == o.variable and c.basis == o.basis)
-        is_twin = any(abs(c.nats - o.nats) < TWIN_NATS for o in twins)
+        is_twin = any(abs(c.nats - o.nats) < TWIN_NATS and _may_be_one(c, o) for o in chosen)
         if at < ALIKE and on < ALIKE and not is_twin:
             told = [c, *(p for p in best if _is_plain_of(p, c))]
             same = {(one.entry, one.variable.name) for one in told}
@@ -424,6 +437,14 @@ def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
             ]
             chosen += [one for one in dict.fromkeys((*told, *turns)) if one not in chosen]
     return chosen[:NUM_FITTED]
+
+
+def _may_be_one(a: Candidate, b: Candidate) -> bool:
+    """Whether laws that explain as much are one to these recordings: of one variable, by entries in
+    proportion; or at one entry, of variables in proportion, such as a duty and its voltage."""
+    if a.entry == b.entry:
+        return a.is_plain and b.is_plain
+    return a.variable == b.variable and a.basis == b.basis
 
 
 def _is_plain_of(plain: Candidate, c: Candidate) -> bool:

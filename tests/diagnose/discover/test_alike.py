@@ -87,6 +87,41 @@ def test_a_law_of_one_zone_is_found_there():
     assert law.entry.target in ("b", "loss_b") and law.variable.name == "b"
 
 
+def test_a_product_of_two_states_is_found_at_both():
+    """A reaction takes of two dissolved things alike, as fast as the product of both says; laws of
+    two variables were asked for at single entries alone."""
+    rng, step, runs = np.random.default_rng(1), 0.5, []
+    for k in range(4):
+        feed = np.repeat(rng.uniform(0.0, 3.0, (9, 2)), 8, axis=0)
+        held, seen = np.zeros(2), []
+        for flows_in in feed:
+            seen.append(held)
+            for _ in range(10):
+                held = held + 0.1 * step * (0.3 * (flows_in - held) - 0.25 * held.prod())
+        measured = np.array(seen) + rng.normal(0.0, 0.01, (len(seen), 2))
+        commands = {"feed_a": feed[:, 0], "feed_b": feed[:, 1]}
+        runs.append(Run(f"run_{k}", step * np.arange(len(feed)), measured, commands, f"run_{k}"))
+    model = {
+        "system": "ode",
+        "parameters": {"rinse": {"value": 0.3, "percent": 5, "unit": "1/s"}},
+        "inputs": [{"name": f"feed_{z}", "held": True} for z in "ab"],
+        "states": {"a": 0.0, "b": 0.0},
+        "rates": {z: f"rinse*(feed_{z} - {z})" for z in "ab"},
+        "readings": {f"probe_{z}": z for z in "ab"},
+        "effects": {"only": []},
+    }
+    channels = tuple(Channel(f"probe_{z}", "mol/m^3", "concentration", 0.01) for z in "ab")
+    commands = tuple(Command(f"feed_{z}", "mol/m^3") for z in "ab")
+    study = Study("tank", "ode", channels, tuple(runs), commands=commands, model=model)
+    made = setup_of(study)
+    screen = screen_laws(follow(plain_fit(study, made), made.laws), made.laws, silent)
+    _, pairs, _ = screen.with_pairs(e for e in made.laws.entries if e.kind == "rate")
+    best, alone = pairs[0], screen.holding[0]
+    assert [part.target for part in best.entry.parts] == ["a", "b"]
+    assert {best.variable.own_name, best.variable.times.name} == {"a", "b"}
+    assert best.nats > alone.nats and best.gained > alone.gained
+
+
 @pytest.mark.reference
 def test_a_law_of_all_zones_is_saved_as_what_was_simulated():
     """The term without a form and the cause as it is written move the record alike."""

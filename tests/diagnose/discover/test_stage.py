@@ -20,7 +20,7 @@ from diffsim.diagnose.say.headline import first_of
 from diffsim.diagnose.search.fit import silent
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Problem, extended_model
-from diffsim.identify.law import Law, Shape
+from diffsim.identify.law import Entry, Law, Shape, Variable
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.whitening import WhiteNoise
@@ -191,6 +191,19 @@ def test_one_turn_of_an_angle_is_fitted_beside_its_bumps():
     bump = Candidate(shaft, angle, bumps(-1.0, 1.0), nats=90.0, gained=90.0, share=0.9, typical=1.0)
     turn = replace(bump, basis=Basis(("sin(u)", "cos(u)"), wave=ONE_TURN), nats=60.0, gained=60.0)
     assert stage._choose([bump, turn], 3.0) == [bump, turn]
+
+
+def test_of_variables_in_proportion_one_has_a_law():
+    """Of a supply that sags the answer was that runs cannot tell a duty from its voltage."""
+    entry = Entry("number", "resistance", "ohm", 1.0)
+
+    def law(name, nats, top=1.0):
+        return Candidate(entry, Variable(name, name), bumps(-top, top), nats, nats, 0.9, 1.0)
+
+    duty, volts, speed = law("duty", 90.0), law("volts", 90.001, 12.0), law("speed", 80.0)
+    assert stage._choose([volts, duty, speed], 3.0) == [volts, speed]
+    memory = replace(duty, variable=Variable("memory", "m", memory="relaxation"))
+    assert stage._choose([replace(memory, gained=99.0, nats=99.0), duty], 3.0)[1] is duty
 
 
 def test_pairs_end_with_the_budget(monkeypatch):

@@ -16,7 +16,7 @@ from diffsim.diagnose.say.assemble import doubted
 from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.wording import sentences
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.law import Entry, Variable
+from diffsim.identify.law import Entry, Law, Variable
 from diffsim.systems.ode.law_port import LIGHTLY, SWINGING
 from tests.diagnose.discover.answers import found
 from tests.diagnose.discover.turntable import turntable_study
@@ -229,6 +229,24 @@ def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
     quiet = SimpleNamespace(**{**vars(law), "fit": SimpleNamespace(chi2=99.0, num_samples=100)})
     unasked = SimpleNamespace()
     assert stage._fit_pairs(unasked, None, [quiet], None, (), 0.0) == (unasked, [])  # type: ignore
+
+
+def test_a_product_is_one_law_whichever_of_its_variables_comes_first():
+    """Of a reaction two were weighed, and the answer was that these runs cannot tell which."""
+    entry = Entry("rate", "a", "1/s", 1.0)
+    a, b, c = (Variable(name, name) for name in "abc")
+
+    def law(variable, form, term):
+        return Law("", entry, variable, form, term, 1.0, "1/s")
+
+    product = law(b.with_factor(a), "line", "size*(u)")
+    bent = law(b.with_factor(a), "threshold", "size*(max(u - threshold, 0))")
+    mirrored = law(a.with_factor(b), "power", "size*(u**exponent)")
+    other = law(c.with_factor(a), "line", "size*(u)")
+    alone = law(a, "line", "size*(u)")
+    kept = stage._without_twins([product, bent, mirrored, other, alone])
+    assert kept == [product, bent, other, alone]
+    assert stage._without_twins([mirrored, bent]) == [mirrored, bent]  # none is a product
 
 
 def test_a_hidden_mass_is_tried_within_its_resonance():
