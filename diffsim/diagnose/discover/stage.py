@@ -494,10 +494,18 @@ def _fit_law(
         return law
     told = screen.misfit_of(candidate)
     left = told.left_by(candidate.basis.values(told.u))
-    # more than all that the fit leaves: such slopes do not lead there, nor do they know a cause
-    if left > 0.5 * ended.chi2 or cause is not None:
-        told, left = screen.misfit_at(ended, candidate, curve), 0.0
-    return replace(law, forms=tuple(fit_forms(told)), left=left)
+    forms = [] if cause is not None else fit_forms(told)
+    # more than all that the fit leaves: such slopes do not lead there, nor do they know a cause;
+    # where no formula is as good as the bumps by them, those at the fit are asked, too
+    if left > 0.5 * ended.chi2 or _is_far(forms, left, candidate):
+        forms, left = fit_forms(screen.misfit_at(ended, candidate, curve)), 0.0
+    return replace(law, forms=tuple(forms), left=left)
+
+
+def _is_far(forms: Sequence[FittedForm], left: float, candidate: Candidate) -> bool:
+    """Whether no formula is nearly as good as the curve itself."""
+    best = forms[0].nats if forms else np.inf
+    return best - left > TABLE_PRICE * len(candidate.basis.terms)
 
 
 def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
@@ -558,7 +566,7 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     near = FORM_NATS if fitted.left > 0.0 else np.inf
     kept = [f for f in fitted.forms if f.nats - best < near][:NUM_FORMS]
     laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
-    if best - fitted.left <= TABLE_PRICE * len(c.basis.terms):
+    if not _is_far(fitted.forms, fitted.left, c):
         return laws
     # no formula is nearly as good as the curve itself; but what else is missing bends that
     return [_make_table(fitted, price, memory), *laws]
