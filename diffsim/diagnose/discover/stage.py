@@ -330,13 +330,16 @@ def _fit_pairs(
     standing: Sequence[FittedLaw],
     most_steps: float,
 ) -> tuple[Screen, list[FittedLaw]]:
-    """Laws multiplied by another variable, where fitted laws enter, if two explain more than any of
-    these by the price of the choice; none where one leaves noise: a line times a constant is a
-    line, too, which bumps over the other variable may follow closer than those over its own."""
+    """Laws multiplied by another variable, where fitted laws or pushes enter, if two explain more
+    than any of these by the price of the choice; none where one leaves noise: a line times a
+    constant is a line, too, which bumps over the other variable may follow closer than those over
+    its own."""
     best = max(fitted, key=lambda f: f.nats)
     if 0.5 * (best.fit.chi2 - best.fit.num_samples) < KEEP_NATS:
         return screen, []
-    entries = dict.fromkeys(f.candidate.entry for f in fitted)
+    # a product pushes where none of its variables alone seems to
+    pushed = (c.entry for c in screen.found if c.entry.kind in ("rate", "force"))
+    entries = dict.fromkeys((*(f.candidate.entry for f in fitted), *pushed))
     screen, pairs, count = screen.with_pairs(entries)
     least = best.nats + KEEP_NATS + _price(count)
     promised = max(f.candidate.nats for f in fitted) + KEEP_NATS
@@ -565,6 +568,11 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     # by slopes of bumps a form is told as closely as bumps follow it: there the simulator decides
     near = FORM_NATS if fitted.left > 0.0 else np.inf
     kept = [f for f in fitted.forms if f.nats - best < near][:NUM_FORMS]
+    # slopes of bumps tell a line from a threshold by their own error: the simplest is weighed, too
+    close = (f for f in fitted.forms if f.nats - best < FORM_NATS)
+    simplest = min(close, key=lambda f: len(f.numbers), default=None)
+    if simplest is not None and all(len(f.numbers) > len(simplest.numbers) for f in kept):
+        kept[1:] = [simplest]
     laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
     if not _is_far(fitted.forms, fitted.left, c):
         return laws
