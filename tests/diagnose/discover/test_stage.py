@@ -312,7 +312,7 @@ def test_the_row_of_such_a_law_holds_both_variables():
     port = setup_of(study).laws
     by_name = {v.name: v for v in port.variables()}
     pair = by_name["temp"].with_factor(by_name["angle"])
-    assert pair.name == "temp, times angle" and pair.columns == ("temp",)
+    assert pair.name == "temp times angle" and pair.columns == ("temp",)
     shaft = next(e for e in port.entries if e.words == "force at shaft")
     law = Law("warm_spring", shaft, pair, "line", "size*(u - zero)", 2e-3, "N m",
               {"zero": Shape(298.0, 1.0)})  # fmt: skip
