@@ -1,5 +1,7 @@
 """One law at several alike places: zones of an oven that radiate, together or one alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,11 +70,11 @@ def plain_fit(study, made):
     return gauss_newton(problem, start)[0]
 
 
-def best_law(radiates):
-    study = oven(np.array(radiates))
+def best_law(radiates, model=MODEL):
+    study = replace(oven(np.array(radiates)), model=model)
     made = setup_of(study)
     screen = screen_laws(follow(plain_fit(study, made), made.laws), made.laws, silent)
-    return screen.holding[0]
+    return next(law for law in screen.holding if law.entry.kind != "reading")
 
 
 def test_a_law_of_all_zones_is_found_at_all_of_them():
@@ -85,6 +87,16 @@ def test_a_law_of_one_zone_is_found_there():
     law = best_law([0.0, RADIATES])
     # as heat that is lost, or as a conductance that grows
     assert law.entry.target in ("b", "loss_b") and law.variable.name == "b"
+
+
+def test_what_flows_between_two_zones_is_told_by_their_difference():
+    """A leak between two chambers was unknown: it enters one by what leaves the other."""
+    rates = {z: f"(power_{z} - loss_{z}*({z} - 295))/heat_{z}" for z in "ab"}
+    law = best_law([0.0, 0.0], {**MODEL, "rates": rates})
+    assert [part.target for part in law.entry.parts] == ["a", "b"] and law.entry.unit == "W"
+    assert law.variable.name == "its own value below the other's"
+    assert [part.formula for part in law.variable.parts] == ["(b) - (a)", "(a) - (b)"]
+    assert law.gained > 0.9 * law.nats
 
 
 def test_a_product_of_two_states_is_found_at_both():
