@@ -388,24 +388,17 @@ def _name(laws: Sequence[Law], k: int) -> str:
 def _without_twins(laws: Sequence[Law]) -> list[Law]:
     """Laws of different entries, variables or formulas: several fits may ask for one. A product of
     two variables stands for what multiplies the one by a law of the other, too."""
-    first: dict[tuple[str, str, str, str], Law] = {}
-    products: dict[tuple[str, str, frozenset[str]], str] = {}
+    first: dict[tuple[str, str, str, str], tuple[Law, frozenset[str]]] = {}
+    products: dict[frozenset[str], str] = {}
     for law in laws:
+        variable, times = law.variable, law.variable.times
+        where = law.entry.kind, law.entry.target
+        pair = frozenset([*where, variable.own_name, "" if times is None else times.name])
         kind = law.term if law.form != "periodic" else law.form
-        first.setdefault((law.entry.kind, law.entry.target, law.variable.name, kind), law)
-        if law.variable.times is not None and law.term == PRODUCT:
-            products.setdefault(_pair_of(law), law.variable.name)
-    return [
-        law
-        for law in first.values()
-        if law.variable.name == products.get(_pair_of(law), law.variable.name)
-    ]
-
-
-def _pair_of(law: Law) -> tuple[str, str, frozenset[str]]:
-    """Where a law enters, and its variables in no order."""
-    others = [law.variable.times.name] if law.variable.times is not None else []
-    return law.entry.kind, law.entry.target, frozenset([law.variable.own_name, *others])
+        first.setdefault((*where, variable.name, kind), (law, pair))
+        if times is not None and law.term == PRODUCT:
+            products.setdefault(pair, variable.name)
+    return [law for law, pair in first.values() if products.get(pair) in (None, law.variable.name)]
 
 
 def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -431,7 +424,15 @@ def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
     for c in best:
         at = sum(c.entry == other.entry for other in chosen)
         on = sum(c.variable.name == other.variable.name for other in chosen)
-        is_twin = any(abs(c.nats - o.nats) < TWIN_NATS and _may_be_one(c, o) for o in chosen)
+        # twins are one law to these recordings: of one variable, by entries in proportion; or at
+        # one entry, of variables in proportion, such as a duty and its voltage
+        alike = (o for o in chosen if abs(c.nats - o.nats) < TWIN_NATS)
+        is_twin = any(
+            (c.is_plain and o.is_plain)
+            if c.entry == o.entry
+            else (c.variable == o.variable and c.basis == o.basis)
+            for o in alike
+        )
         if at < ALIKE and on < ALIKE and not is_twin:
             told = [c, *(p for p in best if _is_plain_of(p, c))]
             same = {(one.entry, one.variable.name) for one in told}
@@ -440,14 +441,6 @@ def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
             ]
             chosen += [one for one in dict.fromkeys((*told, *turns)) if one not in chosen]
     return chosen[:NUM_FITTED]
-
-
-def _may_be_one(a: Candidate, b: Candidate) -> bool:
-    """Whether laws that explain as much are one to these recordings: of one variable, by entries in
-    proportion; or at one entry, of variables in proportion, such as a duty and its voltage."""
-    if a.entry == b.entry:
-        return a.is_plain and b.is_plain
-    return a.variable == b.variable and a.basis == b.basis
 
 
 def _is_plain_of(plain: Candidate, c: Candidate) -> bool:
@@ -500,15 +493,10 @@ def _fit_law(
     forms = [] if cause is not None else fit_forms(told)
     # more than all that the fit leaves: such slopes do not lead there, nor do they know a cause;
     # where no formula is as good as the bumps by them, those at the fit are asked, too
-    if left > 0.5 * ended.chi2 or _is_far(forms, left, candidate):
+    best = min((f.nats for f in forms), default=np.inf)
+    if left > 0.5 * ended.chi2 or best - left > TABLE_PRICE * len(candidate.basis.terms):
         forms, left = fit_forms(screen.misfit_at(ended, candidate, curve)), 0.0
     return replace(law, forms=tuple(forms), left=left)
-
-
-def _is_far(forms: Sequence[FittedForm], left: float, candidate: Candidate) -> bool:
-    """Whether no formula is nearly as good as the curve itself."""
-    best = forms[0].nats if forms else np.inf
-    return best - left > TABLE_PRICE * len(candidate.basis.terms)
 
 
 def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
@@ -574,7 +562,7 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     if simplest is not None and all(len(f.numbers) > len(simplest.numbers) for f in kept):
         kept[1:] = [simplest]
     laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
-    if not _is_far(fitted.forms, fitted.left, c):
+    if best - fitted.left <= TABLE_PRICE * len(c.basis.terms):
         return laws
     # no formula is nearly as good as the curve itself; but what else is missing bends that
     return [_make_table(fitted, price, memory), *laws]
