@@ -47,9 +47,7 @@ def guess_clock(
             if column in named or _tells_time(column, tables[0]):
                 said.append(f"clock: column {column.name}, as times of day or dates")
                 return {"column": column.name, "unit": "clock"}, column, []
-        elif column in named or (
-            (unit_of_clock(column.base) or CLOCK.search(column.base)) and _grows(column, tables)
-        ):
+        elif column in named or (_is_clock_by_unit(column) and _grows(column, tables)):
             return _numeric_time(column, tables, said)
     for column in columns:
         is_number = tables[0].is_number[column.name] and not COUNTER.match(column.base)
@@ -192,8 +190,15 @@ def _unit_since_1970(now: Array, step: float) -> str | None:
     return None
 
 
+def _is_clock_by_unit(column: Column) -> bool:
+    """Whether a column is called by a unit of time, as uptime or millis is, or states one in any
+    language: ts_us, "tempo (s)"."""
+    by_name = bool(unit_of_clock(column.base) or CLOCK.search(column.base))
+    return by_name or (column.unit not in (None, "-") and to_si(column.unit).unit == "s")
+
+
 def _grows(column: Column, tables: Sequence[Table]) -> bool:
-    """Whether a clock by its name goes on; some of its stamps may be equal."""
+    """Whether a clock goes on; some of its stamps may be equal."""
     step = np.diff(tables[0].numbers(column.name))
     enough = max(min(_FEWEST_ROWS, len(step)), 0.1 * len(step))
     return bool((step >= 0.0).all() and (step > 0.0).sum() >= enough)

@@ -158,10 +158,13 @@ def beside_measured(guess: Guess) -> None:
 
 
 def held(guess: Guess) -> None:
-    """Where nothing is called a command: what rests in some run, and sweeps without noise in
-    others."""
-    for c in _of_no_motion(guess):
-        _decide(c, _IS_HELD if _rests_or_sweeps(guess, c) else "")
+    """What rests in some run, and sweeps without noise in others: where nothing is called a
+    command, or what is called so does, in its unit: in_1 beside valve_1."""
+    called = guess.those("command")
+    units = {c.column.unit for c in called if _rests_or_sweeps(guess, c)}
+    for c in guess.those(""):
+        if not is_motion(c.column) and (not called or c.column.unit in units):
+            _decide(c, _IS_HELD if _rests_or_sweeps(guess, c) else "")
 
 
 def smooth(guess: Guess) -> None:

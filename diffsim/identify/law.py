@@ -129,7 +129,7 @@ class Variable:
 
 
 def _times(other: Variable) -> str:
-    return f", times {other.name}"
+    return f" times {other.name}"
 
 
 @dataclass(frozen=True, eq=False)

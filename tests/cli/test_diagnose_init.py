@@ -381,6 +381,36 @@ def test_minutes_are_a_clock_and_a_wall_temperature_is_none(tmp_path):
     assert [c.name for c in study.channels] == ["T_wall"]
 
 
+@pytest.mark.parametrize(
+    ("header", "unit", "step"), [("tempo (s)", "s", 2.0), ("ts_us", "us", 1e4)]
+)
+def test_what_grows_in_a_unit_of_time_is_the_clock(tmp_path, header, unit, step):
+    """In any language, whatever rows were lost or written with the stamp of another."""
+    stamps = (1.7645e15 if unit == "us" else 0.0) + step * np.arange(120.0)
+    stamps[[9, 30, 77]] = stamps[[8, 29, 76]]
+    kept = np.delete(np.arange(120), [20, 51, 52, 90])
+    texts = [f"{v:.0f}" for v in stamps[kept]]
+    write(tmp_path / "a.csv", f"{header},x (mm)", [texts, noisy(1, num=120)[kept]])
+    assert init(tmp_path, "--system", "ode") == 0
+    stated = yaml.safe_load((tmp_path / "study.yaml").read_text("utf-8"))
+    assert stated["time"]["column"] == header and stated["time"]["unit"] == unit
+    assert [c["name"] for c in stated["channels"]] == ["x"]
+
+
+def test_valves_beside_one_that_is_called_so_are_commands(tmp_path):
+    """Of two chambers inlets became channels, whose closed state stood for nothing measured."""
+    rng = np.random.default_rng(4)
+    valves = np.repeat(rng.integers(0, 2, (4, 12)), 10, axis=1).astype(float)
+    warm = np.round(np.linspace(20.0, 21.0, 120), 1)  # rests, too, but is in a unit of its own
+    columns = [np.arange(120.0), noisy(1, num=120), *valves, warm]
+    header = "t (s),p (kPa),in1,in2,valve1,valve2,wall (°C)"
+    write(tmp_path / "a.csv", header, columns)
+    assert init(tmp_path, "--system", "ode") == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.commands] == ["in1", "in2", "valve1", "valve2"]
+    assert [c.name for c in study.channels] == ["p", "wall"]
+
+
 def test_a_column_of_dates_is_a_clock_before_a_counter(tmp_path):
     dates = [f"2026-03-01 09:{k // 30:02d}:{2 * k % 60:02d}" for k in range(60)]
     number = np.arange(60.0)

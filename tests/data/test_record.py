@@ -149,6 +149,17 @@ def test_a_level_of_a_switch_is_no_code(levels, seed):
     assert len(found) == (levels[0] == 0.0)  # beyond all others alone
 
 
+@pytest.mark.parametrize("role", ["channel", "command"])
+@pytest.mark.parametrize("closed", [0.1, 0.45])
+def test_a_valve_that_is_read_is_no_missing_value(role, closed):
+    """Closed in 45 % of a record it was a number for nothing measured."""
+    rng, rows = np.random.default_rng(3), np.arange(2000)
+    values = np.repeat((rng.random(200) > closed).astype(float), 10)
+    seen = Signal("in1", role, "in1", None, (Samples("a", rows, 0.01 * rows, values),))
+    told = list(find_codes(Record(Study("rig", "ode", (), ()), (), (seen,))))
+    assert bool(told) is (role == "channel" and closed < 0.2)  # a sensor may fail so often
+
+
 @pytest.mark.parametrize("code", [-9999.0, 65535.0, -32768.0])
 @pytest.mark.parametrize("levels", [(0.0, 1.0), (-1.0, 0.0, 1.0)])
 def test_a_switch_has_codes_of_nothing_measured_too(code, levels):

@@ -279,11 +279,12 @@ def _code(signal: Signal, code: float) -> Finding | None:
     size = max(float(high - low), 1e-12)
     off = max(low - code, code - high)
     share = count / len(values)
-    if signal.role == "command" and (off < size or code not in SURE_CODES or share > 0.2):
+    is_level = _are_levels(others, off)
+    if signal.role == "command" and (off < size or code not in SURE_CODES):
         return None
-    if signal.role == "command" and code in FULL_SCALES and _are_levels(others, off):
+    if signal.role == "command" and code in FULL_SCALES and is_level:
         return None
-    if share > 0.5:
+    if share > (0.2 if is_level or signal.role == "command" else 0.5):
         return None
     is_inside = code == 0.0 and off <= 0.0
     if is_inside:

@@ -196,9 +196,14 @@ class Screen:
         screen, nats = replace(self, courses=courses), list[float]()
         for entry in entries:
             reach = self.reaches[entry]
-            if entry.kind not in WITH_PAIRS or not isinstance(reach, Reach):
+            if entry.kind not in WITH_PAIRS or reach is None:
                 continue
-            plain = {c.variable.name: c for c in self.found if c.entry == entry and c.is_plain}
+            plain = {
+                c.variable.name: c
+                for c in self.found
+                # of alike places' own values none multiplies what all of them share
+                if c.entry == entry and c.is_plain and not c.variable.parts
+            }
             own = []
             for law, other in permutations(plain.values(), 2):
                 pair = law.variable.with_factor(other.variable)
@@ -210,7 +215,7 @@ class Screen:
         weighed = sorted((screen.reweighed(c) for c in best), key=lambda c: c.rank)
         return screen, weighed, len(asked)
 
-    def _nats_at(self, reach: Reach, laws: Sequence[Candidate]) -> Iterator[float]:
+    def _nats_at(self, reach: Reach | JointReach, laws: Sequence[Candidate]) -> Iterator[float]:
         """Evidence of laws of one entry by their bases."""
         counts = [len(law.basis.terms) for law in laws]
         for part in _in_batches(counts):

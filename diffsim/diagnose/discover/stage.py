@@ -51,6 +51,7 @@ TWIN_NATS = 0.01  # between laws that do the same
 NUM_FORMS = 2  # of each of these, that the search weighs
 SCREEN_SHARE = 0.5  # of what laws may cost, for terms that a screen must simulate
 TABLE = "table"  # a form that is no formula
+PRODUCT = "size*(u)"  # a form that is the variable itself, times another one where it has one
 TABLE_PRICE = 3.0  # nats for each factor of a curve that stands for a formula
 FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
 NUM_POINTS = 101  # of a curve
@@ -329,13 +330,16 @@ def _fit_pairs(
     standing: Sequence[FittedLaw],
     most_steps: float,
 ) -> tuple[Screen, list[FittedLaw]]:
-    """Laws multiplied by another variable, where fitted laws enter, if two explain more than any of
-    these by the price of the choice; none where one leaves noise: a line times a constant is a
-    line, too, which bumps over the other variable may follow closer than those over its own."""
+    """Laws multiplied by another variable, where fitted laws or pushes enter, if two explain more
+    than any of these by the price of the choice; none where one leaves noise: a line times a
+    constant is a line, too, which bumps over the other variable may follow closer than those over
+    its own."""
     best = max(fitted, key=lambda f: f.nats)
     if 0.5 * (best.fit.chi2 - best.fit.num_samples) < KEEP_NATS:
         return screen, []
-    entries = dict.fromkeys(f.candidate.entry for f in fitted)
+    # a product pushes where none of its variables alone seems to
+    pushed = (c.entry for c in screen.found if c.entry.kind in ("rate", "force"))
+    entries = dict.fromkeys((*(f.candidate.entry for f in fitted), *pushed))
     screen, pairs, count = screen.with_pairs(entries)
     least = best.nats + KEEP_NATS + _price(count)
     promised = max(f.candidate.nats for f in fitted) + KEEP_NATS
@@ -382,12 +386,19 @@ def _name(laws: Sequence[Law], k: int) -> str:
 
 
 def _without_twins(laws: Sequence[Law]) -> list[Law]:
-    """Laws of different entries, variables or formulas: several fits may ask for one."""
-    first: dict[tuple[str, str, str, str], Law] = {}
+    """Laws of different entries, variables or formulas: several fits may ask for one. A product of
+    two variables stands for what multiplies the one by a law of the other, too."""
+    first: dict[tuple[str, str, str, str], tuple[Law, frozenset[str]]] = {}
+    products: dict[frozenset[str], str] = {}
     for law in laws:
+        variable, times = law.variable, law.variable.times
+        where = law.entry.kind, law.entry.target
+        pair = frozenset([*where, variable.own_name, "" if times is None else times.name])
         kind = law.term if law.form != "periodic" else law.form
-        first.setdefault((law.entry.kind, law.entry.target, law.variable.name, kind), law)
-    return list(first.values())
+        first.setdefault((*where, variable.name, kind), (law, pair))
+        if times is not None and law.term == PRODUCT:
+            products.setdefault(pair, variable.name)
+    return [law for law, pair in first.values() if products.get(pair) in (None, law.variable.name)]
 
 
 def _best_of_each(every: Sequence[Candidate]) -> tuple[Candidate, ...]:
@@ -413,9 +424,15 @@ def _choose(found: Sequence[Candidate], least: float) -> list[Candidate]:
     for c in best:
         at = sum(c.entry == other.entry for other in chosen)
         on = sum(c.variable.name == other.variable.name for other in chosen)
-        # twins are one law to these recordings: of one variable, by entries in proportion
-        twins = (o for o in chosen if c.variable == o.variable and c.basis == o.basis)
-        is_twin = any(abs(c.nats - o.nats) < TWIN_NATS for o in twins)
+        # twins are one law to these recordings: of one variable, by entries in proportion; or at
+        # one entry, of variables in proportion, such as a duty and its voltage
+        alike = (o for o in chosen if abs(c.nats - o.nats) < TWIN_NATS)
+        is_twin = any(
+            (c.is_plain and o.is_plain)
+            if c.entry == o.entry
+            else (c.variable == o.variable and c.basis == o.basis)
+            for o in alike
+        )
         if at < ALIKE and on < ALIKE and not is_twin:
             told = [c, *(p for p in best if _is_plain_of(p, c))]
             same = {(one.entry, one.variable.name) for one in told}
@@ -473,10 +490,13 @@ def _fit_law(
         return law
     told = screen.misfit_of(candidate)
     left = told.left_by(candidate.basis.values(told.u))
-    # more than all that the fit leaves: such slopes do not lead there, nor do they know a cause
-    if left > 0.5 * ended.chi2 or cause is not None:
-        told, left = screen.misfit_at(ended, candidate, curve), 0.0
-    return replace(law, forms=tuple(fit_forms(told)), left=left)
+    forms = [] if cause is not None else fit_forms(told)
+    # more than all that the fit leaves: such slopes do not lead there, nor do they know a cause;
+    # where no formula is as good as the bumps by them, those at the fit are asked, too
+    best = min((f.nats for f in forms), default=np.inf)
+    if left > 0.5 * ended.chi2 or best - left > TABLE_PRICE * len(candidate.basis.terms):
+        forms, left = fit_forms(screen.misfit_at(ended, candidate, curve)), 0.0
+    return replace(law, forms=tuple(forms), left=left)
 
 
 def _begin(problem: Problem, before: Fit, asked: Array) -> Array:
@@ -536,6 +556,11 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     # by slopes of bumps a form is told as closely as bumps follow it: there the simulator decides
     near = FORM_NATS if fitted.left > 0.0 else np.inf
     kept = [f for f in fitted.forms if f.nats - best < near][:NUM_FORMS]
+    # slopes of bumps tell a line from a threshold by their own error: the simplest is weighed, too
+    close = (f for f in fitted.forms if f.nats - best < FORM_NATS)
+    simplest = min(close, key=lambda f: len(f.numbers), default=None)
+    if simplest is not None and all(len(f.numbers) > len(simplest.numbers) for f in kept):
+        kept[1:] = [simplest]
     laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
     if best - fitted.left <= TABLE_PRICE * len(c.basis.terms):
         return laws

@@ -50,6 +50,7 @@ SLOW_SHARE = 0.5  # of the usual speed of a place, below which it rests
 LIGHTLY = 0.05  # damping ratio of a hidden mass that nobody knows
 
 _FLOWS = ("W", "N", "N m", "m^3/s", "kg/s", "A")  # units in which what drives a rate is said
+_AT_BOTH = "both"  # entry of a variable that no place alone has
 _OWN = "its own"
 MOST_LISTED = 3  # names of alike places; of more the first and the last
 #: what tells names of alike numbers apart: h1 and h2, k_left and k_right, kpx and kpy
@@ -116,8 +117,10 @@ class OdeLaws(LawPort):
     def variables(self) -> Sequence[Variable]:
         """What the model knows, what was recorded beside it, and memories of these."""
         plain = tuple(self._list_plain())
-        own = (v for e in self.entries if e.parts for v in _own_variables(e, plain, self.library))
-        return (*plain, *own, *self._list_memories())
+        alike = (e for e in self.entries if e.parts)
+        own = [v for e in alike for v in _own_variables(e, plain, self.library)]
+        apart = (part for v in own for part in v.parts if part.at)
+        return (*plain, *apart, *own, *self._list_memories())
 
     def _list_plain(self) -> Iterator[Variable]:
         motion, runs = self.library.system.motion, self.study.fit_runs
@@ -435,7 +438,8 @@ def _alike_entries(
 def _own_variables(
     entry: Entry, variables: Iterable[Variable], library: Library
 ) -> Iterator[Variable]:
-    """What a law at alike entries may depend on that is another one at each: its own value.
+    """What a law at alike entries may depend on that is another one at each: its own value; of two
+    that are driven, how far it lies below the other's, as of a leak or a spring between them.
 
     Args:
         variables: Those that are the same everywhere.
@@ -458,6 +462,17 @@ def _own_variables(
         if len(found) == len(entry.parts):
             own = replace(found[0], name=f"{_OWN} {what}", at=(entry.words,), is_turn=False)
             yield replace(own, parts=tuple(found))
+            if len(found) == 2 and entry.kind in ("rate", "force"):
+                apart = tuple(_apart(v, of) for v, of in (found, found[::-1]))
+                yield replace(own, name=f"{_OWN} {what} below the other's", parts=apart)
+
+
+def _apart(own: Variable, other: Variable) -> Variable:
+    """How far a variable lies below another one; for laws at both of their places alone."""
+    formula = f"({other.formula}) - ({own.formula})"
+    return replace(
+        own, name=f"{own.name} below {other.name}", formula=formula, at=(_AT_BOTH,), is_turn=False
+    )
 
 
 def _as_flow(entry: Entry, library: Library, unit: str) -> Entry:

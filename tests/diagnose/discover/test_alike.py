@@ -1,5 +1,7 @@
 """One law at several alike places: zones of an oven that radiate, together or one alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,11 +70,11 @@ def plain_fit(study, made):
     return gauss_newton(problem, start)[0]
 
 
-def best_law(radiates):
-    study = oven(np.array(radiates))
+def best_law(radiates, model=MODEL):
+    study = replace(oven(np.array(radiates)), model=model)
     made = setup_of(study)
     screen = screen_laws(follow(plain_fit(study, made), made.laws), made.laws, silent)
-    return screen.holding[0]
+    return next(law for law in screen.holding if law.entry.kind != "reading")
 
 
 def test_a_law_of_all_zones_is_found_at_all_of_them():
@@ -85,6 +87,51 @@ def test_a_law_of_one_zone_is_found_there():
     law = best_law([0.0, RADIATES])
     # as heat that is lost, or as a conductance that grows
     assert law.entry.target in ("b", "loss_b") and law.variable.name == "b"
+
+
+def test_what_flows_between_two_zones_is_told_by_their_difference():
+    """A leak between two chambers was unknown: it enters one by what leaves the other."""
+    rates = {z: f"(power_{z} - loss_{z}*({z} - 295))/heat_{z}" for z in "ab"}
+    law = best_law([0.0, 0.0], {**MODEL, "rates": rates})
+    assert [part.target for part in law.entry.parts] == ["a", "b"] and law.entry.unit == "W"
+    assert law.variable.name == "its own value below the other's"
+    assert [part.formula for part in law.variable.parts] == ["(b) - (a)", "(a) - (b)"]
+    assert law.gained > 0.9 * law.nats
+
+
+def test_a_product_of_two_states_is_found_at_both():
+    """A reaction takes of two dissolved things alike, as fast as the product of both says; laws of
+    two variables were asked for at single entries alone."""
+    rng, step, runs = np.random.default_rng(1), 0.5, []
+    for k in range(4):
+        feed = np.repeat(rng.uniform(0.0, 3.0, (9, 2)), 8, axis=0)
+        held, seen = np.zeros(2), []
+        for flows_in in feed:
+            seen.append(held)
+            for _ in range(10):
+                held = held + 0.1 * step * (0.3 * (flows_in - held) - 0.25 * held.prod())
+        measured = np.array(seen) + rng.normal(0.0, 0.01, (len(seen), 2))
+        commands = {"feed_a": feed[:, 0], "feed_b": feed[:, 1]}
+        runs.append(Run(f"run_{k}", step * np.arange(len(feed)), measured, commands, f"run_{k}"))
+    model = {
+        "system": "ode",
+        "parameters": {"rinse": {"value": 0.3, "percent": 5, "unit": "1/s"}},
+        "inputs": [{"name": f"feed_{z}", "held": True} for z in "ab"],
+        "states": {"a": 0.0, "b": 0.0},
+        "rates": {z: f"rinse*(feed_{z} - {z})" for z in "ab"},
+        "readings": {f"probe_{z}": z for z in "ab"},
+        "effects": {"only": []},
+    }
+    channels = tuple(Channel(f"probe_{z}", "mol/m^3", "concentration", 0.01) for z in "ab")
+    commands = tuple(Command(f"feed_{z}", "mol/m^3") for z in "ab")
+    study = Study("tank", "ode", channels, tuple(runs), commands=commands, model=model)
+    made = setup_of(study)
+    screen = screen_laws(follow(plain_fit(study, made), made.laws), made.laws, silent)
+    _, pairs, _ = screen.with_pairs(e for e in made.laws.entries if e.kind == "rate")
+    best, alone = pairs[0], screen.holding[0]
+    assert [part.target for part in best.entry.parts] == ["a", "b"]
+    assert {best.variable.own_name, best.variable.times.name} == {"a", "b"}
+    assert best.nats > alone.nats and best.gained > alone.gained
 
 
 @pytest.mark.reference

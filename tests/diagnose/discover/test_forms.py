@@ -136,8 +136,19 @@ def test_a_number_falls_to_both_sides_as_iron_saturates():
     own = fit_forms(told)[0]
     assert own.form is FACTORS_THROUGH_ZERO[0] and not own.form.signed
     assert own.size == pytest.approx(2.0 / 3.0 * 0.7**2, rel=0.15)  # what both bend by at zero
-    level = np.mean(values_of(told) - read(own, told.u))
-    np.testing.assert_allclose(read(own, told.u) + level, values_of(told), atol=0.02)
+    # the number's own value makes of it what height and level it likes
+    terms = np.stack([1.0 + read(own, told.u), np.ones(len(told.u))], 1)
+    height, level = np.linalg.lstsq(terms, values_of(told), rcond=None)[0]
+    np.testing.assert_allclose(terms @ [height, level], values_of(told), atol=0.01)
+
+
+@pytest.mark.parametrize("height", [0.7, 1.4])
+def test_a_number_that_was_bent_is_multiplied_by_what_is_missing(height):
+    """A shaker's saturating magnet was a curve without a formula: beside bumps its force constant
+    had become a share lower."""
+    law = lambda u: height / np.sqrt(1.0 + 0.17 * u**2) - 1.0  # noqa: E731
+    own = fit_forms(told_of(law, -2.7, 2.3, 2e-3, of_number=True))[0]
+    assert own.form is FACTORS_THROUGH_ZERO[0] and own.size == pytest.approx(0.17, rel=0.02)
 
 
 @pytest.mark.reference

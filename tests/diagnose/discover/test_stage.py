@@ -20,7 +20,7 @@ from diffsim.diagnose.say.headline import first_of
 from diffsim.diagnose.search.fit import silent
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.identify import Problem, extended_model
-from diffsim.identify.law import Law, Shape
+from diffsim.identify.law import Entry, Law, Shape, Variable
 from diffsim.identify.linearization import linearization_at
 from diffsim.identify.model_file import read_extended, rebuilt
 from diffsim.identify.whitening import WhiteNoise
@@ -193,6 +193,19 @@ def test_one_turn_of_an_angle_is_fitted_beside_its_bumps():
     assert stage._choose([bump, turn], 3.0) == [bump, turn]
 
 
+def test_of_variables_in_proportion_one_has_a_law():
+    """Of a supply that sags the answer was that runs cannot tell a duty from its voltage."""
+    entry = Entry("number", "resistance", "ohm", 1.0)
+
+    def law(name, nats, top=1.0):
+        return Candidate(entry, Variable(name, name), bumps(-top, top), nats, nats, 0.9, 1.0)
+
+    duty, volts, speed = law("duty", 90.0), law("volts", 90.001, 12.0), law("speed", 80.0)
+    assert stage._choose([volts, duty, speed], 3.0) == [volts, speed]
+    memory = replace(duty, variable=Variable("memory", "m", memory="relaxation"))
+    assert stage._choose([replace(memory, gained=99.0, nats=99.0), duty], 3.0)[1] is duty
+
+
 def test_pairs_end_with_the_budget(monkeypatch):
     fitted = []
     pairs = [SimpleNamespace(law=k, cause=k) for k in range(5)]
@@ -299,7 +312,7 @@ def test_the_row_of_such_a_law_holds_both_variables():
     port = setup_of(study).laws
     by_name = {v.name: v for v in port.variables()}
     pair = by_name["temp"].with_factor(by_name["angle"])
-    assert pair.name == "temp, times angle" and pair.columns == ("temp",)
+    assert pair.name == "temp times angle" and pair.columns == ("temp",)
     shaft = next(e for e in port.entries if e.words == "force at shaft")
     law = Law("warm_spring", shaft, pair, "line", "size*(u - zero)", 2e-3, "N m",
               {"zero": Shape(298.0, 1.0)})  # fmt: skip

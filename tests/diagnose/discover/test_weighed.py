@@ -16,7 +16,7 @@ from diffsim.diagnose.say.assemble import doubted
 from diffsim.diagnose.say.headline import headline
 from diffsim.diagnose.say.wording import sentences
 from diffsim.identify.effort import SearchSettings
-from diffsim.identify.law import Entry, Variable
+from diffsim.identify.law import Entry, Law, Variable
 from diffsim.systems.ode.law_port import LIGHTLY, SWINGING
 from tests.diagnose.discover.answers import found
 from tests.diagnose.discover.turntable import turntable_study
@@ -229,6 +229,56 @@ def test_the_law_that_a_screen_was_chosen_by_is_kept_when_the_budget_is_spent():
     quiet = SimpleNamespace(**{**vars(law), "fit": SimpleNamespace(chi2=99.0, num_samples=100)})
     unasked = SimpleNamespace()
     assert stage._fit_pairs(unasked, None, [quiet], None, (), 0.0) == (unasked, [])  # type: ignore
+
+
+def test_pairs_are_asked_for_wherever_something_pushes():
+    """Of a reaction readings alone seemed to lack something, and its product was not tried."""
+    reading, rate, number = (Entry(kind, "a", "-", 1.0) for kind in ("reading", "rate", "number"))
+    laws = [SimpleNamespace(entry=e, nats=9.0) for e in (reading, rate, number)]
+    fitted = SimpleNamespace(
+        nats=9.0, candidate=laws[0], fit=SimpleNamespace(chi2=900.0, num_samples=100)
+    )
+    asked = []
+    screen = SimpleNamespace(
+        found=laws, with_pairs=lambda entries: (asked.extend(entries), screen, [], 1)[1:]
+    )
+    stage._fit_pairs(screen, None, [fitted], None, (), 0.0)  # type: ignore[arg-type]
+    assert asked == [reading, rate]
+
+
+def test_the_simplest_near_form_is_weighed_beside_the_best():
+    """Slopes told a reaction's line from two thresholds by less than bumps err."""
+    entry = Entry("rate", "a", "1/s", 1.0)
+    basis = bumps(0.0, 1.0)
+    candidate = Candidate(entry, Variable("a", "a"), basis, 90.0, 90.0, 0.9, 1.0)
+
+    def form(nats, term, **numbers):
+        kind = SimpleNamespace(name=term, signed=True)
+        return SimpleNamespace(form=kind, nats=nats, size=1.0, numbers=numbers, term=term)
+
+    first, second = form(15.9, "first", at=(0.5, 0.1)), form(17.4, "second", at=(0.2, 0.1))
+    for behind, kept in ((2.0, ["first", "line"]), (20.0, ["first", "second"])):
+        forms = [first, second, form(15.9 + behind, "line")]
+        law = SimpleNamespace(candidate=candidate, forms=forms, left=0.0)
+        assert [made.term for made in stage._laws_of(law, 0.0)] == kept  # type: ignore[arg-type]
+
+
+def test_a_product_is_one_law_whichever_of_its_variables_comes_first():
+    """Of a reaction two were weighed, and the answer was that these runs cannot tell which."""
+    entry = Entry("rate", "a", "1/s", 1.0)
+    a, b, c = (Variable(name, name) for name in "abc")
+
+    def law(variable, form, term):
+        return Law("", entry, variable, form, term, 1.0, "1/s")
+
+    product = law(b.with_factor(a), "line", "size*(u)")
+    bent = law(b.with_factor(a), "threshold", "size*(max(u - threshold, 0))")
+    mirrored = law(a.with_factor(b), "power", "size*(u**exponent)")
+    other = law(c.with_factor(a), "line", "size*(u)")
+    alone = law(a, "line", "size*(u)")
+    kept = stage._without_twins([product, bent, mirrored, other, alone])
+    assert kept == [product, bent, other, alone]
+    assert stage._without_twins([mirrored, bent]) == [mirrored, bent]  # none is a product
 
 
 def test_a_hidden_mass_is_tried_within_its_resonance():

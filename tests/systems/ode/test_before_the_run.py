@@ -63,6 +63,23 @@ def test_a_step_with_the_first_row_is_lagged():
     assert shown(1.0, lag=lag) == pytest.approx(exact, abs=0.02 * STEP / lag)
 
 
+@pytest.mark.parametrize("before", [None, 0.0])
+def test_a_step_with_the_first_row_is_gone_by_the_profile_of_its_drive(before):
+    """Half of the way it speeds up, half it brakes; a servo's was there at once, and so its name
+    was a delay beside something unknown."""
+    most, fine = 20.0, 1e-4  # [1/s^2], [s]
+    t = np.arange(0.0, TIME[-1] + fine, fine)
+    done = np.clip(t, 0.0, 2.0 / np.sqrt(most))
+    speeds_up = done < 1.0 / np.sqrt(most)
+    left = 2.0 / np.sqrt(most) - done
+    goal = np.where(speeds_up, 0.5 * most * done**2, 1.0 - 0.5 * most * left**2)
+    place = np.zeros(len(t))
+    for k in range(len(t) - 1):
+        place[k + 1] = place[k] + fine * (0.5 * (goal[k] + goal[k + 1]) - place[k]) / TAU
+    found = shown(1.0, before=before, acceleration_limit=1.0 / most)
+    assert found == pytest.approx(np.interp(TIME, t, place), abs=2e-3)
+
+
 @pytest.mark.parametrize("start", ["1", "0.5"])
 def test_what_does_not_rest_at_zero_had_its_first_value(start):
     """At rest with the first value, or in motion with both: late is what it was."""
