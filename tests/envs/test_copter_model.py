@@ -119,12 +119,6 @@ def test_a_center_of_mass_arrives_in_the_recordings_frame(tmp_path, name):
     assert_flies_as(task, vehicle, usual())
 
 
-def test_a_center_of_mass_without_its_frame_is_refused(tmp_path):
-    path = saved(tmp_path, {}, {"center_of_mass_x": entry(0.01)})
-    with pytest.raises(ValueError, match="in which frame center_of_mass_x is"):
-        make_task("CopterHover", model=path)
-
-
 def test_a_delay_of_two_steps_acts_two_steps_later(tmp_path):
     late = make_task("CopterHover", model=saved(tmp_path, {"delay": entry(0.04)}))
     soon = make_task("CopterHover", model=saved(tmp_path, {}), action_delay=2)
@@ -185,16 +179,20 @@ def test_a_vector_environment_draws_anew_for_every_episode(tmp_path):
     assert not torch.isclose(first, envs.state["random.model"]).any()
 
 
-@pytest.mark.parametrize("name", ["wind.x", "gyroscopic", "gyro_offset.x", "weak_rotor_5"])
-def test_what_cannot_be_simulated_is_refused_by_name(tmp_path, name):
-    path = saved(tmp_path, {name: entry(0.1), "weak_rotor_1": entry(0.1)})
-    with pytest.raises(ValueError, match=rf"extended_model.yaml: {name} cannot be simulated"):
-        make_task("CopterHover", model=path)
-
-
-def test_parameters_that_cannot_be_simulated_are_refused_by_name(tmp_path):
-    path = saved(tmp_path, {}, {"thrust_coefficient": entry(1e-6)})
-    with pytest.raises(ValueError, match="thrust_coefficient cannot be simulated"):
+@pytest.mark.parametrize(
+    ("causes", "parameters", "said"),
+    [
+        *(
+            ([name, "weak_rotor_1"], [], rf"extended_model.yaml: {name} cannot be simulated")
+            for name in ("wind.x", "gyroscopic", "gyro_offset.x", "weak_rotor_5")
+        ),
+        ([], ["thrust_coefficient"], "thrust_coefficient cannot be simulated"),
+        ([], ["center_of_mass_x"], "in which frame center_of_mass_x is"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused_by_name(tmp_path, causes, parameters, said):
+    path = saved(tmp_path, *(dict.fromkeys(names, entry(0.01)) for names in (causes, parameters)))
+    with pytest.raises(ValueError, match=said):
         make_task("CopterHover", model=path)
 
 
