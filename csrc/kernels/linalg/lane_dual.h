@@ -64,5 +64,7 @@ struct LaneDual {
 
 inline double chain(double, double value, double) { return value; }
 inline double value_of(double x) { return x; }
+DIFFSIM_INLINE Native chain(const Native&, const Native& value, const Native&) { return value; }
+DIFFSIM_INLINE Native value_of(const Native& x) { return x; }
 
 }  // namespace diffsim

@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "kernels/linalg/dense.h"
+#include "kernels/linalg/lane_lu.h"
 #include "kernels/parallel.h"
 #include "kernels/rod/slopes.h"
 
@@ -47,6 +48,15 @@ void each_field(const Body& body, F&& f) {
   for (int k = 0; k < kNumFields; ++k) f(k, begin[k], begin[k + 1] - begin[k]);
 }
 
+/// The turn of a step of the strains, of all elements together [rad].
+template <class T>
+T turn_of(const Sweep<T>& sweep, const T* step) {
+  T sum{};
+  for (std::int64_t i = 0; i < sweep.n; ++i)
+    sum += sweep.length(i) * sqrt(dot(step + 3 * i, step + 3 * i));
+  return sum;
+}
+
 /// A sweep of one member after another, and how its residual changes with the strains.
 class Solver {
  public:
@@ -76,11 +86,11 @@ class Solver {
     double last = 0.0;
     for (int k = 0; k < kMostSteps; ++k) {
       dense::VectorXd step = factor.solve_one(plain.residual.data());
-      double turn = turn_of(step);
+      double turn = turn_of(plain, step.data());
       if (k > 0 && !(turn < kGain * last)) {
         factor = dense::Lu(slopes(false));
         step = factor.solve_one(plain.residual.data());
-        turn = turn_of(step);
+        turn = turn_of(plain, step.data());
       }
       if (!std::isfinite(turn)) return turn;
       const double share = std::min(1.0, kMostTurn / turn);
@@ -121,30 +131,127 @@ class Solver {
   Sweep<double> plain;
 
  private:
-  /// Of all elements together [rad].
-  double turn_of(const dense::VectorXd& step) const {
-    double sum = 0.0;
-    for (std::int64_t i = 0; i < size_ / 3; ++i) {
-      const double* own = step.data() + 3 * i;
-      sum += plain.length(i) * std::sqrt(dot(own, own));
+  const Batch& batch_;
+  std::int64_t size_;
+  Slopes<double> slopes_;
+};
+
+/// The same of kNativeLanes members, one in each lane: what one does, none of the others feels.
+class SideBySide {
+ public:
+  explicit SideBySide(const Batch& batch)
+      : plain(batch.body),
+        batch_(batch),
+        size_(3 * batch.body.num_elements),
+        slopes_(batch.body),
+        matrix_(at(size_ * size_)),
+        step_(at(size_)),
+        factor_(static_cast<int>(size_)) {}
+
+  void load(int lane, const Member& m, const double* strains) {
+    each_field(batch_.body, [&](int f, std::int64_t begin, std::int64_t size) {
+      const double* from = part(batch_.fields[f], size, m);
+      for (std::int64_t k = 0; k < size; ++k) plain.numbers[at(begin + k)][lane] = from[k];
+    });
+    put(strains, size_, plain.u, lane);
+  }
+  /// Numbers of one member into its lane, and back.
+  static void put(const double* from, std::int64_t count, std::vector<Native>& to, int lane) {
+    for (std::int64_t k = 0; k < count; ++k) to[at(k)][lane] = from[k];
+  }
+  static void get(const std::vector<Native>& from, int lane, double* to) {
+    for (const Native& v : from) *to++ = v[lane];
+  }
+
+  /// Newton's method as Solver::settle has it; lanes that are done rest.
+  Native settle(double tolerance) {
+    const Native none{}, one = broadcast<Native>(1.0);
+    const NativeMask all_lanes = none == none;
+    plain.run();
+    factorize(false, all_lanes);
+    NativeMask is_left = all_lanes;
+    Native last = none;
+    for (int k = 0; k < kMostSteps && any(is_left); ++k) {
+      Native turn = find_step();
+      const NativeMask is_slow = is_left & ~less(turn, kGain * last);
+      if (k > 0 && any(is_slow)) {
+        factorize(false, is_slow);
+        turn = find_step();
+      }
+      last = select(is_left, turn, last);
+      is_left &= less(abs(turn), broadcast<Native>(std::numeric_limits<double>::infinity()));
+      const Native share = keep(is_left, min(kMostTurn / turn, one));
+      for (std::size_t i = 0; i < step_.size(); ++i) plain.u[i] -= keep(is_left, share * step_[i]);
+      plain.run();
+      is_left &= ~less(turn, broadcast<Native>(tolerance));
     }
-    return sum;
+    return last;
+  }
+
+  /// x = J^-1 b, or J'^-1 b, of the slopes J where `plain` was run; x may be b.
+  void solve(bool transposed, const Native* b, Native* x) {
+    factorize(transposed, Native{} == Native{});
+    factor_.solve(b, x);
+  }
+
+  Sweep<Native> plain;
+
+ private:
+  static std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
+  void factorize(bool transposed, const NativeMask& wanted) {
+    slopes_.find(plain, transposed ? size_ : 1, transposed ? 1 : size_, matrix_.data());
+    factor_.factor(matrix_.data(), wanted);
+  }
+  /// Newton's step, and its turn.
+  Native find_step() {
+    factor_.solve(plain.residual.data(), step_.data());
+    return turn_of(plain, step_.data());
   }
 
   const Batch& batch_;
   std::int64_t size_;
-  Slopes slopes_;
+  Slopes<Native> slopes_;
+  std::vector<Native> matrix_, step_;
+  LaneLu factor_;
 };
+
+Member member_of(const Batch& batch, std::int64_t i) {
+  return {i / batch.columns, i % batch.columns, i};
+}
+
+/// Calls f(first, last) for the members of each task.
+template <class F>
+void each_task(const Batch& batch, F&& f) {
+  const std::int64_t count = batch.rows * batch.columns, tasks = (count + kTask - 1) / kTask;
+  ThreadPool pool(static_cast<int>(std::min<std::int64_t>(batch.num_threads, tasks)));
+  pool.run_ranges(count, kTask, f);
+}
 
 /// Calls f(member, solver) for all members; a solver serves several.
 template <class F>
 void each_member(const Batch& batch, F&& f) {
-  const std::int64_t count = batch.rows * batch.columns, tasks = (count + kTask - 1) / kTask;
-  ThreadPool pool(static_cast<int>(std::min<std::int64_t>(batch.num_threads, tasks)));
-  pool.run_ranges(count, kTask, [&](std::int64_t first, std::int64_t last) {
+  each_task(batch, [&](std::int64_t first, std::int64_t last) {
     Solver solver(batch);
-    for (std::int64_t i = first; i < last; ++i)
-      f(Member{i / batch.columns, i % batch.columns, i}, solver);
+    for (std::int64_t i = first; i < last; ++i) f(member_of(batch, i), solver);
+  });
+}
+
+/// Calls side_by_side(members, solver) for as many members as there are lanes, and f as above for
+/// what is left of a task.
+template <class G, class F>
+void each_lanes(const Batch& batch, G&& side_by_side, F&& f) {
+  each_task(batch, [&](std::int64_t first, std::int64_t last) {
+    Solver solver(batch);
+    if (last - first >= kNativeLanes) {
+      SideBySide lanes(batch);
+      for (; last - first >= kNativeLanes; first += kNativeLanes) {
+        Member members[kNativeLanes];
+        for (int lane = 0; lane < kNativeLanes; ++lane)
+          members[lane] = member_of(batch, first + lane);
+        side_by_side(members, lanes, solver);
+      }
+    }
+    for (; first < last; ++first) f(member_of(batch, first), solver);
   });
 }
 
@@ -153,19 +260,40 @@ void each_member(const Batch& batch, F&& f) {
 void solve(const Batch& batch, const Settings& settings, const Rows<const double>& start,
            double* strains, double* places, double* turns) {
   const std::int64_t size = 3 * batch.body.num_elements, width = 3 * batch.body.num_points;
-  each_member(batch, [&](const Member& m, Solver& solver) {
-    Sweep<double>& sweep = solver.plain;
+  const auto from_straight = [&](const Member& m, Solver& solver) {
     solver.load(m, part(start, size, m));
-    double turn = std::numeric_limits<double>::infinity();
-    if (!settings.from_straight) turn = solver.settle(settings.tolerance);
-    if (!(turn < settings.tolerance)) {
-      solver.load(m, part(start, size, m));
-      turn = solver.settle_from_straight(settings.tolerance);
-    }
+    return solver.settle_from_straight(settings.tolerance);
+  };
+  const auto give = [&](const Member& m, const Sweep<double>& sweep, double turn) {
     turns[m.index] = turn;
     std::copy(sweep.u.begin(), sweep.u.end(), strains + m.index * size);
     std::copy(sweep.places.begin(), sweep.places.end(), places + m.index * width);
-  });
+  };
+  const auto alone = [&](const Member& m, Solver& solver) {
+    solver.load(m, part(start, size, m));
+    double turn = std::numeric_limits<double>::infinity();
+    if (!settings.from_straight) turn = solver.settle(settings.tolerance);
+    if (!(turn < settings.tolerance)) turn = from_straight(m, solver);
+    give(m, solver.plain, turn);
+  };
+  if (settings.from_straight) return each_member(batch, alone);
+  const auto together = [&](const Member* members, SideBySide& lanes, Solver& solver) {
+    for (int lane = 0; lane < kNativeLanes; ++lane)
+      lanes.load(lane, members[lane], part(start, size, members[lane]));
+    const Native found = lanes.settle(settings.tolerance);
+    for (int lane = 0; lane < kNativeLanes; ++lane) {
+      const Member& m = members[lane];
+      if (found[lane] < settings.tolerance) {
+        turns[m.index] = found[lane];
+        SideBySide::get(lanes.plain.u, lane, strains + m.index * size);
+        SideBySide::get(lanes.plain.places, lane, places + m.index * width);
+      } else {
+        const double turn = from_straight(m, solver);
+        give(m, solver.plain, turn);
+      }
+    }
+  };
+  each_lanes(batch, together, alone);
 }
 
 // residual(u(q), q) = 0, so that with J = d residual / du
@@ -175,7 +303,25 @@ void solve_vjp(const Batch& batch, const double* strains, const double* grad_str
   const std::int64_t size = 3 * batch.body.num_elements, width = 3 * batch.body.num_points;
   const std::int64_t count = field_places(batch.body)[kNumFields];
   std::vector<double> own(count * batch.rows * batch.columns);
-  each_member(batch, [&](const Member& m, Solver& solver) {
+  const auto together = [&](const Member* members, SideBySide& lanes, Solver&) {
+    std::vector<Native> of_numbers(count), grad_u(size), of_places(width), of_residual(size);
+    std::vector<Native> unused(size);
+    for (int lane = 0; lane < kNativeLanes; ++lane) {
+      const Member& m = members[lane];
+      lanes.load(lane, m, strains + m.index * size);
+      SideBySide::put(grad_strains + m.index * size, size, grad_u, lane);
+      SideBySide::put(grad_places + m.index * width, width, of_places, lane);
+    }
+    lanes.plain.run();
+    reverse(lanes.plain, of_residual.data(), of_places.data(), of_numbers.data(), grad_u.data());
+    lanes.solve(true, grad_u.data(), of_residual.data());
+    for (Native& v : of_residual) v = -v;
+    std::fill(of_places.begin(), of_places.end(), Native{});
+    reverse(lanes.plain, of_residual.data(), of_places.data(), of_numbers.data(), unused.data());
+    for (int lane = 0; lane < kNativeLanes; ++lane)
+      SideBySide::get(of_numbers, lane, &own[count * members[lane].index]);
+  };
+  const auto alone = [&](const Member& m, Solver& solver) {
     solver.load(m, strains + m.index * size);
     solver.plain.run();
     std::vector<double> grad_u(grad_strains + m.index * size, grad_strains + (m.index + 1) * size);
@@ -186,7 +332,8 @@ void solve_vjp(const Batch& batch, const double* strains, const double* grad_str
     const dense::VectorXd l = dense::Lu(solver.slopes(true)).solve_one(grad_u.data());
     for (std::int64_t i = 0; i < size; ++i) of_residual[i] = -l(i);
     reverse(solver.plain, of_residual.data(), of_places.data(), of_numbers, unused.data());
-  });
+  };
+  each_lanes(batch, together, alone);
   // shared numbers gather what their members have, whatever the number of threads
   each_field(batch.body, [&](int f, std::int64_t begin, std::int64_t length) {
     for (std::int64_t i = 0; i < batch.rows * batch.columns; ++i) {

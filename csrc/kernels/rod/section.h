@@ -48,17 +48,24 @@ DIFFSIM_INLINE Pressed<T> pressed(const T& stretch, const Number& rubber) {
           1.0 + rubber * ((i + 2.0 * square * square) * (1.0 / 3.0) - 1.0)};
 }
 
+/// y where x is above a bound, zero elsewhere.
+DIFFSIM_INLINE double where_above(double bound, double x, double y) { return x > bound ? y : 0.0; }
+DIFFSIM_INLINE Native where_above(double bound, const Native& x, const Native& y) {
+  return keep(greater(x, broadcast<Native>(bound)), y);
+}
+
 /// dL/d(stretch, rubber) of the factors, added; `grad` holds dL/d(factors).
-inline void pressed_vjp(double stretch, double rubber, const Pressed<double>& grad,
-                        double* grad_stretch, double* grad_rubber) {
-  const Pressed<double> whole = pressed(stretch, 1.0);
+template <class T>
+DIFFSIM_INLINE void pressed_vjp(const T& stretch, const T& rubber, const Pressed<T>& grad,
+                                T* grad_stretch, T* grad_rubber) {
+  const Pressed<T> whole = pressed(stretch, 1.0);
   *grad_rubber += grad.width * (whole.width - 1.0) + grad.secant * (whole.secant - 1.0) +
                   grad.twist * (whole.twist - 1.0) + grad.flexural * (whole.flexural - 1.0);
-  if (stretch <= kMostPressed) return;
-  const double i = 1.0 / stretch, square = i * i;
-  *grad_stretch -= rubber * (grad.width * 0.5 * i * std::sqrt(i) +
-                             grad.secant * (square + 2.0 * square * i) / 3.0 + grad.twist * square +
-                             grad.flexural * (square + 8.0 * square * square * i) / 3.0);
+  const T i = 1.0 / at_least(kMostPressed, stretch), square = i * i;
+  *grad_stretch -= where_above(
+      kMostPressed, stretch,
+      rubber * (grad.width * 0.5 * i * sqrt(i) + grad.secant * (square + 2.0 * square * i) / 3.0 +
+                grad.twist * square + grad.flexural * (square + 8.0 * square * square * i) / 3.0));
 }
 
 /// One section; its numbers may be of a type without derivatives.
@@ -114,22 +121,22 @@ struct Section {
 
 /// dL/d(all that a section depends on), added, from dL/d(v, moment).
 /// @param grad_v (3) used up
-inline void section_vjp(const Section<double>& s, const double* rounds, double* grad_v,
-                        const double* grad_moment, double* grad_u, double* grad_force,
-                        double* grad_tension, const SectionNumbers<double*>& grad) {
+template <class T>
+void section_vjp(const Section<T>& s, const T* rounds, T* grad_v, const T* grad_moment, T* grad_u,
+                 T* grad_force, T* grad_tension, const SectionNumbers<T*>& grad) {
   const auto& of = s.of;
-  const double rubber = *of.rubber;
-  const double* v = rounds + 3 * kRounds;
-  const Pressed<double> end = pressed(v[0], rubber);
-  Pressed<double> grad_end{};
+  const T rubber = *of.rubber;
+  const T* v = rounds + 3 * kRounds;
+  const Pressed<T> end = pressed(v[0], rubber);
+  Pressed<T> grad_end{};
   // of the body
-  double bent[3], grad_bent[3], grad_grown = 0.0;
+  T bent[3], grad_bent[3], grad_grown = T{};
   for (int k = 0; k < 3; ++k) bent[k] = s.u[k] - of.rest[k];
-  const double area = s.radius * s.radius;
-  const double strain = (bent[1] * bent[1] + bent[2] * bent[2]) * area;
-  const double grown = 1.0 + *of.stiffening * strain;
+  const T area = s.radius * s.radius;
+  const T strain = (bent[1] * bent[1] + bent[2] * bent[2]) * area;
+  const T grown = 1.0 + *of.stiffening * strain;
   for (int k = 0; k < 3; ++k) {
-    const double factor = k == 0 ? end.twist : end.flexural, g = grad_moment[k];
+    const T factor = k == 0 ? end.twist : end.flexural, g = grad_moment[k];
     (k == 0 ? grad_end.twist : grad_end.flexural) += g * of.bending[k] * bent[k] * grown;
     grad.bending[k] += g * factor * bent[k] * grown;
     grad_bent[k] = g * factor * of.bending[k] * grown;
@@ -139,11 +146,11 @@ inline void section_vjp(const Section<double>& s, const double* rounds, double* 
   for (int k = 1; k < 3; ++k) grad_bent[k] += grad_grown * *of.stiffening * 2.0 * area * bent[k];
   for (int k = 0; k < 3; ++k) grad_u[k] += grad_bent[k], grad.rest[k] -= grad_bent[k];
   // of the factors at the end: levers of the last round's pulls
-  const double* last = rounds + 3 * (kRounds - 1);
-  const double width = pressed(last[0], rubber).width;
+  const T* last = rounds + 3 * (kRounds - 1);
+  const T width = pressed(last[0], rubber).width;
   for (std::int64_t i = 0; i < s.num_tendons; ++i) {
-    double t[3], lever[3] = {};
-    const double norm = s.tangent(i, last, width, t);
+    T t[3], lever[3] = {};
+    const T norm = s.tangent(i, last, width, t);
     add_cross(of.offset + i * s.stride, t, lever);
     grad_end.width += s.tension[i] / norm * dot(grad_moment, lever);
   }
@@ -151,36 +158,36 @@ inline void section_vjp(const Section<double>& s, const double* rounds, double* 
   // of the tendons, rounds from the last one back
   for (int round = kRounds - 1; round >= 0; --round) {
     const bool is_last = round + 1 == kRounds;
-    const double *before = rounds + 3 * round, *after = before + 3;
-    const Pressed<double> now = pressed(before[0], rubber);
-    Pressed<double> grad_now{};
-    double grad_left[3], grad_before[3] = {};
+    const T *before = rounds + 3 * round, *after = before + 3;
+    const Pressed<T> now = pressed(before[0], rubber);
+    Pressed<T> grad_now{};
+    T grad_left[3], grad_before[3] = {};
     for (int k = 0; k < 3; ++k) {
-      const double secant = k == 0 ? now.secant : 1.0, stiff = of.stretch[k] * secant;
-      const double over = grad_v[k] * (after[k] - (k == 0 ? 1.0 : 0.0)) / stiff;
+      const T secant = k == 0 ? now.secant : T{} + 1.0, stiff = of.stretch[k] * secant;
+      const T over = grad_v[k] * (after[k] - (k == 0 ? 1.0 : 0.0)) / stiff;
       grad_left[k] = grad_v[k] / stiff;
       grad.stretch[k] -= over * secant;
       if (k == 0) grad_now.secant -= over * of.stretch[0];
       grad_force[k] += grad_left[k];
     }
     for (std::int64_t i = 0; i < s.num_tendons; ++i) {
-      const double* r = of.offset + i * s.stride;
-      double *grad_r = grad.offset + i * s.stride, *grad_slope = grad.slope + i * s.stride;
-      double t[3], lever[3], grad_lever[3] = {};
-      const double norm = s.tangent(i, before, now.width, t);
-      double g[3];  // dL/d(pull)
+      const T* r = of.offset + i * s.stride;
+      T *grad_r = grad.offset + i * s.stride, *grad_slope = grad.slope + i * s.stride;
+      T t[3], lever[3], grad_lever[3] = {};
+      const T norm = s.tangent(i, before, now.width, t);
+      T g[3];  // dL/d(pull)
       for (int k = 0; k < 3; ++k) {
         t[k] /= norm, g[k] = -grad_left[k];
         lever[k] = now.width * r[k];
       }
       if (is_last) {
-        double of_lever[3] = {}, wide[3];
+        T of_lever[3] = {}, wide[3];
         for (int k = 0; k < 3; ++k) wide[k] = end.width * r[k];
         add_cross(grad_moment, wide, g);
         add_cross(t, grad_moment, of_lever);
         add(s.tension[i] * end.width, of_lever, grad_r);
       }
-      const double along = dot(t, g);
+      const T along = dot(t, g);
       grad_tension[i] += along;
       for (int k = 0; k < 3; ++k) g[k] = s.tension[i] / norm * (g[k] - along * t[k]);  // dL/dt
       add(1.0, g, grad_before), add(1.0, g, grad_slope);

@@ -11,10 +11,43 @@
 // are those of Q, and w is in the frame of the base: Q' (B' F x w) and B (w x Q v).
 #pragma once
 
+#include "kernels/rod/section_duals.h"
 #include "kernels/rod/sweep.h"
 
 namespace diffsim::rod {
 
+/// Three columns at a time, of one member or of one in each lane.
+template <class T>
+struct SlopeTypes {
+  using Columns = double __attribute__((vector_size(32)));  // the last lane unused
+  using Dual = LaneDual;
+};
+template <>
+struct SlopeTypes<Native> {
+  struct Columns {
+    Native at[3] = {};
+
+    Native& operator[](int k) { return at[k]; }
+    const Native& operator[](int k) const { return at[k]; }
+    DIFFSIM_INLINE Columns& operator+=(const Columns& b) {
+      for (int k = 0; k < 3; ++k) at[k] += b.at[k];
+      return *this;
+    }
+    DIFFSIM_INLINE friend Columns operator+(Columns a, const Columns& b) { return a += b; }
+    DIFFSIM_INLINE friend Columns operator-(const Columns& a, const Columns& b) {
+      return {{a.at[0] - b.at[0], a.at[1] - b.at[1], a.at[2] - b.at[2]}};
+    }
+    DIFFSIM_INLINE friend Columns operator*(const Native& a, const Columns& b) {
+      return {{a * b.at[0], a * b.at[1], a * b.at[2]}};
+    }
+    DIFFSIM_INLINE friend Columns operator*(double a, const Columns& b) {
+      return broadcast<Native>(a) * b;
+    }
+  };
+  using Dual = SectionDuals;
+};
+
+template <class T>
 class Slopes {
  public:
   explicit Slopes(const Body& body)
@@ -28,9 +61,9 @@ class Slopes {
         of_loads_(body.num_loads) {}
 
   /// @param[out] to  (3 N, 3 N) d residual_r / du_c at to[r row + c column]
-  void find(const Sweep<double>& s, std::int64_t row, std::int64_t column, double* to) {
-    std::fill(edges_.begin(), edges_.end(), 0.0);
-    edges_[0] = edges_[4] = edges_[8] = 1.0;
+  void find(const Sweep<T>& s, std::int64_t row, std::int64_t column, T* to) {
+    std::fill(edges_.begin(), edges_.end(), T{});
+    edges_[0] = edges_[4] = edges_[8] = T{} + 1.0;
     for (std::int64_t i = 0; i < s.n; ++i) {
       multiply(&edges_[9 * i], &s.halves[9 * i], &middles_[9 * i]);
       multiply(&middles_[9 * i], &s.halves[9 * i], &edges_[9 * (i + 1)]);
@@ -40,46 +73,46 @@ class Slopes {
   }
 
  private:
-  /// Of three directions, the last lane unused.
-  using Columns = double __attribute__((vector_size(32)));
+  using Columns = typename SlopeTypes<T>::Columns;
+  using Dual = typename SlopeTypes<T>::Dual;
   struct Three {
     Columns row[3] = {};
   };
   /// Derivatives of an element: rows of what is named, by the last word.
   struct Part {
-    double stretch_by_u[9], moment_by_u[9];
-    double stretch_by_turn[9], moment_by_turn[9], along_by_turn[9];
-    double stretch_by_force[9], moment_by_force[9];
-    double stretch_by_pull[3], moment_by_pull[3], along_by_pull[3];
-    double local_along[3];  ///< Q v
-    double local_outer[3];  ///< B' outer
-    double turned[3];       ///< R' outer
+    T stretch_by_u[9], moment_by_u[9];
+    T stretch_by_turn[9], moment_by_turn[9], along_by_turn[9];
+    T stretch_by_force[9], moment_by_force[9];
+    T stretch_by_pull[3], moment_by_pull[3], along_by_pull[3];
+    T local_along[3];  ///< Q v
+    T local_outer[3];  ///< B' outer
+    T turned[3];       ///< R' outer
   };
 
-  static void add_times(const double* A, const Three& B, Three& to) {
+  static void add_times(const T* A, const Three& B, Three& to) {
     for (int i = 0; i < 3; ++i)
       to.row[i] += A[3 * i] * B.row[0] + A[3 * i + 1] * B.row[1] + A[3 * i + 2] * B.row[2];
   }
-  static void add_transposed_times(const double* A, const Three& B, Three& to) {
+  static void add_transposed_times(const T* A, const Three& B, Three& to) {
     for (int i = 0; i < 3; ++i)
       to.row[i] += A[i] * B.row[0] + A[3 + i] * B.row[1] + A[6 + i] * B.row[2];
   }
   static void add_scaled(double scale, const Three& B, Three& to) {
     for (int i = 0; i < 3; ++i) to.row[i] += scale * B.row[i];
   }
-  static void add_outer_of(const double* a, const Columns& b, Three& to) {
+  static void add_outer_of(const T* a, const Columns& b, Three& to) {
     for (int i = 0; i < 3; ++i) to.row[i] += a[i] * b;
   }
   /// to += scale a x B
-  static void add_crossed(double scale, const double* a, const Three& B, Three& to) {
-    const double x = scale * a[0], y = scale * a[1], z = scale * a[2];
+  static void add_crossed(double scale, const T* a, const Three& B, Three& to) {
+    const T x = scale * a[0], y = scale * a[1], z = scale * a[2];
     to.row[0] += y * B.row[2] - z * B.row[1];
     to.row[1] += z * B.row[0] - x * B.row[2];
     to.row[2] += x * B.row[1] - y * B.row[0];
   }
   /// [scale a]x as a matrix.
-  static void crossing(double scale, const double* a, double* K) {
-    K[0] = K[4] = K[8] = 0.0;
+  static void crossing(double scale, const T* a, T* K) {
+    K[0] = K[4] = K[8] = T{};
     for (int i = 0; i < 3; ++i) {
       const int next = (i + 1) % 3, last = (i + 2) % 3;
       K[3 * last + next] = scale * a[i];
@@ -88,27 +121,29 @@ class Slopes {
   }
 
   /// Derivatives of a section by u, force and tension into `part`.
-  void differentiate(const Sweep<double>& s, std::int64_t i, Part& part) {
-    constexpr int kDirections = 7;
+  void differentiate(const Sweep<T>& s, std::int64_t i, Part& part) {
     const std::int64_t num = s.body.num_tendons;
-    LaneDual u[3], force[3], rounds[3 * (kRounds + 1)], moment[3];
-    const Section<LaneDual, double> section{num,
-                                            3 * s.n,
-                                            s.body.radius[i],
-                                            u,
-                                            force,
-                                            tension_.data(),
-                                            s.section_numbers(s.numbers.data(), i)};
-    for (int first = 0; first < kDirections; first += kNativeLanes) {
-      for (int k = 0; k < 3; ++k) u[k] = s.u[3 * i + k], force[k] = s.local[3 * i + k];
-      for (std::int64_t t = 0; t < num; ++t) tension_[t] = s.tension[i * num + t];
-      const int end = std::min(first + kNativeLanes, kDirections);
+    Dual u[3], force[3], rounds[3 * (kRounds + 1)], moment[3];
+    const Section<Dual, T> section{num,
+                                   3 * s.n,
+                                   T{} + s.body.radius[i],
+                                   u,
+                                   force,
+                                   tension_.data(),
+                                   s.section_numbers(s.numbers.data(), i)};
+    for (int first = 0; first < kDirections; first += kAtOnce) {
+      for (int k = 0; k < 3; ++k) {
+        u[k] = constant(s.u[3 * i + k]);
+        force[k] = constant(s.local[3 * i + k]);
+      }
+      for (std::int64_t t = 0; t < num; ++t) tension_[t] = constant(s.tension[i * num + t]);
+      const int end = std::min(first + kAtOnce, kDirections);
       for (int d = first; d < end; ++d) {
         const int lane = d - first;
         if (d < 3)
-          u[d].along[lane] = 1.0;
+          u[d].along[lane] = T{} + 1.0;
         else if (d < 6)
-          force[d - 3].along[lane] = 1.0;
+          force[d - 3].along[lane] = T{} + 1.0;
         else
           for (std::int64_t t = 0; t < num; ++t) tension_[t].along[lane] = tension_[t].value;
       }
@@ -116,7 +151,7 @@ class Slopes {
       for (int d = first; d < end; ++d) {
         const int lane = d - first;
         for (int k = 0; k < 3; ++k) {
-          const double v = rounds[3 * kRounds + k].along[lane], m = moment[k].along[lane];
+          const T v = rounds[3 * kRounds + k].along[lane], m = moment[k].along[lane];
           if (d < 3)
             part.stretch_by_u[3 * k + d] = v, part.moment_by_u[3 * k + d] = m;
           else if (d < 6)
@@ -127,12 +162,19 @@ class Slopes {
       }
     }
   }
+  /// Directions that a number takes along at once.
+  static constexpr int kAtOnce = std::is_same_v<T, double> ? kNativeLanes : kDirections;
+  static Dual constant(const T& value) {
+    Dual out;
+    out.value = value;
+    return out;
+  }
 
-  Part part_of(const Sweep<double>& s, std::int64_t i) {
+  Part part_of(const Sweep<T>& s, std::int64_t i) {
     Part part;
     differentiate(s, i, part);
-    const double *Q = &middles_[9 * i], *B = s.field(kBase);
-    double there[3] = {}, force[9], local[9], along[9], turned[9];
+    const T *Q = &middles_[9 * i], *B = s.field(kBase);
+    T there[3] = {}, force[9], local[9], along[9], turned[9];
     add_transposed(B, &s.force[3 * i], there);
     crossing(1.0, there, force);
     for (int k = 0; k < 3; ++k)
@@ -141,7 +183,7 @@ class Slopes {
     multiply(part.stretch_by_force, local, part.stretch_by_turn);
     multiply(part.moment_by_force, local, part.moment_by_turn);
     for (int k = 0; k < 3; ++k)
-      part.along_by_pull[k] = part.turned[k] = part.local_along[k] = part.local_outer[k] = 0.0;
+      part.along_by_pull[k] = part.turned[k] = part.local_along[k] = part.local_outer[k] = T{};
     add_product(Q, s.stretch(i), part.local_along);
     crossing(-1.0, part.local_along, along);
     multiply(Q, part.stretch_by_turn, turned);
@@ -154,23 +196,25 @@ class Slopes {
   }
 
   /// J(w) scale
-  static Three turning(const double* u, double half, double scale) {
-    const double w[3] = {half * u[0], half * u[1], half * u[2]};
-    const double square = dot(w, w);
-    const TurnTerms t = turn_terms(square);
-    const double c = t.b + 2.0 * t.a_slope;
-    double K[9];
-    crossing(-t.b, w, K);
+  static Three turning(const T* u, double half, double scale) {
+    const T w[3] = {half * u[0], half * u[1], half * u[2]};
+    const T square = dot(w, w);
+    const TurnTerms<T> t = turn_terms(square);
+    const T c = t.b + 2.0 * t.a_slope;
+    T K[9];
+    crossing(-1.0, w, K);
     Three J;
     for (int i = 0; i < 3; ++i)
       for (int k = 0; k < 3; ++k)  // K K = w w' - |w|^2 I
-        J.row[i][k] = scale * (K[3 * i + k] + c * w[i] * w[k] + (i == k ? 1.0 - c * square : 0.0));
+        J.row[i][k] =
+            scale * (t.b * K[3 * i + k] + c * w[i] * w[k] + (i == k ? 1.0 - c * square : T{}));
     return J;
   }
 
-  void find_columns(const Sweep<double>& s, std::int64_t j, std::int64_t row, std::int64_t column,
-                    double* to) {
-    const double h = s.length(j), *Q = &middles_[9 * j], friction = *s.field(kFriction);
+  void find_columns(const Sweep<T>& s, std::int64_t j, std::int64_t row, std::int64_t column,
+                    T* to) {
+    const double h = s.length(j);
+    const T *Q = &middles_[9 * j], friction = *s.field(kFriction);
     const Three own = turning(&s.u[3 * j], 0.5 * h, 0.5 * h);
     Three middle, behind;
     add_times(Q, own, middle);
@@ -223,7 +267,7 @@ class Slopes {
     }
     // and back, what its weights and loads do
     Three beyond;
-    const double* weight = s.field(kWeight);
+    const T* weight = s.field(kWeight);
     for (std::int64_t i = s.n - 1; i >= 0; --i) {
       Three outer = beyond, change;
       if (i >= j) {
@@ -240,12 +284,12 @@ class Slopes {
       for (int r = 0; r < 3; ++r)
         for (int c = 0; c < 3; ++c)
           to[(3 * i + r) * row + c * column] =
-              (i >= j ? of_moment_[i].row[r][c] : 0.0) - change.row[r][c];
+              (i >= j ? of_moment_[i].row[r][c] : T{}) - change.row[r][c];
     }
   }
 
   /// How a point of the element moves whose strains do.
-  Three own_place(const Sweep<double>& s, std::int64_t p, const Three& stretch) const {
+  Three own_place(const Sweep<T>& s, std::int64_t p, const Three& stretch) const {
     const Frames f(*this, s, p);
     const Three own = turning(&s.u[3 * f.element], 0.5 * f.past, 0.5 * f.past);
     Three turn, place, moved;
@@ -259,7 +303,7 @@ class Slopes {
   }
 
   /// How a point of an element beyond moves.
-  Three place_beyond(const Sweep<double>& s, std::int64_t p, const Three& node, const Three& turn,
+  Three place_beyond(const Sweep<T>& s, std::int64_t p, const Three& node, const Three& turn,
                      const Columns& pull) const {
     const Frames f(*this, s, p);
     const Part& part = parts_[f.element];
@@ -275,7 +319,7 @@ class Slopes {
     return place;
   }
 
-  static Three in_world(const Sweep<double>& s, const Three& of_base) {
+  static Three in_world(const Sweep<T>& s, const Three& of_base) {
     Three out;
     add_times(s.field(kBase), of_base, out);
     return out;
@@ -283,7 +327,7 @@ class Slopes {
 
   /// Sweep::point_frames in the frame of the base, and what they turn.
   struct Frames {
-    Frames(const Slopes& of, const Sweep<double>& s, std::int64_t p) : element(s.body.around[p]) {
+    Frames(const Slopes& of, const Sweep<T>& s, std::int64_t p) : element(s.body.around[p]) {
       const auto f = s.point_frames(p);
       past = f.past;
       multiply(&of.edges_[9 * element], f.halfway, turned);
@@ -292,11 +336,12 @@ class Slopes {
       add_product(there, s.field(kPoints) + 3 * p, arm);
     }
     std::int64_t element;
-    double past, turned[9], there[9], axis[3] = {}, arm[3] = {};
+    double past;
+    T turned[9], there[9], axis[3] = {}, arm[3] = {};
   };
 
-  std::vector<LaneDual> tension_;
-  std::vector<double> middles_, edges_;  ///< Q in the middles and at the edges
+  std::vector<Dual> tension_;
+  std::vector<T> middles_, edges_;  ///< Q in the middles and at the edges
   std::vector<Part> parts_;
   std::vector<Three> of_along_, of_center_, of_moment_, of_loads_;
 };

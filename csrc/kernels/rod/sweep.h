@@ -15,6 +15,13 @@
 
 namespace diffsim::rod {
 
+inline double exp_of(double x) { return std::exp(x); }
+inline Native exp_of(const Native& x) {
+  Native out;
+  for (int lane = 0; lane < kNativeLanes; ++lane) out[lane] = std::exp(x[lane]);
+  return out;
+}
+
 constexpr double kSmoothing = 1e-3;  // bends below this do not count as a kink of a tendon [1/m]
 
 template <class T>
@@ -60,7 +67,7 @@ struct Sweep {
   Section<T> section(std::int64_t i) const {
     return {body.num_tendons,
             3 * n,
-            body.radius[i],
+            T{} + body.radius[i],
             &u[3 * i],
             &local[3 * i],
             &tension[i * body.num_tendons],
@@ -78,11 +85,11 @@ struct Sweep {
     sum_forces();
     std::copy_n(field(kBase), 9, edges.begin());
     std::copy_n(field(kPlace), 3, nodes.begin());
-    T turned = T(0.0);
+    T turned = T{};
     for (std::int64_t i = 0; i < n; ++i) {
       turn_frame(i);
       turned = pull(i, turned);
-      for (int k = 0; k < 3; ++k) local[3 * i + k] = T(0.0), along[3 * i + k] = T(0.0);
+      for (int k = 0; k < 3; ++k) local[3 * i + k] = T{}, along[3 * i + k] = T{};
       add_transposed(&middles[9 * i], &force[3 * i], &local[3 * i]);
     }
     solve_sections();
@@ -136,7 +143,7 @@ struct Sweep {
 
   void sum_forces() {
     const T* weight = field(kWeight);
-    T beyond[3] = {T(0.0), T(0.0), T(0.0)};
+    T beyond[3] = {T{}, T{}, T{}};
     for (std::int64_t i = n - 1; i >= 0; --i)
       for (int k = 0; k < 3; ++k) {
         const T& own = weight[3 * i + k];
@@ -163,7 +170,7 @@ struct Sweep {
     const T behind = before + turns[i];
     wrapped[i] = behind - 0.5 * turns[i];
     const T loss = *field(kFriction) * wrapped[i] + middle(i) * *field(kWobble);
-    const double left = std::exp(-value_of(loss));
+    const auto left = exp_of(-value_of(loss));
     const T share = chain(loss, left, -left);
     for (std::int64_t t = 0; t < body.num_tendons; ++t)
       tension[i * body.num_tendons + t] = field(kPull)[t] * field(kShare)[t * n + i] * share;
@@ -173,7 +180,7 @@ struct Sweep {
   void place(std::int64_t p) {
     const std::int64_t i = body.around[p];
     const PointFrames f = point_frames(p);
-    T axis[3] = {T(0.0), T(0.0), T(0.0)};
+    T axis[3] = {T{}, T{}, T{}};
     add_product(f.turned, stretch(i), axis);
     for (int k = 0; k < 3; ++k) places[3 * p + k] = nodes[3 * i + k] + f.past * axis[k];
     add_product(f.there, field(kPoints) + 3 * p, &places[3 * p]);
@@ -181,7 +188,7 @@ struct Sweep {
 
   void balance() {
     const T* weight = field(kWeight);
-    T beyond[3] = {T(0.0), T(0.0), T(0.0)};  // moment of the elements beyond
+    T beyond[3] = {T{}, T{}, T{}};  // moment of the elements beyond
     for (std::int64_t i = n - 1; i >= 0; --i) {
       T own[3], at[3];
       for (int k = 0; k < 3; ++k) {
@@ -194,12 +201,12 @@ struct Sweep {
       add_cross(&centers[3 * i], weight + 3 * i, beyond);
     }
     for (std::int64_t p = 0; p < body.num_loads; ++p) {
-      T torque[3] = {T(0.0), T(0.0), T(0.0)};
+      T torque[3] = {T{}, T{}, T{}};
       add_cross(&places[3 * p], field(kLoads) + 3 * p, torque);
       for (std::int64_t i = 0; i < n && is_beyond(p, i); ++i) add(1.0, torque, &outer[3 * i]);
     }
     for (std::int64_t i = 0; i < n; ++i) {
-      T turned[3] = {T(0.0), T(0.0), T(0.0)};
+      T turned[3] = {T{}, T{}, T{}};
       add_transposed(&middles[9 * i], &outer[3 * i], turned);
       for (int k = 0; k < 3; ++k) residual[3 * i + k] = moment[3 * i + k] - turned[k];
     }
@@ -209,7 +216,8 @@ struct Sweep {
 };
 
 /// Adds dL/d(numbers, u) of a sweep that was run, from dL/d(residual, places).
-void reverse(const Sweep<double>& s, const double* grad_residual, const double* grad_places,
-             double* grad_numbers, double* grad_u);
+template <class T>
+void reverse(const Sweep<T>& s, const T* grad_residual, const T* grad_places, T* grad_numbers,
+             T* grad_u);
 
 }  // namespace diffsim::rod

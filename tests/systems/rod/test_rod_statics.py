@@ -261,6 +261,31 @@ def test_each_member_of_a_batch_is_itself_whatever_it_starts_from():
         assert places[row, column, 0].numpy() == pytest.approx(end, abs=1e-10)
 
 
+def test_members_side_by_side_have_the_answers_and_gradients_of_each_alone():
+    """19 members: more than two registers of any build, and some that are left over."""
+    made = general(19, 1)
+    started = torch.zeros(19, 1, 6, 3, dtype=F64)
+    started[3] = 40.0  # far from rest
+
+    def answers(rows):
+        own = {
+            name: value[rows].clone() if value.ndim and len(value) == 19 else value.clone()
+            for name, value in ((n, getattr(made, n)) for n in _ops.FIELDS if n != "points")
+        }
+        own = {name: value.requires_grad_() for name, value in own.items()}
+        u, places = replace(made, **own).solve(
+            made.points, made.points.offset, started[rows], 1e-11
+        )
+        (gradient,) = torch.autograd.grad(places.square().sum() + u.sum(), own["pull"])
+        return u.detach(), gradient
+
+    u, gradient = answers(slice(None))
+    for row in (0, 3, 18):
+        alone, own = answers(slice(row, row + 1))
+        torch.testing.assert_close(u[row : row + 1], alone, atol=1e-9, rtol=0.0)
+        torch.testing.assert_close(gradient[row : row + 1], own, atol=0.0, rtol=1e-7)
+
+
 @pytest.mark.story  # every input; a plain run has the contract of kinds
 @pytest.mark.grad
 def test_derivatives_of_an_equilibrium_are_those_of_differences():
