@@ -36,7 +36,7 @@ def test_a_flow_that_does_not_know_the_level_is_a_power_of_it():
     study = Study("hopper", "ode", channels, tuple(runs), commands=(Command("valve"),), model=MODEL)
     report = found(study)
     law, *others = report.described.laws
-    assert law.status == "likely" and {one.status for one in others} <= {"possible"}
+    assert law.status == "certain" and {one.status for one in others} <= {"possible"}
     assert report.verdict == "described" and law.variables == ("mass",)
     assert law.entry == {"kind": "number", "target": "k"} and law.form == "power"
     size = report.causes[0].size["size"]
