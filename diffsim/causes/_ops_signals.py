@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -102,6 +103,15 @@ def _rows(values: Tensor, lead: tuple[int, ...]) -> Tensor:
     return values.expand(*lead, values.shape[-1]).reshape(math.prod(lead), values.shape[-1])
 
 
+def _kernel_of(kernel: str, describe: Callable[[Call], Any], *names: str) -> Callable[[Call], None]:
+    """A kernel of what a call describes, and of its tensors of these names."""
+
+    def run(call: Call) -> None:
+        getattr(core, kernel)(describe(call), *call.addresses(*names).values())
+
+    return run
+
+
 def _followers(call: Call) -> Any:
     sizes = {name: call.sizes[name] for name in ("num_rows", "num_times", "num_rooms", "how")}
     return core.Followers(**sizes, **call.addresses("targets", "room"))
@@ -109,18 +119,21 @@ def _followers(call: Call) -> Any:
 
 def _follow_rows(call: Call) -> None:
     call["states"][:, 0] = call["start"]
-    core.follow(_followers(call), *call.addresses("states").values())
-
-
-def _pull_followed(call: Call) -> None:
-    grads = ("grad_states", "grad_targets", "grad_room", "grad_start")
-    core.follow_vjp(_followers(call), *call.addresses("states", *grads).values())
+    _fill_states(call)
 
 
 def _push_followed(call: Call) -> None:
     call["d_states"][:, 0] = call["d_start"]
-    moved = ("d_targets", "d_room", "d_states")
-    core.follow_tangent(_followers(call), *call.addresses("states", *moved).values())
+    _fill_directions(call)
+
+
+_fill_states = _kernel_of("follow", _followers, "states")
+_fill_directions = _kernel_of(
+    "follow_tangent", _followers, "states", "d_targets", "d_room", "d_states"
+)
+_pull_followed = _kernel_of(
+    "follow_vjp", _followers, "states", "grad_states", "grad_targets", "grad_room", "grad_start"
+)
 
 
 def _follow_in_torch(given: Given) -> tuple[Tensor, ...]:
@@ -165,20 +178,6 @@ def _describe_approach(call: Call) -> Any:
     return core.Approach(**sizes, **call.addresses("targets", "steps", "most", "fastest"))
 
 
-def _approach_rows(call: Call) -> None:
-    core.approach(_describe_approach(call), *call.addresses("places").values())
-
-
-def _pull_approached(call: Call) -> None:
-    grads = ("grad_places", "grad_targets", "grad_most", "grad_fastest")
-    core.approach_vjp(_describe_approach(call), *call.addresses(*grads).values())
-
-
-def _push_approached(call: Call) -> None:
-    moved = ("d_targets", "d_most", "d_fastest", "d_places")
-    core.approach_tangent(_describe_approach(call), *call.addresses(*moved).values())
-
-
 def _approach_in_torch(given: Given) -> tuple[Tensor, ...]:
     """``approach`` by PyTorch's own operations."""
     targets, most, fastest = given["targets"].unbind(-1), given["most"], given["fastest"]
@@ -210,9 +209,15 @@ _approach = Op(
     },
     outputs={"places": array("num_rows", "num_times")},
     options="bool held",
-    kernel=_approach_rows,
-    adjoint=_pull_approached,
-    tangent=_push_approached,
+    kernel=_kernel_of("approach", _describe_approach, "places"),
+    adjoint=_kernel_of(
+        "approach_vjp",
+        _describe_approach,
+        *("grad_places", "grad_targets", "grad_most", "grad_fastest"),
+    ),
+    tangent=_kernel_of(
+        "approach_tangent", _describe_approach, "d_targets", "d_most", "d_fastest", "d_places"
+    ),
     in_torch=_approach_in_torch,
 )
 
@@ -221,20 +226,6 @@ def _describe_lines(call: Call) -> Any:
     names = ("num_rows", "num_times", "num_places", "num_signals", "num_ways", "both_sides")
     sizes = {name: call.sizes[name] for name in names}
     return core.Lines(**sizes, **call.addresses("values", "times", "places"))
-
-
-def _read_rows(call: Call) -> None:
-    core.read_lines(_describe_lines(call), *call.addresses("readings").values())
-
-
-def _pull_read(call: Call) -> None:
-    grads = ("grad_readings", "grad_values", "grad_places")
-    core.read_lines_vjp(_describe_lines(call), *call.addresses(*grads).values())
-
-
-def _push_read(call: Call) -> None:
-    moved = ("d_values", "d_places", "d_readings")
-    core.read_lines_tangent(_describe_lines(call), *call.addresses(*moved).values())
 
 
 def _count_rows(call: Call) -> dict[str, int]:
@@ -272,8 +263,10 @@ _read_lines = Op(
     outputs={"readings": array("num_rows", "num_places")},
     options="bool both_sides",
     sizes=_count_rows,
-    kernel=_read_rows,
-    adjoint=_pull_read,
-    tangent=_push_read,
+    kernel=_kernel_of("read_lines", _describe_lines, "readings"),
+    adjoint=_kernel_of(
+        "read_lines_vjp", _describe_lines, "grad_readings", "grad_values", "grad_places"
+    ),
+    tangent=_kernel_of("read_lines_tangent", _describe_lines, "d_values", "d_places", "d_readings"),
     in_torch=_read_in_torch,
 )

@@ -158,7 +158,7 @@ class Search {
   std::int64_t last_, left_ = 0;
 };
 
-/// Calls visit(row, place's index, interval, place, weight) for every line that is read.
+/// Calls visit(row, place's index, interval, place, whether the next line is read, too).
 template <typename Visit>
 void each_line(const Lines& l, const Visit& visit) {
   for (std::int64_t row = 0; row < l.num_rows; ++row) {

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from diffsim.causes.commands import CommandGroup
 from diffsim.causes.readings import usual_sample
-from diffsim.causes.signals import Grid, accelerated, after
+from diffsim.causes.signals import Grid, accelerated
 from diffsim.core.expression import parse_expression
 from diffsim.identify.effect import Apply
 from diffsim.systems.ode.applying import by_formulas, symbol, with_inputs
@@ -127,15 +127,13 @@ def follow_profile(name: str, own: str, *, held: Mapping[str, bool]) -> Apply:
 def _accelerate_input(
     name: str, other: str, is_held: bool, scene: OdeScene, size: Tensor
 ) -> dict[str, Tensor]:
-    most, fastest = size[..., 0], size[..., 1]
-    u, commands = scene.inputs[name], scene.commands
+    most, fastest = size[..., :1], size[..., 1:2]
 
     def follow(u: Tensor, grid: Grid) -> Tensor:
         return accelerated(u, grid, most, fastest, held=is_held)
 
-    if commands.before is None:
-        return {other: follow(u, scene.grid)}
-    return {other: after(u, scene.grid, follow, commands.before[commands.rows[name][0]])}
+    row, u = scene.commands.rows[name][:1], scene.inputs[name][..., None, :]
+    return {other: scene.commands.act(follow, row, u, scene.grid)[..., 0, :]}
 
 
 def drift_in_order(name: str, own: str) -> Apply:
