@@ -86,6 +86,14 @@ class PortLaws(LawPort):
             yield Entry("force", name, place.unit, place.magnitudes["push"])
 
     @cached_property
+    def _signals(self) -> tuple[str, ...]:
+        return signals_of(self.study)
+
+    @cached_property
+    def _constants(self) -> tuple[str, ...]:
+        return constants_of(self.study)
+
+    @cached_property
     def _units(self) -> dict[str, str]:
         kinds = (self.study.channels, self.study.commands, self.study.columns)
         return {c.name: c.unit for kind in kinds for c in kind if c.unit}
@@ -107,7 +115,7 @@ class PortLaws(LawPort):
                 others = tuple(w for n, w in of_kind.items() if n != name)
                 if others:
                     yield Variable(name, name, self._units.get(name, "-"), at=others)
-        for name in signals_of(self.study):
+        for name in self._signals:
             at = (*readings, *(w for n, w in inputs.items() if n != name))
             yield from self._list_of(name, name, at)
         if self.plant.is_in_time and (readings or inputs):
@@ -150,7 +158,7 @@ class PortLaws(LawPort):
         """Names of what differs from run to run."""
         runs = self.study.fit_runs
         out = []
-        for name in constants_of(self.study):
+        for name in self._constants:
             values = {constant_in(run, name) for run in runs}
             if len(values) >= FEWEST_VALUES:
                 out.append(name)
@@ -236,8 +244,8 @@ class PortLaws(LawPort):
         return law_effect(name, entry, len(terms), typical, acts[entry.kind]())
 
     def _read(self, text: str, variable: Variable, more: Sequence[str] = ()) -> Formula:
-        known = (*OF_FORCES, "u", "t", *more, *constants_of(self.study))
-        names = (*known, *signals_of(self.study), *self.plant.channel_names)
+        known = (*OF_FORCES, "u", "t", *more, *self._constants)
+        names = (*known, *self._signals, *self.plant.channel_names)
         shapes = {n: ShapeKeys(value=v) for n, v in variable.numbers.items()}
         return parse_formula(text, names, {}, _memories_of(variable), shapes)
 

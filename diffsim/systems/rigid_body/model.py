@@ -280,12 +280,14 @@ class TossShooting:
             (many, num_windows, length, num_channels).
         """
         windows, length, channels = self.measured.shape
-        change = torch.zeros(many, windows, 12, 1, dtype=torch.float64)
+        # models side by side as columns: gains are then read once, not once for each model
+        change = torch.zeros(windows, 12, many, dtype=torch.float64)
         measured = self.measured.reshape(windows, -1, 1)
         for k in range(_CORRECTIONS + 1):
-            here = predict(self.start + change[..., 0]).reshape(many, windows, -1, 1)
+            here = predict(self.start + change.permute(2, 0, 1))
+            here = here.reshape(many, windows, -1).permute(1, 2, 0)
             better = self.gain @ (measured - here + self.tangent @ change)
             if k == _CORRECTIONS:
                 here = here + self.tangent @ (better - change)
             change = better
-        return here.reshape(many, windows, length, channels)
+        return here.permute(2, 0, 1).reshape(many, windows, length, channels)
