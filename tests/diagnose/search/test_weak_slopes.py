@@ -112,11 +112,15 @@ def test_a_step_to_where_nothing_can_be_simulated_leads_nowhere(monkeypatch):
 
 def test_a_finding_rests_on_slopes_that_are_right():
     """Of a right sheet an answer said: weight is 1.11 to 1.19 N m, the data sheet says 0.88."""
-    problem = problem_of(edges=0.01)
-    fit, at = gauss_newton(problem, linearization_at(problem, np.array([6.0, 6.0, 0.0])))
-    assert fit.x[:2].min() > 1.0, "slopes alone hold it away from the sheets"
-    made = Simulations(problem).kept(frozenset(), at)
-    _, after = _fitted_along_weak(made, frozenset(), fit, np.inf)
-    assert np.abs(after.x[:2]).max() < 0.2
-    assert after.chi2 + after.prior < fit.chi2 + fit.prior - 1.0
-    np.testing.assert_allclose(np.sqrt(np.diag(after.covariance))[:2], np.sqrt(0.5), rtol=0.02)
+    sd = []
+    for far in (3.0, 4.0, 5.0, 6.0, 8.0, 12.0):
+        problem = problem_of(edges=0.01)
+        start = linearization_at(problem, np.array([far, far, 0.0]))
+        fit, at = gauss_newton(problem, start, until=-1.0)  # no step: it was held there
+        assert np.sqrt(np.diag(fit.covariance))[:2].max() < 0.1 * far, "slopes hold it off"
+        made = Simulations(problem).kept(frozenset(), at)
+        _, after = _fitted_along_weak(made, frozenset(), fit, np.inf)
+        assert np.abs(after.x[:2]).max() < 0.1 * far
+        assert after.chi2 + after.prior < fit.chi2 + fit.prior - 1.0
+        sd.append(np.sqrt(np.diag(after.covariance))[:2])
+    np.testing.assert_allclose(np.median(sd, 0), np.sqrt(0.5), rtol=0.05)
