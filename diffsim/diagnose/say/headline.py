@@ -319,9 +319,17 @@ def _open(answer: Answer, verb: str) -> list[str]:
     wide = common | {row.name for row in likely if not any(map(MAY_BE_ANOTHER.match, row.doubts))}
     if any(n not in wide for n in sets[0]):
         common = wide.intersection(sets[0])
-    place = {row.name: k for k, row in enumerate(answer.causes)}  # what removes most comes first
-    sets = [tuple(sorted(s, key=lambda n: place.get(n, len(place)))) for s in sets]
+    # what removes most comes first; of a rival what the best set lacks, which no fit removed
+    place = {row.name: k for k, row in enumerate(answer.causes)}
+    held_by_best = {*sets[0]}
+    sets = [
+        tuple(sorted(s, key=lambda n: (k > 0 and n in held_by_best, place.get(n, len(place)))))
+        for k, s in enumerate(sets)
+    ]
     parts = [[_listed_name(answer, n) for n in s if n not in common] for s in sets]
+    # what acts beside a name tells it from none, nor does what a set holds beyond another one's
+    parts = [[n for n in p if n != UNNAMED] or p for p in parts]
+    parts = [p for p in parts if not any(set(o) < set(p) for o in parts if o)]
     names = list(dict.fromkeys(" with ".join(p) for p in parts if p))
     if common and names:
         shared = [n for n in sets[0] if n in common]

@@ -16,14 +16,20 @@ from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import Decision, Judgment
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.say.wording import MOST_LISTED
-from diffsim.diagnose.search.evidence import TIE_DIGITS, VISIBLE, Hypothesis, Screen, SetPosterior
+from diffsim.diagnose.search.evidence import (
+    TIE_DIGITS,
+    VISIBLE,
+    Hypothesis,
+    Screen,
+    SetPosterior,
+    twins_of,
+)
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.identify import Fit
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, effect_coordinates
 from diffsim.identify.unknown import Unknown
 
 BLIND = 3.0  # smallest visible size over the typical one
-TWINS = 0.995  # confounding from which two effects are the same to these data
 FIRST_LOOK = "first look"  # stage of a diagnosis that says what stands out before any set is fitted
 
 
@@ -142,6 +148,7 @@ def effect_rows(
             size = np.array([saved.values[n] for n in effect_coordinates([effect])])
         gained = judgment.gains.get(i)
         note = "" if gained is None or gained.status == "confirmed" else gained.status
+        twins = tuple(effects[k].name for k in twins_of(effects, screened, i))
         rows.append(
             EffectRow(
                 effect=effect.name,
@@ -156,7 +163,7 @@ def effect_rows(
                 smallest_visible=_by_component(effect, screened.smallest_visible[c]),
                 gain=gained,
                 share=share,
-                aliases=(*effect.also_looks_like, *_twins(effects, screened, i)),
+                aliases=(*effect.also_looks_like, *twins),
                 note="worse on unseen runs" if i in judgment.withdrawn else note,
             )
         )
@@ -278,16 +285,6 @@ def _status(i: int, decision: Decision, in_rivals: set[int], withdrawn: Set[int]
     if i in decision.best:
         return {"unknown": "mimic", "unrepeatable": "mimic"}.get(decision.verdict, "named")
     return "rival" if i in in_rivals else "screened"
-
-
-def _twins(effects: Sequence[Effect], screened: Screen, i: int) -> tuple[str, ...]:
-    """Other effects of the library that these data cannot distinguish from this one."""
-    owner = [k for k, e in enumerate(effects) for _ in e.components]
-    own = [c for c, k in enumerate(owner) if k == i]
-    close = np.abs(screened.confounding[own]).max(axis=0) > TWINS
-    return tuple(
-        dict.fromkeys(effects[owner[c]].name for c in np.flatnonzero(close) if owner[c] != i)
-    )
 
 
 def _by_component(effect: Effect, values: Iterable[float]) -> dict[str, float]:

@@ -60,6 +60,7 @@ FARTHER = 4.0
 NORMAL: Mapping[int, float] = MappingProxyType({})  # every base parameter by its data sheet
 KEEP_NATS = 4.0  # evidence that a member of a set, or an unknown cause, must add
 ALONE_NATS = 3.0  # lead over every rival that a set needs to be named alone
+TWINS = 0.995  # confounding from which two effects are the same to these data
 TIE_DIGITS = 6  # of nats: sets that agree so far rank alike, not as rounding has it
 
 
@@ -419,3 +420,11 @@ def screen(linear: LaplaceEvidence) -> Screen:
         confounding=cosine,
         information=information,
     )
+
+
+def twins_of(effects: Sequence[Effect], screened: Screen, i: int) -> tuple[int, ...]:
+    """Other effects of the library, by index, that do to these data what effect ``i`` does."""
+    owner = [k for k, e in enumerate(effects) for _ in e.components]
+    own = [c for c, k in enumerate(owner) if k == i]
+    close = np.abs(screened.confounding[own]).max(axis=0) > TWINS
+    return tuple(dict.fromkeys(owner[c] for c in np.flatnonzero(close) if owner[c] != i))

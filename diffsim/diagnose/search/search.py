@@ -25,6 +25,8 @@ from diffsim.diagnose.search.evidence import (
     TIE_DIGITS,
     Hypothesis,
     families,
+    screen,
+    twins_of,
 )
 from diffsim.diagnose.search.fit import HARD_START_CHI2, Null, grown
 from diffsim.diagnose.search.fitted_sets import Search, weigh_unknowns
@@ -192,7 +194,12 @@ def _fit_from_prior(search: Search) -> Search:
 
 
 def refit(
-    search: Search, members: Members, near: Center | None = None, *, begin: Begin | None = None
+    search: Search,
+    members: Members,
+    near: Center | None = None,
+    *,
+    begin: Begin | None = None,
+    point: Array | None = None,
 ) -> Search:
     """Fit a set and weigh it there, once; recorded under ``failed`` where it cannot be simulated.
 
@@ -202,6 +209,8 @@ def refit(
         near: Center to start from; the plain model if None, or if it cannot be simulated from
             there.
         begin: Finds where a fit begins, from a start of its own.
+        point: Where the fit begins, coordinates of all candidates; None: where linear evidence at
+            the center has its optimum.
     """
     key = Hypothesis(members)
     if key in search.posteriors or key in search.failed:
@@ -228,7 +237,8 @@ def refit(
             if best is not None and best[0].ended == "budget":  # on from there, not anew
                 start = search.simulations.kept(members, best[1]).fitted[members]
             else:
-                start = search.simulations.start(members, center.at, center.evidence.weigh(key).x)
+                x = center.evidence.weigh(key).x if point is None else point
+                start = search.simulations.start(members, center.at, x)
             fit, at = search.simulations.fitted_from(
                 members, start, search.best_cost(), begin, most
             )
@@ -523,19 +533,40 @@ def _refit_rivals(search: Search, center: Center, until: float) -> Search:
                 continue
             num_overtaking += is_late
             search = refit(search, members, center)
-    return _refit_siblings(search, until)
+    return _refit_siblings(search, center, until)
 
 
-def _refit_siblings(search: Search, until: float) -> Search:
-    """Refit sets that do the same as the best ones by another kink: linear evidence is no guide."""
-    best = _best_of(search)
+def _refit_siblings(search: Search, center: Center, until: float) -> Search:
+    """Refit sets that do the same as the best ones, where linear evidence is no guide: by another
+    kink, or by a twin, whose size may be far from where slopes are."""
+    best, effects = _best_of(search), search.wide.effects
     least = search.nats(Hypothesis(best)) - ALONE_NATS
     several = [s for s in search.fits if 1 < len(s) <= len(best)]  # one is scanned where it is
     near = [s for s in several if search.nats(Hypothesis(s)) >= least]
-    siblings = {s for of in near for s in _kinked_siblings(search.wide.effects, of)}
-    for members in sorted(siblings - set(search.fits), key=sorted):
-        search = search.with_late() if search.steps > until else refit(search, members)
+    siblings: dict[Members, Array | None] = {}
+    if best == center.members:
+        seen = screen(center.evidence)
+        pairs = [(i, k) for i in sorted(best) for k in twins_of(effects, seen, i) if k not in best]
+        siblings = {(best - {i}) | {k}: _with_twin(search, center, i, k) for i, k in pairs}
+    for members in near:
+        siblings = dict.fromkeys(_kinked_siblings(effects, members)) | siblings
+    for members in sorted(siblings.keys() - search.fits.keys(), key=sorted):
+        is_late, point = search.steps > until, siblings[members]
+        at = search.plain if point is None else center
+        search = search.with_late() if is_late else refit(search, members, at, point=point)
     return search
+
+
+def _with_twin(search: Search, center: Center, i: int, twin: int) -> Array:
+    """Coordinates of a center with another effect in a member's place, as large as it takes to do
+    to the plain model, by its slopes, what the member does."""
+    wide, plain = search.wide, search.plain.at
+    own, others = (wide.columns_of(wide.effects[k]) for k in (i, twin))
+    scaled = wide.scaled(center.at.x)
+    done = wide.whiten_all(plain.slopes(own) @ scaled[own])
+    scaled[others] = np.linalg.lstsq(wide.whiten_all(plain.slopes(others)), done)[0]
+    scaled[own] = 0.0
+    return wide.standardized(scaled)
 
 
 def _kinked_siblings(effects: Sequence[Effect], members: Members) -> set[Members]:
