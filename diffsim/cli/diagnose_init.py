@@ -13,7 +13,7 @@ import yaml
 from diffsim.cli.arguments import described
 from diffsim.cli.init_target import require_target
 from diffsim.core.check import require_choice
-from diffsim.core.figures import counted
+from diffsim.core.figures import counted, list_first
 from diffsim.core.files import write_text_atomic
 from diffsim.core.schema import Part
 from diffsim.core.schema_keys import Key, keys_of
@@ -104,10 +104,15 @@ def init(
 def _model_beside(folder: Path, out: Path, guess: Guess) -> Mapping[str, Any] | None:
     """Keys of ``model`` for the MJCF that lies in the folder; what they are is told with the
     guess."""
-    from diffsim.systems.outside.mjcf_guess import find_mjcf, guess_model
+    from diffsim.systems.outside.mjcf_guess import find_mjcf, find_robot, guess_model
 
     found = find_mjcf(folder)
     names = ", ".join(path.name for path in found)
+    columns = [*guess.those("command"), *guess.those("channel")]
+    if len(found) > 1 and (robot := find_robot(folder, [column.name for column in columns])):
+        others = list_first([path.name for path in found if path.resolve() != robot])
+        guess.said.append(f"model: {robot.name} by its joints' and actuators' names; not {others}")
+        found, names = (robot,), robot.name
     if len(found) > 1:
         guess.todo.append(f"model: which of {names} was recorded; see docs/outside.md, MuJoCo")
     if len(found) != 1:

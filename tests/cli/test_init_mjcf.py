@@ -190,7 +190,7 @@ def test_a_u_before_what_tells_actuators_apart_makes_a_command(tmp_path, beside)
 
 def test_two_models_are_a_question_and_a_broken_one_is_said(tmp_path):
     folder = arm_folder(tmp_path)
-    (folder / "other.xml").write_text("<mujoco><worldbody/></mujoco>")
+    (folder / "other.xml").write_text((folder / "arm.xml").read_text())
     init(folder)
     assert "which of arm.xml, other.xml was recorded" in (folder / "study.yaml").read_text()
     (folder / "other.xml").unlink()
@@ -198,6 +198,59 @@ def test_two_models_are_a_question_and_a_broken_one_is_said(tmp_path):
     init(folder, force=True)
     text = (folder / "study.yaml").read_text()
     assert "arm.xml is an MJCF that cannot be read" in text and "system: ode" in text
+
+
+def test_of_scenes_that_include_a_robot_the_robot_is_taken(tmp_path, capsys):
+    """Of a bimanual arm's repository init asked which of fourteen scenes had been recorded."""
+    folder = arm_folder(tmp_path)
+    (folder / "model/scenes").mkdir(parents=True)
+    (folder / "arm.xml").rename(folder / "model/arm.xml")
+    scene = '<mujoco><include file="../arm.xml"/><worldbody>{}</worldbody></mujoco>'
+    body = '<body><joint name="{}" type="slide"/><geom size="1"/></body>'
+    for name in ("puck", "valve"):
+        (folder / f"model/scenes/{name}.xml").write_text(scene.format(body.format(name)))
+    init(folder)
+    said = capsys.readouterr().out
+    assert "model: arm.xml by its joints' and actuators' names; not puck.xml, valve.xml" in said
+    stated = yaml.safe_load((folder / "study.yaml").read_text())["model"]
+    assert stated["options"]["model"] == "model/arm.xml"
+
+
+ARMS = """<mujoco><worldbody><body name="left" pos="0 1 1"><joint name="left_1" damping="1"/>
+    <geom size=".1" mass="1"/><body name="left_hand" pos=".3 0 0"><joint name="left_2" damping="1"/>
+    <geom size=".1" mass="1"/></body></body>
+  <body name="right" pos="0 -1 1"><joint name="right_1" damping="1"/><geom size=".1" mass="1"/>
+  </body></worldbody><actuator><position name="left_1" joint="left_1" kp="9"/>
+  <{servo} name="left_2" joint="left_2" {gain}="9"/>
+  <position name="right_1" joint="right_1" kp="9"/></actuator>{more}</mujoco>"""
+TIE = '<equality><joint joint1="left_1" joint2="{}"/></equality>'
+
+
+@pytest.mark.parametrize(
+    ("servo", "tied", "held", "is_tied"),
+    [
+        ("position", "", {"left_2", "right_1"}, False),
+        ("motor", "", {"right_1"}, False),  # no servo holds the hand: it swings along
+        ("position", "left_2", {"left_2", "right_1"}, False),
+        ("position", "right_1", {"left_2", "right_1"}, True),  # one arm pulls at the other
+    ],
+)
+def test_what_moves_nothing_recorded_is_not_fitted(tmp_path, capsys, servo, tied, held, is_tied):
+    gain, more = "kp" if servo == "position" else "gear", TIE.format(tied) if tied else ""
+    (tmp_path / "arms.xml").write_text(ARMS.format(servo=servo, gain=gain, more=more))
+    for run in "ab":
+        goal = np.sin(TIME + ord(run))
+        table = np.c_[TIME, 0.9 * goal, goal]
+        header = "time_s,left_1_pos_rad,left_1_goal_rad"
+        np.savetxt(tmp_path / f"{run}.csv", table, delimiter=",", header=header, comments="")
+    init(tmp_path)
+    stated = yaml.safe_load((tmp_path / "study.yaml").read_text())["model"]["parameters"]
+    joints = {name.split(".")[1] for name in stated if name.startswith(("joint.", "actuator."))}
+    assert joints == {"left_1", "left_2", "right_1"} - held
+    bodies = {name.split(".")[1] for name in stated if name.startswith("body.")}
+    assert bodies == {"left", "left_hand"} | ({"right"} if is_tied else set())
+    said = capsys.readouterr().out
+    assert "joints that move nothing recorded stay as in the file: " in said
 
 
 def test_a_joint_without_a_sensor_is_told_by_its_path(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 
 from diffsim.copter.exchange.xml_nodes import Node, read_nodes
 from diffsim.core.arrays import Array
+from diffsim.core.figures import list_first
 from diffsim.core.units import GRAVITY, to_si
 from diffsim.data.folder_tables import files_below
 from diffsim.data.guess import Guess, GuessedColumn
@@ -52,17 +53,71 @@ class GuessedModel:
 def find_mjcf(folder: Path) -> tuple[Path, ...]:
     """MJCF files of a folder that no other one of them includes or attaches; where it has none,
     those of the folders in it that lie highest, as collections of models are laid out."""
+    roots = _read_roots(folder)
+    inner = set().union(*(_parts_of(path, root) for path, root in roots.items()))
+    whole = [path for path in roots if path.resolve() not in inner]
+    return tuple(path for path in whole if len(path.parts) == len(whole[0].parts))
+
+
+def find_robot(folder: Path, columns: Sequence[str]) -> Path | None:
+    """Of several MJCF files the smallest one in which columns find as many joints and actuators as
+    in any: the robot that scenes include; None: columns find none, or as many in several.
+
+    Args:
+        folder: Folder with recordings.
+        columns: Names of what was recorded and commanded.
+    """
+    roots = {path.resolve(): root for path, root in _read_roots(folder).items()}
+    parts = {path: _parts_of(path, root) for path, root in roots.items()}
+    called = [_words(name) for name in columns]
+    shown = {path: _num_shown(path, roots, parts, called) for path in roots}
+    most = max(shown.values(), default=0)
+    told = {path for path, number in shown.items() if number == most}
+    robots = [path for path in told if not parts[path] & told]
+    return robots[0] if most and len(robots) == 1 else None
+
+
+def _read_roots(folder: Path) -> dict[Path, Node]:
+    """Roots of the MJCF files of a folder, the highest first."""
     below = [path for path in files_below(folder) if path.suffix.lower() == ".xml"]
     paths = sorted(below, key=lambda path: (len(path.parts), path))[:MAX_FILES]
-    roots = {path: root for path in paths if (root := _root_of(path))}
-    parts = {
+    return {path: root for path in paths if (root := _root_of(path))}
+
+
+def _parts_of(path: Path, root: Node) -> set[Path]:
+    """Files that an MJCF includes or attaches."""
+    return {
         (path.parent / node.attributes["file"]).resolve()
-        for path, root in roots.items()
         for node in _below(root)
         if node.tag in ("include", "model") and "file" in node.attributes
     }
-    whole = [path for path in roots if path.resolve() not in parts]
-    return tuple(path for path in whole if len(path.parts) == len(whole[0].parts))
+
+
+def _num_shown(
+    path: Path,
+    roots: Mapping[Path, Node],
+    parts: Mapping[Path, set[Path]],
+    called: Sequence[set[str]],
+) -> int:
+    """Number of columns that a joint of an MJCF fits by its words, and that an actuator fits.
+
+    Args:
+        roots, parts: Of every file that may belong to it.
+        called: Words of each column.
+    """
+    seen, left = set[Path](), [path]
+    while left:
+        seen.add(here := left.pop())
+        left += [part for part in parts[here] if part in roots and part not in seen]
+    held = [node for one in seen for node in roots[one].children]
+    names = [
+        [_words(node.attributes["name"]) for node in nodes if "name" in node.attributes]
+        for nodes in (
+            [n for top in held for n in _below(top) if n.tag == "joint"],
+            [n for top in held if top.tag == "actuator" for n in top.children],
+        )
+    ]
+    return sum(any(words <= own for words in kind if words) for kind in names for own in called)
 
 
 def _root_of(path: Path) -> Node | None:
@@ -105,7 +160,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
         "simulator": SIMULATOR,
         "commands_are": "held",
         "options": options,
-        "parameters": _parameters(simulator),
+        "parameters": _parameters(simulator, channels, commands, made),
         "start": _starts(simulator, channels, guess),
         "hooks": _without_empty(
             {
@@ -306,16 +361,27 @@ def _joint_of(plain: Any, actuator: int) -> str:
     return str(plain.joint(joint).name) if is_joint else ""
 
 
-def _parameters(simulator: Any) -> dict[str, Any]:
+def _parameters(
+    simulator: Any, channels: Mapping[str, str], commands: Mapping[str, str], made: GuessedModel
+) -> dict[str, Any]:
     """Masses of what moves; damping, dry friction and armature that are stated; gains of servos and
-    largest forces, which with damping make the speed that a drive keeps."""
+    largest forces, which with damping make the speed that a drive keeps. Numbers of parts that
+    cannot move what was recorded stay as the file has them: each is one more to be fitted."""
     plain = simulator.plain
+    trees, held = _trees_recorded(simulator, channels, commands), _joints_held(simulator, commands)
+    held -= {JOINT.sub(r"\1", _joint_shown(simulator, shown)) for shown in channels.values()}
     out: dict[str, Any] = {}
     for i in range(1, plain.nbody):
         body = plain.body(i)
-        if body.name and plain.body_mass[i] > 0.0 and int(plain.body_weldid[i]) != 0:
+        if body.name and plain.body_mass[i] > 0.0 and _tree_of(plain, i) in trees:
             out[f"body.{body.name}.mass"] = _quantity(float(plain.body_mass[i]), MASS_PERCENT)
-    for i in range(plain.njnt):
+    joints = [
+        i
+        for i in range(plain.njnt)
+        if plain.joint(i).name not in {"", *held}
+        and _tree_of(plain, int(plain.jnt_bodyid[i])) in trees
+    ]
+    for i in joints:
         name = plain.joint(i).name
         first = int(plain.jnt_dofadr[i])
         stated = {
@@ -324,11 +390,13 @@ def _parameters(simulator: Any) -> dict[str, Any]:
             "armature": plain.dof_armature,
         }
         for number, values in stated.items():
-            if name and values[first] > 0.0:
+            if values[first] > 0.0:
                 out[f"joint.{name}.{number}"] = _quantity(float(values[first]), DAMPING_PERCENT)
     for i in range(plain.nu):
         gain, bias = plain.actuator_gainprm[i], plain.actuator_biasprm[i]
         name = plain.actuator(i).name
+        if (joint := _joint_of(plain, i)) and joint not in {plain.joint(k).name for k in joints}:
+            continue
         if name and gain[0] > 0.0 and bias[1] == -gain[0]:
             out[f"actuator.{name}.kp"] = _quantity(float(gain[0]), GAIN_PERCENT)
             if bias[2] < 0.0:  # above, a damping ratio is
@@ -338,7 +406,63 @@ def _parameters(simulator: Any) -> dict[str, Any]:
         low, high = plain.actuator_forcerange[i]
         if name and plain.actuator_forcelimited[i] and 0.0 < high == -low:
             out[f"actuator.{name}.forcerange"] = _quantity(float(high), LIMIT_PERCENT)
+    kept = {plain.joint(i).name for i in joints}
+    left = [n for i in range(plain.njnt) if (n := plain.joint(i).name) and n not in kept]
+    if left:
+        made.said.append(
+            f"joints that move nothing recorded stay as in the file: {list_first(left)}"
+        )
     return out
+
+
+def _tree_of(plain: Any, body: int) -> int:
+    """Kinematic tree that a body moves with; -1: it does not move."""
+    while body and not plain.body_dofnum[body]:
+        body = int(plain.body_parentid[body])
+    return int(plain.dof_treeid[int(plain.body_dofadr[body])]) if body else -1
+
+
+def _trees_recorded(
+    simulator: Any, channels: Mapping[str, str], commands: Mapping[str, str]
+) -> set[int]:
+    """Kinematic trees with a joint that is shown or driven; all of them where a channel or a
+    command is of no joint, or where constraints tie parts of the model."""
+    plain, find = simulator.plain, simulator.numbers.find
+    every = set(map(int, plain.dof_treeid))
+    shown = [JOINT.fullmatch(_joint_shown(simulator, name)) for name in channels.values()]
+    driven = [_joint_of(plain, find("actuator", name, "")) for name in commands.values()]
+    if plain.ntendon or _ties_trees(simulator) or not all(shown) or not all(driven):
+        return every
+    joints = [*(found[1] for found in shown if found), *driven]
+    bodies = (int(plain.jnt_bodyid[find("joint", name, "")]) for name in joints)
+    return {_tree_of(plain, body) for body in bodies}
+
+
+def _ties_trees(simulator: Any) -> bool:
+    """Whether an equality constraint acts between kinematic trees, or on what has none."""
+    plain, m = simulator.plain, simulator.mujoco
+    for i in range(plain.neq):
+        bodies: Callable[[int], int]
+        if int(plain.eq_type[i]) == int(m.mjtEq.mjEQ_JOINT):
+            bodies = plain.jnt_bodyid.__getitem__
+        elif int(plain.eq_objtype[i]) == int(m.mjtObj.mjOBJ_BODY):
+            bodies = int
+        elif int(plain.eq_objtype[i]) == int(m.mjtObj.mjOBJ_SITE):
+            bodies = plain.site_bodyid.__getitem__
+        else:
+            return True
+        ends = (int(k) for k in (plain.eq_obj1id[i], plain.eq_obj2id[i]) if k >= 0)
+        if len({_tree_of(plain, int(bodies(k))) for k in ends} - {-1}) > 1:
+            return True
+    return False
+
+
+def _joints_held(simulator: Any, commands: Mapping[str, str]) -> set[str]:
+    """Joints that a position servo holds, as none of its commands was recorded."""
+    plain = simulator.plain
+    idle = [i for i in range(plain.nu) if plain.actuator(i).name not in commands.values()]
+    gain, bias = plain.actuator_gainprm, plain.actuator_biasprm
+    return {_joint_of(plain, i) for i in idle if 0.0 < gain[i, 0] == -bias[i, 1]} - {""}
 
 
 def _quantity(value: float, percent: int) -> dict[str, float]:
