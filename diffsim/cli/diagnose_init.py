@@ -110,7 +110,7 @@ def _model_beside(folder: Path, out: Path, guess: Guess) -> Mapping[str, Any] | 
     names = ", ".join(path.name for path in found)
     columns = [*guess.those("command"), *guess.those("channel")]
     if len(found) > 1 and (robot := find_robot(folder, [column.name for column in columns])):
-        others = list_first([path.name for path in found if path.resolve() != robot])
+        others = list_first([path.name for path in found if path != robot])
         guess.said.append(f"model: {robot.name} by its joints' and actuators' names; not {others}")
         found, names = (robot,), robot.name
     if len(found) > 1:

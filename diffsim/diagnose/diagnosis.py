@@ -654,7 +654,8 @@ def _under(case: Case, search: Search, label: str) -> tuple[Null, Simulations]:
         case = replace(case, store=case.store.sibling(f"{label}_{told}"))
     problem = case.problem(null.noise.whitener)
     carry = partial(carried, old=null.case.correction, new=new, runs=problem.runs)
-    ended = gauss_newton(problem, carry(null.at), best_cost=search.best_cost())
+    until = case.model.simulations.steps + case.settings.plain_steps
+    ended = gauss_newton(problem, carry(null.at), best_cost=search.best_cost(), until=until)
     null = Null(case, null.noise, *ended, null.num_spikes, null.num_misread)
     return null, search.simulations.moved(null, carry, case.store)
 

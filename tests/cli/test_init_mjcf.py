@@ -66,17 +66,13 @@ def test_a_folder_with_an_mjcf_is_simulated_without_a_word(tmp_path, capsys):
         "actuator.m1.kp",
     }
     start = stated["start"]["joint.elbow.start"]
-    assert start["value"] == pytest.approx(0.05) and start["sd"] > 0.05  # of 0 and 0.1 rad
+    assert start["first"] == "elbow" and start["sd"] > 0.05  # of 0 and 0.1 rad
     study = load_study(folder / "study.yaml")
     setup = setup_of(study)
     assert {"dry_friction_at_elbow", "delay_of_m1"} <= {effect.name for effect in setup.effects}
     problem = Problem(setup.model, study.runs, WhiteNoise(study.channels), ())
-    starts = {"joint.elbow.start@fast": 0.1, "joint.elbow.start@slow": 0.0}
-    values = [
-        (starts.get(p.name, -0.3 if ".start@" in p.name else p.value) - p.value) / p.sd
-        for p in problem.model.base
-    ]
-    shown = problem.records(np.array([values]))[0]
+    # each run begins as its first readings show
+    shown = problem.record(np.zeros(problem.num_base))
     measured = np.concatenate([run.measured.ravel() for run in study.runs])
     assert shown == pytest.approx(measured, abs=1e-4)
 
@@ -200,7 +196,7 @@ def test_two_models_are_a_question_and_a_broken_one_is_said(tmp_path):
     assert "arm.xml is an MJCF that cannot be read" in text and "system: ode" in text
 
 
-def test_of_scenes_that_include_a_robot_the_robot_is_taken(tmp_path, capsys):
+def test_of_scenes_that_include_a_robot_the_robot_is_taken(tmp_path, capsys, monkeypatch):
     """Of a bimanual arm's repository init asked which of fourteen scenes had been recorded."""
     folder = arm_folder(tmp_path)
     (folder / "model/scenes").mkdir(parents=True)
@@ -209,7 +205,8 @@ def test_of_scenes_that_include_a_robot_the_robot_is_taken(tmp_path, capsys):
     body = '<body><joint name="{}" type="slide"/><geom size="1"/></body>'
     for name in ("puck", "valve"):
         (folder / f"model/scenes/{name}.xml").write_text(scene.format(body.format(name)))
-    init(folder)
+    monkeypatch.chdir(folder)
+    init(Path("."))
     said = capsys.readouterr().out
     assert "model: arm.xml by its joints' and actuators' names; not puck.xml, valve.xml" in said
     stated = yaml.safe_load((folder / "study.yaml").read_text())["model"]
@@ -343,7 +340,7 @@ def test_pieces_of_one_long_run_begin_where_and_as_fast_as_they_do(tmp_path):
     for joint, place in (("shoulder", 0), ("elbow", 1)):
         first = np.array([run.measured[0, place] for run in study.runs])
         stated = start[f"joint.{joint}.start"]
-        assert stated["value"] == pytest.approx(first.mean(), rel=1e-3)
+        assert stated["first"] == study.channels[place].name
         assert stated["sd"] == pytest.approx(2.0 * np.abs(first - first.mean()).max(), rel=0.05)
         rates = [np.gradient(r.measured[:, place], 0.02, edge_order=2)[0] for r in study.runs]
         rate = start[f"joint.{joint}.start_rate"]

@@ -404,7 +404,8 @@ def refit_under(null: Null, numerics: Numerics) -> Null:
     """The plain model fitted again under other settings, with the noise of what it leaves."""
     case = replace(null.case, numerics=numerics)
     problem = case.problem(null.noise.whitener)
-    fit, at = gauss_newton(problem, linearization_at(problem, null.at.x))
+    until = case.model.simulations.steps + case.settings.plain_steps
+    fit, at = gauss_newton(problem, linearization_at(problem, null.at.x), until=until)
     residuals = residuals_by_run(case.study.fit_runs, at.record)
     noise = noise_floor(case.study.fit_runs, case.study.channels, residuals)
     return replace(null, case=case, fit=fit, at=at).under(noise)

@@ -16,6 +16,7 @@ from diffsim.causes.channel_groups import CLOCKS, clock_problems
 from diffsim.causes.plant import Plant
 from diffsim.causes.scales import HELD
 from diffsim.copter.exchange.mjcf_text import whole_scene
+from diffsim.core.check import did_you_mean
 from diffsim.core.checked import checked_methods
 from diffsim.core.inside import inside
 from diffsim.core.schema import Part
@@ -38,6 +39,7 @@ from diffsim.systems.outside.mjcf import version_notes
 from diffsim.systems.outside.mjcf_numbers import several_axes
 from diffsim.systems.outside.setup import outside_plant, outside_setup
 from diffsim.systems.outside.source import MJCF, Source
+from diffsim.systems.outside.starts import StartQuantity
 from diffsim.systems.quantities import Time
 
 _MAX_NAME = 255  # letters; what is longer is a text, and no file
@@ -51,7 +53,7 @@ def _read_quantity(given: Any) -> Any:
     """
     if not isinstance(given, Mapping):
         value, unit = in_si(given)
-        return Quantity(value=value, unit=unit)
+        return {"value": value, "unit": unit}
     own = given.get("unit")
     texts = {k: str(v) for k, v in given.items() if k in IN_UNIT and isinstance(v, str)}
     if not texts:
@@ -65,6 +67,7 @@ def _read_quantity(given: Any) -> Any:
 
 
 AnyQuantity = Annotated[Quantity, BeforeValidator(_read_quantity)]
+AnyStart = Annotated[StartQuantity, BeforeValidator(_read_quantity)]
 
 
 class PlaceKeys(Part):
@@ -129,7 +132,7 @@ class OutsideDescription(Description):
     parameters: dict[str, AnyQuantity] = Field(
         {}, description="What the simulator gets by name, each in the simulator's own unit"
     )
-    start: dict[str, AnyQuantity] = Field(
+    start: dict[str, AnyStart] = Field(
         {}, description="Start values that it gets by name too; usually `per: run`"
     )
     commands_are: Literal["straight", "held"] | None = Field(
@@ -186,6 +189,11 @@ class OutsideDescription(Description):
             except ValueError as error:
                 out.append(Problem("error", "model", str(error)))
         out += clock_problems(study.channels, self.clocks)
+        channels = [channel.name for channel in study.channels]
+        for key, start in self.start.items():
+            if start.first is not None and start.first not in channels:
+                message = f"no channel {start.first!r}{did_you_mean(start.first, channels)}"
+                out.append(Problem("error", f"model.start.{key}.first", message))
         known = {name for run in study.runs for name in run.command}
         for name in self.environment.action:
             if name not in known:

@@ -67,13 +67,14 @@ def find_robot(folder: Path, columns: Sequence[str]) -> Path | None:
         folder: Folder with recordings.
         columns: Names of what was recorded and commanded.
     """
-    roots = {path.resolve(): root for path, root in _read_roots(folder).items()}
+    found = _read_roots(folder)
+    roots = {path.resolve(): root for path, root in found.items()}
     parts = {path: _parts_of(path, root) for path, root in roots.items()}
     called = [_words(name) for name in columns]
     shown = {path: _num_shown(path, roots, parts, called) for path in roots}
     most = max(shown.values(), default=0)
     told = {path for path, number in shown.items() if number == most}
-    robots = [path for path in told if not parts[path] & told]
+    robots = [p for p in found if p.resolve() in told and not parts[p.resolve()] & told]
     return robots[0] if most and len(robots) == 1 else None
 
 
@@ -471,9 +472,9 @@ def _quantity(value: float, percent: int) -> dict[str, float]:
 
 def _positions(
     simulator: Any, channels: Mapping[str, str], guess: Guess
-) -> Iterator[tuple[str, list[Array], list[Array], float]]:
-    """Joints whose position is recorded, its course and clock in each run and the noise, in SI
-    units; of a free joint its entries, as starts have them."""
+) -> Iterator[tuple[str, str, list[Array], list[Array], float]]:
+    """Joints whose position is recorded: channel, course and clock in each run, and the noise, in
+    SI units; of a free joint its entries, as starts have them."""
     for column in guess.those("channel"):
         found = JOINT.fullmatch(_joint_shown(simulator, channels.get(column.name, "")))
         if found and found[2] != "velocity":
@@ -481,6 +482,7 @@ def _positions(
             times = to_si(column.unit).factor
             yield (
                 found[1] + entry,
+                column.name,
                 [times * c for c in guess.pieces(column)],
                 guess.seconds(column),
                 times * (column.sd or 0.0),
@@ -500,12 +502,12 @@ def _starts(simulator: Any, channels: Mapping[str, str], guess: Guess) -> dict[s
     """Where joints begin, by the first samples of their channels, a value of each run; and how
     fast, where a run begins in motion."""
     out: dict[str, Any] = {}
-    for joint, courses, clocks, noise in _positions(simulator, channels, guess):
+    for joint, shown, courses, clocks, noise in _positions(simulator, channels, guess):
         first = np.array([course[np.isfinite(course)][0] for course in courses])
         sd = max(3.0 * noise, 2.0 * float(np.abs(first - first.mean()).max()), SMALLEST_SD)
         name, bracket, entry = joint.partition("[")
         path = f"joint.{name}.start{bracket}{entry}"
-        out[path] = {"value": float(f"{first.mean():.4g}"), "sd": float(f"{sd:.2g}"), "per": "run"}
+        out[path] = {"first": shown, "sd": float(f"{sd:.2g}"), "per": "run"}
         if not bracket and (rate := _first_rate(courses, clocks, noise)) > 0.0:
             out[f"joint.{name}.start_rate"] = {
                 "value": 0.0,
@@ -537,7 +539,7 @@ def _places(
     """Joints whose position is recorded, as places of forces, with usual sizes."""
     out: dict[str, Any] = {}
     plain, m = simulator.plain, simulator.mujoco
-    for name, courses, clocks, _ in _positions(simulator, channels, guess):
+    for name, _, courses, clocks, _ in _positions(simulator, channels, guess):
         if "[" in name:  # a free body has no axis
             continue
         joint = simulator.numbers.find("joint", name, "")
@@ -565,7 +567,7 @@ def _find_before(
     """What servos were told before the runs, where their joints begin at rest in one place and the
     first goals lie elsewhere: that place. A sentence for each."""
     plain, columns = simulator.plain, {c.name: c for c in guess.those("command")}
-    courses = {name: found for name, found, _, _ in _positions(simulator, channels, guess)}
+    courses = {name: found for name, _, found, _, _ in _positions(simulator, channels, guess)}
     for command, actuator in commands.items():
         i, column = simulator.numbers.find("actuator", actuator, ""), columns[command]
         joint = _joint_of(plain, i)

@@ -31,6 +31,7 @@ from diffsim.systems.outside.hooks import Place, instruments
 from diffsim.systems.outside.hooks import command_groups as group_commands
 from diffsim.systems.outside.model import OutsideModel
 from diffsim.systems.outside.source import Source
+from diffsim.systems.outside.starts import with_first_readings
 from diffsim.systems.quantities import START_IN_PLAY
 
 OUTSIDE = "outside"  # the kind of system, and its table
@@ -222,6 +223,7 @@ def _list_parameters(
     """Base parameters, those of what happens behind the simulator last."""
     if isinstance(given, Mapping):
         both = BaseParameters({**given, **behind}, study.runs)
+        both = both.with_priors(with_first_readings(both.base, given, study))
         return both.base, lambda v, run: both.in_run(with_play_start(v, run), run)
     own = BaseParameters(behind, study.runs)
 

@@ -1,0 +1,53 @@
+"""Start values of runs that begin as their first readings show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from diffsim.data.study import Study
+from diffsim.identify import Parameter
+from diffsim.systems.description import Quantity
+
+
+class StartQuantity(Quantity):
+    """A start value; with ``first`` each run has a best guess of its own, from which a fit needs
+    fewer steps."""
+
+    value: float = Field(0.0, description="Best guess beforehand, where `first` gives none")
+    first: str | None = Field(
+        None, description="Channel whose first reading is the best guess in each run; `per: run`"
+    )
+
+    @model_validator(mode="after")
+    def _check_first(self) -> StartQuantity:
+        if self.first is not None and (self.per != "run" or self.sd is None):
+            raise ValueError("first needs per: run and sd, how far starts may be from the reading")
+        return self
+
+
+def with_first_readings(
+    base: Sequence[Parameter], starts: Mapping[str, Quantity], study: Study
+) -> tuple[Parameter, ...]:
+    """Base parameters whose starts are those of the first readings, within their bounds.
+
+    Args:
+        base: Base parameters, a start of each run called "NAME@RUN".
+        starts: Quantities by name.
+        study: Recorded runs; one that never read the channel keeps the stated value.
+    """
+    names = [channel.name for channel in study.channels]
+    firsts = {key: q.first for key, q in starts.items() if isinstance(q, StartQuantity) and q.first}
+    found = {}
+    for key, channel in firsts.items():
+        for run in study.runs:
+            seen = run.measured[:, names.index(channel)]
+            if (known := np.isfinite(seen)).any():
+                found[f"{key}@{run.name}"] = float(seen[known][0])
+    return tuple(
+        replace(p, value=min(max(found[p.name], p.lower), p.upper)) if p.name in found else p
+        for p in base
+    )
