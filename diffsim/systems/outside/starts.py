@@ -17,13 +17,15 @@ class StartQuantity(Quantity):
     """A start value; with ``first`` each run has a best guess of its own, from which a fit needs
     fewer steps."""
 
-    value: float = Field(0.0, description="Best guess beforehand, where `first` gives none")
+    value: float = Field(0.0, description="Best guess beforehand")
     first: str | None = Field(
         None, description="Channel whose first reading is the best guess in each run; `per: run`"
     )
 
     @model_validator(mode="after")
     def _check_first(self) -> StartQuantity:
+        if ("value" in self.model_fields_set) == (self.first is not None):
+            raise ValueError("give one of value, first")
         if self.first is not None and (self.per != "run" or self.sd is None):
             raise ValueError("first needs per: run and sd, how far starts may be from the reading")
         return self
@@ -37,7 +39,7 @@ def with_first_readings(
     Args:
         base: Base parameters, a start of each run called "NAME@RUN".
         starts: Quantities by name.
-        study: Recorded runs; one that never read the channel keeps the stated value.
+        study: Recorded runs; of one that never read the channel it is 0.
     """
     names = [channel.name for channel in study.channels]
     firsts = {key: q.first for key, q in starts.items() if isinstance(q, StartQuantity) and q.first}

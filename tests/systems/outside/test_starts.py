@@ -22,19 +22,25 @@ def test_a_start_is_the_first_reading_that_was_made_within_its_bounds():
     silent = np.full_like(runs[-1].measured, np.nan)
     runs[-1] = replace(runs[-1], measured=silent)
     study = replace(study, runs=tuple(runs))
-    start = StartQuantity(first=channel, sd=0.5, per="run", value=0.05, upper=0.15)
+    start = StartQuantity(first=channel, sd=0.5, per="run", upper=0.15)
     base = tuple(start.parameter(f"angle@{run.name}") for run in runs)
     found = with_first_readings((*base, replace(base[0], name="mass")), {"angle": start}, study)
     values = [p.value for p in found]
     expected = [min(0.1 * (k + 1), 0.15) for k in range(len(runs) - 1)]
-    assert values == pytest.approx([*expected, 0.05, 0.05])
+    assert values == pytest.approx([*expected, 0.0, 0.0])
     assert {p.sd for p in found} == {0.5}
 
 
-@pytest.mark.parametrize("more", [{"per": "run", "percent": 5.0, "value": 1.0}, {"sd": 0.1}])
+@pytest.mark.parametrize("more", [{}, {"sd": 0.1}, {"sd": 0.1, "per": "load"}])
 def test_a_first_reading_is_of_each_run_and_as_far_off_as_is_stated(more):
     with pytest.raises(ValidationError, match="first needs per: run and sd"):
         StartQuantity(first="angle", **more)
+
+
+@pytest.mark.parametrize("given", [{}, {"value": 0.0, "first": "angle"}])
+def test_a_start_has_a_value_or_a_first_reading(given):
+    with pytest.raises(ValidationError, match="value.*first"):
+        StartQuantity(sd=0.1, per="run", **given)
 
 
 def test_a_channel_that_is_not_there_is_said():
