@@ -176,14 +176,17 @@ def test_a_solve_among_a_few_unknowns_has_the_bits_of_the_whole(num_rhs, num_thr
     np.testing.assert_allclose(found, exact, rtol=1e-9)  # condition about 1e4
 
 
-def test_refactor_equals_a_new_factor():
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_refactor_equals_a_new_factor(precision):
     pattern, coords = grid_graph(8, 7, 6)
     first, second = (laplacian(pattern, shift=0.3, seed=s) for s in (0, 1))
     b = np.random.default_rng(6).standard_normal(first.shape[0])
-    factor = SparseCholesky(first, coords)
+    factor = SparseCholesky(first, coords, precision=precision)
     before = factor.solve(b)
     factor.refactor(second)
-    assert np.array_equal(factor.solve(b), SparseCholesky(second, coords).solve(b))
+    assert np.array_equal(
+        factor.solve(b), SparseCholesky(second, coords, precision=precision).solve(b)
+    )
     factor.refactor(first)
     assert np.array_equal(factor.solve(b), before)
 

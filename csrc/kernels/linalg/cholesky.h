@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <memory>
 #include <stdexcept>
+#include <vector>
 
 #include "kernels/linalg/aligned_buffer.h"
 #include "kernels/parallel.h"
@@ -57,7 +58,9 @@ enum class FactorPrecision { kFloat64, kFloat32 };
 /// a large factor takes a fifth of the factorization: hand them from one factor to the next.
 struct CholeskyMemory {
   AlignedBuffer<double> factor;
+  AlignedBuffer<float> factor32;
   AlignedBuffer<double> fronts;
+  std::vector<AlignedBuffer<double>> panels;  // of supernodes that wait to be rounded
 };
 
 class CholeskyFactor {
@@ -90,7 +93,7 @@ class CholeskyFactor {
 
   /// Frees the memory kept for the next refactor.
   void release_refactor_memory();
-  /// Its float64 memory for another factor; unusable until the next refactor.
+  /// Its memory for another factor; unusable until the next refactor.
   CholeskyMemory take_memory();
 
   bool usable() const { return usable_; }
@@ -110,8 +113,7 @@ class CholeskyFactor {
 
   std::shared_ptr<const CholeskySymbolic> symbolic_;
   FactorPrecision precision_;
-  CholeskyMemory memory_;  // L, where float64, and update matrices, kept for the next refactor
-  AlignedBuffer<float> factor32_;
+  CholeskyMemory memory_;  // L, and what is kept for the next refactor
   bool usable_ = false;
 };
 

@@ -2,6 +2,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <mutex>
 #include <string>
 #include <vector>
 
@@ -25,12 +26,12 @@ constexpr int kSplitTiles = 128;  // fronts from here on keep several threads bu
 struct CholeskyFactor::Refactor {
   const CholeskySymbolic& sym;
   const double* values;
-  double* factor;
-  double* fronts;
-  float* rounded;                   // where L goes in float32, or nullptr
+  CholeskyMemory& memory;
+  FactorPrecision precision;
   double relative_floor;            // smallest accepted pivot, relative to the diagonal entry
   std::vector<double> floor;        // by elimination order
   std::vector<FailedPivot> failed;  // by supernode
+  std::mutex mutex;                 // of memory.panels
 
   /// Adds the matrix's own entries and notes the smallest pivots to accept.
   void assemble(const CholeskySupernode& node, const Front& front) {
@@ -57,21 +58,41 @@ struct CholeskyFactor::Refactor {
   }
 
   bool run(int s, ThreadPool* pool) {
+    if (precision == FactorPrecision::kFloat64)
+      return factor_supernode(s, memory.factor.data() + sym.supernodes[s].factor, pool);
+    AlignedBuffer<double> panels = take_panels();
     const CholeskySupernode& node = sym.supernodes[s];
-    const Front front(node, factor, fronts);
+    const double* own = panels.resize(node.factor_size());
+    const bool done = factor_supernode(s, panels.data(), pool);
+    float* rounded = memory.factor32.data() + node.factor;
+    for (std::int64_t i = 0; i < node.factor_size(); ++i) rounded[i] = static_cast<float>(own[i]);
+    const std::lock_guard<std::mutex> lock(mutex);
+    memory.panels.push_back(std::move(panels));
+    return done;
+  }
+
+  /// What another supernode has left, or nothing yet.
+  AlignedBuffer<double> take_panels() {
+    const std::lock_guard<std::mutex> lock(mutex);
+    if (memory.panels.empty()) return {};
+    AlignedBuffer<double> panels = std::move(memory.panels.back());
+    memory.panels.pop_back();
+    return panels;
+  }
+
+  /// @param own  where its panels of L go
+  bool factor_supernode(int s, double* own, ThreadPool* pool) {
+    const CholeskySupernode& node = sym.supernodes[s];
+    double* const fronts = memory.fronts.data();
+    const Front front(node, own, fronts);
     front.set_zero(pool);
     assemble(node, front);
     for (std::int64_t c = node.children; c < node.children_end; ++c) {
       const CholeskySupernode& child = sym.supernodes[sym.children[c]];
-      front.add(Front(child, factor, fronts), sym.row_in_parent.data() + child.rows,
+      front.add(Front(child, nullptr, fronts), sym.row_in_parent.data() + child.rows,
                 sym.row_offset_in_parent.data() + child.rows, pool);
     }
     failed[s] = front.factor(floor.data() + node.first, pool);
-    if (rounded) {
-      for (std::int64_t i = node.factor; i < node.factor + node.factor_size(); ++i) {
-        rounded[i] = static_cast<float>(factor[i]);
-      }
-    }
     return failed[s].column < 0;
   }
 
@@ -95,16 +116,19 @@ void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
   // null vector: about eps sqrt(nnz) of its diagonal entry. Below a few times that it is noise.
   const double entries = static_cast<double>(sym.num_blocks) * sym.block * sym.block;
   const double floor = 4 * std::numeric_limits<double>::epsilon() * std::sqrt(entries);
-  const bool round = precision_ == FactorPrecision::kFloat32;
+  if (precision_ == FactorPrecision::kFloat32)
+    memory_.factor32.resize(sym.factor_size);
+  else
+    memory_.factor.resize(sym.factor_size);
+  memory_.fronts.resize(sym.fronts_size);
   Refactor work{sym,
                 values,
-                memory_.factor.resize(sym.factor_size),
-                memory_.fronts.resize(sym.fronts_size),
-                round ? factor32_.resize(sym.factor_size) : nullptr,
+                memory_,
+                precision_,
                 floor,
                 std::vector<double>(sym.num_unknowns),
+                std::vector<FailedPivot>(sym.supernodes.size()),
                 {}};
-  work.failed.resize(sym.supernodes.size());
   pool.run(static_cast<std::int64_t>(sym.tasks.size()), [&](std::int64_t t) {
     for (const auto& [begin, end] : sym.tasks[t]) {
       for (int s = begin; s < end; ++s) {
@@ -127,11 +151,13 @@ void CholeskyFactor::refactor(const double* values, ThreadPool& pool) {
     }
     work.check();
   }
-  if (round) memory_.factor.release();
   usable_ = true;
 }
 
-void CholeskyFactor::release_refactor_memory() { memory_.fronts.release(); }
+void CholeskyFactor::release_refactor_memory() {
+  memory_.fronts.release();
+  memory_.panels.clear();
+}
 CholeskyMemory CholeskyFactor::take_memory() {
   usable_ = false;
   return std::move(memory_);

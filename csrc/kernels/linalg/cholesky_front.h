@@ -17,9 +17,10 @@ struct FailedPivot {
 /// The front of a supernode: tiles (i, p) with i >= p, over own panels and update panels alike.
 class Front {
  public:
-  Front(const CholeskySupernode& node, double* factor, double* fronts)
+  /// @param own  its panels of L; may be null where the update matrix alone is read
+  Front(const CholeskySupernode& node, double* own, double* fronts)
       : node_(node),
-        own_(factor + node.factor),
+        own_(own),
         update_(fronts + node.update),
         panels_(node.panels()),
         tiles_(node.num_tiles()) {}

@@ -161,7 +161,7 @@ void CholeskyFactor::solve_with(const std::uint8_t* used, const double* b, doubl
   double* workspace = ws.reserve(symbolic_->workspace_size * together);
   const CholeskySymbolic& sym = *symbolic_;
   if (precision_ == FactorPrecision::kFloat32) {
-    Solver<float>{sym, factor32_.data(), b, x, num_rhs, workspace, used, 1}.run_all(pool);
+    Solver<float>{sym, memory_.factor32.data(), b, x, num_rhs, workspace, used, 1}.run_all(pool);
   } else {
     Solver<double>{sym, memory_.factor.data(), b, x, num_rhs, workspace, used, 1}.run_all(pool);
   }

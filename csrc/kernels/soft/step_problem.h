@@ -87,8 +87,12 @@ class StepProblem {
   /// z = (3x3 diagonal blocks of H)^-1 r, zero on fixed unknowns; r is read there, too.
   void solve_jacobi(const Vector& r, Vector& z);
   /// Factorizes H; false where it is not positive definite.
-  /// @param[in] edit  changes the (num_blocks, 3, 3) blocks first, if not empty
-  bool factorize(const std::function<void(double*)>& edit = {});
+  /// @param[in] edit   changes the (num_blocks, 3, 3) blocks first, if not empty
+  /// @param precision  of the factor as it is stored, the same every time
+  bool factorize(const std::function<void(double*)>& edit = {},
+                 FactorPrecision precision = FactorPrecision::kFloat64);
+  /// The same for what only preconditions or approximates: where it is large it is rounded.
+  bool factorize_roughly(const std::function<void(double*)>& edit = {});
   void solve_factorized(const Vector& r, Vector& z);
   /// In place, (size(), count) row-major.
   void solve_factorized_many(double* columns, int count);

@@ -209,7 +209,7 @@ bool ContactPreconditioner::prepare_tangent() {
         }
     });
   };
-  kind_ = problem_.factorize(edit) ? Kind::kTangent : Kind::kBase;
+  kind_ = problem_.factorize_roughly(edit) ? Kind::kTangent : Kind::kBase;
   return kind_ == Kind::kTangent;
 }
 

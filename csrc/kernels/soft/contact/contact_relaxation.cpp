@@ -110,7 +110,7 @@ bool ContactRelaxation::resolve(ContactProblem& problem, bool cycled, ContactIte
 bool ContactRelaxation::linearize(StepProblem& problem, const ContactSpace& space,
                                   const std::vector<std::size_t>& contacts, const Vector& x) {
   problem.assemble(x, true);
-  if (!problem.factorize()) return false;
+  if (!problem.factorize_roughly()) return false;
   inverse_ = inverse_between(problem, space, contacts);
   return true;
 }
