@@ -85,8 +85,8 @@ class OdeLaws(LawPort):
             if state in mechanical or text.strip() in motion.states:
                 continue
             known = units.get(state, NO_UNIT)
-            unit = "1/s" if known == NO_UNIT else to_si(f"{known}/s").unit
-            yield Entry("rate", state, unit, self._usual_rate(state))
+            per_second = "1/s" if known == NO_UNIT else to_si(f"{known}/s").unit
+            yield Entry("rate", state, per_second, self._usual_rate(state))
         network = self.library.system.network
         formulas = (*network.rates.values(), *network.definitions.values())
         # names that rates, definitions and readings are made of
