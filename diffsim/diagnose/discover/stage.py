@@ -565,7 +565,9 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     close = (f for f in fitted.forms if f.nats - best < error)
     simplest = min(close, key=lambda f: (len(f.numbers), f.form.name != "line"), default=None)
     if simplest is not None and simplest not in kept:
-        kept[1:] = [simplest]
+        is_simpler = all(len(f.numbers) > len(simplest.numbers) for f in kept)
+        is_close = is_simpler and simplest.nats - best < FORM_NATS
+        kept[1 if is_close else NUM_FORMS :] = [simplest]
     laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
     if best - fitted.left <= TABLE_PRICE * len(c.basis.terms):
         return laws

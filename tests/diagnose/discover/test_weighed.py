@@ -262,7 +262,7 @@ def test_the_simplest_near_form_is_weighed_beside_the_best():
     for behind, explained, kept in (
         (2.0, 90.0, ["first", "line"]),
         (20.0, 90.0, both),
-        (100.0, 17e3, ["first", "line"]),  # of a resistance over its temperature
+        (100.0, 17e3, [*both, "line"]),  # of a resistance over its temperature
     ):
         near = [first, second, form(15.9 + behind, "line")]
         law = SimpleNamespace(candidate=candidate, forms=near, left=0.0, nats=explained)
