@@ -69,7 +69,14 @@ _WORDS = frozenset(
     for word in (*_SYMBOLS, "gram", "degree", "minute", "hour", "liter", "bar", "amp", "celsius")
     for end in ("", "s")
 )
-_ROTATIONS = re.compile(r"(tr|u|umdr)\s*/\s*min", re.I)  # tours, Umdrehungen
+_ROTATIONS = re.compile(r"(tr|u|umdr|об)\s*/\s*(min|мин)", re.I)  # tours, Umdrehungen, oboroty
+#: Symbols in Cyrillic letters, GOST 8.417; a prefix is the letter before
+_GOST = {
+    "мин": "min", "рад": "rad", "град": "deg", "Гц": "Hz", "Па": "Pa", "Вт": "W", "Дж": "J",
+    "Ом": "ohm", "кг": "kg", "мк": "u", "с": "s", "м": "m", "Н": "N", "В": "V", "А": "A", "г": "g",
+    "к": "k", "М": "M", "К": "K",
+}  # fmt: skip
+_CYRILLIC = re.compile("|".join(_GOST))
 _LONGEST = 2 * LONGEST  # letters of a number with its unit
 #: Coherent SI units by what pint makes of them; others are spelled out in base units.
 _COHERENT = {
@@ -182,6 +189,7 @@ def powers_of(text: str) -> Mapping[str, float]:
     """
     if len(text) > LONGEST:
         raise ValueError(f"a unit has at most {LONGEST} letters, got {len(text)}")
+    text = _CYRILLIC.sub(lambda m: _GOST[m[0]], text)
     text = _RAISED.sub(lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text)
     if " " in text.strip() or text.strip() in _ALONE:
         text = _BARE_POWER.sub("^-", text)

@@ -29,7 +29,7 @@ from diffsim.data.joined_files import Kind, join_files, names_of_runs
 from diffsim.data.names import BESIDE, COUNTER, DRIVES, STATE, is_asked, log_column, px4_topic
 from diffsim.data.stamps import JUMP, filled, stamp_fault, usual_step
 from diffsim.data.table import MAKER, Table
-from diffsim.data.table_guess import TABLES, last_line
+from diffsim.data.table_guess import TABLES, Column, last_line
 
 Rule: TypeAlias = Callable[[Guess], Iterable[str] | None]
 
@@ -60,6 +60,8 @@ _OTHER_UNIT = 2.0  # powers of ten between steps: units are three apart, and log
 _MIXED = 0.01  # of the rows, that are out of order
 _TURNS = 0.3  # of the rows have another name than the one before, where readings take turns
 _SAME = 0.02  # rms over range: commands of repeats agree to this
+_START_SD = 5.0  # of its noise, within which all begin alike
+_START = 0.1  # of a channel's range: pendulums let go elsewhere began 0.15 and 0.8 of it apart
 
 
 def search(guess: Guess) -> Iterable[str]:
@@ -143,7 +145,17 @@ def families(guess: Guess) -> Iterable[str]:
         "out or add lines above the names there",
         [f"{path} (line {layout.header_line})" for path, layout in moved.items()],
     )
-    others = {path: None for path in others if path not in moved}
+    units = {
+        path: told
+        for one in guess.found
+        if (path := one.path.relative_to(guess.folder).as_posix()) in others
+        and (told := _other_units(guess.kinds[0].columns, one.layout.columns))
+    }
+    yield from listed(
+        "files with a column in another unit, not used; write them under `runs`",
+        [f"{{file: {path!r}, columns: {{{told}}}}}" for path, told in units.items()],
+    )
+    others = {path: None for path in others if path not in moved and path not in units}
     for sentence in listed("files with other columns, not used", others):
         yield sentence if is_apart else f"{sentence}{other_rig}"
     used = {one.reference for kind in guess.kinds for one in kind.files}
@@ -473,13 +485,14 @@ def labels_in_names(guess: Guess) -> Iterable[str]:
 
 
 def repeats(guess: Guess) -> Iterable[str]:
-    """Runs with the same facts and the same commands, sample by sample."""
+    """Runs with the same facts and the same commands, sample by sample, that begin alike."""
     asked = [c for c in guess.those("command") if not c.is_measured]
     facts = guess.those("fact")
     found = []
     for i, run in enumerate(guess.runs if asked else ()):
         for other in guess.runs[:i]:
-            if other.repeat_of is None and _are_repeats(run, other, asked, facts):
+            is_alike = other.repeat_of is None and _are_repeats(run, other, asked, facts)
+            if is_alike and all(_begin_alike(run, other, c) for c in guess.those("channel")):
                 run.repeat_of = other.name
                 found.append(f"{run.name} of {other.name}")
                 break
@@ -643,6 +656,26 @@ def _rank(family: Sequence[FoundTable]) -> tuple[int, bool, int]:
     """More runs first, then what sounds like a record, then what is larger."""
     looks = family[0].is_topic and bool(STATE.search(family[0].part))
     return len(family), looks, sum(one.size() for one in family)
+
+
+def _begin_alike(run: GuessedRun, other: GuessedRun, channel: GuessedColumn) -> bool:
+    """Whether a channel begins at about one value, or within its noise, as repeats do."""
+    both = [v[np.isfinite(v)] for v in (run.numbers(channel), other.numbers(channel))]
+    if not all(map(len, both)):
+        return True
+    apart = abs(both[0][0] - both[1][0])
+    noise = _START_SD * (channel.sd or 0.0)
+    return bool(apart <= max(_START * np.ptp(np.concatenate(both)), noise))
+
+
+def _other_units(ours: Sequence[Column], theirs: Sequence[Column]) -> str:
+    """Keys of ``columns`` for a file that has our columns, some in another unit; else empty."""
+    if [c.base for c in ours] != [c.base for c in theirs]:
+        return ""
+    pairs = [(a, b) for a, b in zip(ours, theirs, strict=True) if a.name != b.name]
+    if any(None in (a.unit, b.unit) for a, b in pairs):
+        return ""
+    return ", ".join(f"{b.base}: {{column: {b.name!r}, unit: {b.unit!r}}}" for _, b in pairs)
 
 
 def _are_repeats(

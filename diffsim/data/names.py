@@ -14,7 +14,8 @@ from diffsim.core.units import to_si
 from diffsim.data.table_guess import Column, column_of
 
 TIME = re.compile(
-    r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|seconds|elapsed|clock)(_|$)", re.I
+    r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|время|seconds|elapsed|clock)(_|$)",
+    re.I,
 )
 #: What a file states of its clock beside the samples: rows a second, or seconds between two rows.
 RATE = re.compile(

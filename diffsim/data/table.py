@@ -66,6 +66,9 @@ _MISSING_CELL = {
 }
 GROUPED_DIGITS = re.compile(r"[-+]?\d{1,3}([.,' ]\d{3})+([.,]\d+)?")  # 1.234,5
 _LONE_COMMA = re.compile(r",(?!\d)")  # no decimal comma: what it is, is told cell by cell
+#: Words of a file that is read as Cyrillic; western accents, too, but these touch plain letters
+_CYRILLIC = re.compile("[А-яЁё]{3}")
+_ACCENTED = re.compile("[A-Za-z][А-яЁё]|[А-яЁё][A-Za-z]")
 _DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
 
 
@@ -80,7 +83,10 @@ def open_text(path: Path) -> Iterator[TextIO]:
             while text.read(BLOCK):  # a large file as a whole would take twice its size
                 pass
     except UnicodeDecodeError:
-        encoding = "cp1252"
+        with path.open(encoding="cp1251", errors="replace") as text:
+            words = text.read(BLOCK)
+        is_western = bool(_ACCENTED.search(words)) or not _CYRILLIC.search(words)
+        encoding = "cp1252" if is_western else "cp1251"
     with path.open(newline="", encoding=encoding, errors="replace") as text:
         yield text
 

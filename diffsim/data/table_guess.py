@@ -116,7 +116,9 @@ def layout_of(path: Path) -> TableLayout | None:
     names = _drop_empty_end(rows[above[0]])
     is_pair = len(above) == 2 and _are_units(rows[above[1]])
     is_part = bool(_names_twice(names)) or ("" in names and not is_pair)
-    if len(above) > 1 and is_part:  # as of motion capture: bodies above their axes
+    # a first column without a name that is no number of the row is a clock, most likely
+    is_bare = not names[0] and not all(row[0].isdecimal() for row in rows[first:] if any(row))
+    if is_bare or (len(above) > 1 and is_part):  # as of motion capture: bodies above their axes
         return _lines_as_names([rows[i] for i in above], above[-1] + 1, first + 1)
     units = [*(rows[above[1]] if len(above) > 1 else []), *[""] * len(names)]
     cells = [*rows[first], *[""] * len(names)]  # lists, "[0.1, 0.2]", are a column for each entry
@@ -187,7 +189,7 @@ def _lines_as_names(above: list[list[str]], last: int, first: int) -> TableLayou
     for row in reversed(parts):  # what has no axis is named further up
         names = [name or cell for name, cell in zip(names, row, strict=True)]
     twice = _names_twice(names)
-    if not twice and names == above[-1]:
+    if not twice and names == above[-1] and names[0]:
         columns = (column_of(name, unit) for name, unit in zip(names, units, strict=True))
         return TableLayout(last, first, tuple(columns))
     at = [k for k, name in enumerate(names) if name in twice]

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from diffsim.data import load_study
+from diffsim.data.table import open_text
 from diffsim.data.table_guess import column_of
 from tests.cli.test_diagnose_init import T, init, noisy, write
 
@@ -358,3 +359,67 @@ def test_a_spike_makes_no_reading_smooth(tmp_path, capsys):
         write(tmp_path / f"{name}.csv", header, [t, weight, noisy(9, num=1000)])
     init(tmp_path)
     assert "by its lack of noise" not in capsys.readouterr().out
+
+
+def test_a_loggers_cyrillic_letters_and_units_are_read(tmp_path, capsys):
+    """Windows writes them in a code page of its own; they were western letters without a unit."""
+    for k, name in enumerate("abc"):
+        columns = [100.0 * np.arange(60), 30.0 * np.cos(0.1 * T + k) + noisy(k), np.sin(T + k)]
+        rows = [
+            ";".join(f"{v:.4f}".replace(".", ",") for v in row)
+            for row in zip(*columns, strict=True)
+        ]
+        text = "\n".join(["время (мс);угол (град);напряжение (В)", *rows])
+        (tmp_path / f"{name}.csv").write_bytes(text.encode("cp1251"))
+    assert init(tmp_path) == 0
+    assert "clock: column время (мс) in мс" in capsys.readouterr().out
+    study = load_study(tmp_path)
+    units = {c.name: c.unit for c in (*study.channels, *study.commands)}
+    assert units == {"угол": "rad", "напряжение": "V"}
+    assert study.runs[0].time_s[-1] == pytest.approx(5.9)
+
+
+@pytest.mark.parametrize("header", ["Länge (µm)", "Höhe über Öl²", "déjà créé (°C)"])
+def test_western_accents_touch_plain_letters(tmp_path, header):
+    (tmp_path / "a.csv").write_bytes(f"{header},b\n1,2\n".encode("cp1252"))
+    with open_text(tmp_path / "a.csv") as file:
+        assert file.readline() == f"{header},b\n"
+
+
+def test_a_first_column_without_a_name_that_is_no_count_is_the_clock(tmp_path, capsys):
+    """It was left out, and rows were 0.01 s apart; numbers of rows, as pandas has, still are."""
+    for k, name in enumerate("abc"):
+        columns = [0.05 * np.arange(60), np.sin(T + k), 0.1 * np.cos(T + k) + noisy(k)]
+        write(tmp_path / f"{name}.csv", ",force_N,position_m", columns)
+    assert init(tmp_path) == 0
+    assert "clock: column column_1 in s, steps of 0.05 s" in capsys.readouterr().out
+    study = load_study(tmp_path)
+    assert study.runs[0].time_s[1] == pytest.approx(0.05)
+    assert "column_1" not in {c.name for c in (*study.channels, *study.commands)}
+
+
+def test_files_with_a_column_in_another_unit_are_told_with_what_takes_them(tmp_path, capsys):
+    """They were said to be of another rig."""
+    three(tmp_path, ("a", "b"), "time_s,force_N,speed (rad/s)")
+    (tmp_path / "c.csv").write_text(
+        (tmp_path / "b.csv").read_text().replace("speed (rad/s)", "speed (rpm)")
+    )
+    assert init(tmp_path) == 0
+    said = capsys.readouterr().out
+    line = next(line for line in said.splitlines() if "another unit" in line)
+    study = tmp_path / "study.yaml"
+    stated = yaml.safe_load(study.read_text())
+    stated["runs"] = [{"file": "a.csv"}, {"file": "b.csv"}]
+    stated["runs"].append(yaml.safe_load(line.partition("`runs`: ")[2]))
+    study.write_text(yaml.safe_dump(stated))
+    _, b, c = (run.measured[:, -1] for run in load_study(tmp_path).runs)
+    np.testing.assert_allclose(c, np.pi / 30.0 * b, rtol=1e-9)
+
+
+def test_what_begins_elsewhere_repeats_nothing(tmp_path, capsys):
+    """Pendulums under one torque, let go from 115 and from -70 degrees."""
+    for name, start in (("a", 2.0), ("b", -1.2), ("c", 2.02)):
+        columns = [T, np.sin(T), start * np.cos(0.03 * T) + noisy(len(name))]
+        write(tmp_path / f"{name}.csv", "time_s,torque_Nm,angle_rad", columns)
+    assert init(tmp_path) == 0
+    assert "repeats, by equal commands: c of a\n" in capsys.readouterr().out

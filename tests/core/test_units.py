@@ -238,3 +238,14 @@ def test_what_is_small_is_read_in_the_unit_that_keeps_its_digits(unit, value, sh
     found, times = small_scale(unit, (0.5 * value, -value))
     assert found == shown and times * value == pytest.approx(read)
     assert small_scale(unit, (math.nan, value, math.inf)) == (found, times), "no number decides"
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [("мс", "ms"), ("об/мин", "rpm"), ("рад/с", "rad/s"), ("град", "deg"), ("мН·м", "mN m"),
+     ("кПа", "kPa"), ("мкм", "um"), ("м/с²", "m/s^2"), ("МПа", "MPa")],
+)  # fmt: skip
+def test_symbols_in_cyrillic_letters_are_those_of_si(written, meant):
+    """GOST 8.417."""
+    assert to_si(written).factor == pytest.approx(to_si(meant).factor, rel=1e-12)
+    assert factor(written, meant) == pytest.approx(1.0, rel=1e-12)

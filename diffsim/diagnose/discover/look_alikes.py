@@ -60,6 +60,7 @@ TABLE: tuple[LookAlike, ...] = (
     LookAlike(("magnet", "ground effect", "wall"), _PUSH, "-", ("reciprocal",)),
     LookAlike(("stop", "valve that opens", "cable that catches"), _PUSH, "-", ("threshold",)),
     LookAlike(("dry friction, if of a speed", "limit"), _PUSH, "-", ("saturation",)),
+    LookAlike(("eddy currents", "sliding tire"), _PUSH, "-", ("peak",)),
     LookAlike(("brake or clutch that engages", "relay"), (), "-", ("step",)),
     LookAlike(("iron that saturates", "limit"), (), "-", ("saturation",)),
 )

@@ -22,9 +22,10 @@ import numpy as np
 
 from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
+from diffsim.core.units import NO_UNIT, powers_of, to_si
 from diffsim.diagnose.discover.beside import CauseAlong, best_pairs, causes_along
 from diffsim.diagnose.discover.follow import follow
-from diffsim.diagnose.discover.forms import FORM_PRIOR_SD, Curve, FittedForm, fit_forms
+from diffsim.diagnose.discover.forms import FORM_PRIOR_SD, Curve, FittedForm, Form, fit_forms
 from diffsim.diagnose.discover.screen import ONE_TURN, Candidate, Screen, screen_laws
 from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
@@ -54,6 +55,9 @@ TABLE = "table"  # a form that is no formula
 PRODUCT = "size*(u)"  # a form that is the variable itself, times another one where it has one
 TABLE_PRICE = 3.0  # nats for each factor of a curve that stands for a formula
 FORM_NATS = 12.0  # behind the best form, up to which the simulator decides
+# of what a law explains: by so much slopes of bumps are wrong. A resistance over a temperature had
+# its line further behind an exponential than those nats, and in the simulator they are one
+SLOPES_SHARE = 0.01
 NUM_POINTS = 101  # of a curve
 BEHIND_NATS = 30.0  # behind the best fitted law: formulas of others are not weighed
 MOST_LAWS = (6, 3)  # formulas of each round that the search weighs: so many laws act at once
@@ -557,10 +561,13 @@ def _laws_of(fitted: FittedLaw, price: float) -> list[Law]:
     near = FORM_NATS if fitted.left > 0.0 else np.inf
     kept = [f for f in fitted.forms if f.nats - best < near][:NUM_FORMS]
     # slopes of bumps tell a line from a threshold by their own error: the simplest is weighed, too
-    close = (f for f in fitted.forms if f.nats - best < FORM_NATS)
-    simplest = min(close, key=lambda f: len(f.numbers), default=None)
-    if simplest is not None and all(len(f.numbers) > len(simplest.numbers) for f in kept):
-        kept[1:] = [simplest]
+    error = FORM_NATS + SLOPES_SHARE * max(fitted.nats, 0.0)
+    close = (f for f in fitted.forms if f.nats - best < error)
+    simplest = min(close, key=lambda f: (len(f.numbers), f.form.name != "line"), default=None)
+    if simplest is not None and simplest not in kept:
+        is_simpler = all(len(f.numbers) > len(simplest.numbers) for f in kept)
+        is_close = is_simpler and simplest.nats - best < FORM_NATS
+        kept[1 if is_close else NUM_FORMS :] = [simplest]
     laws = [_make_law(fitted, f, price + float(np.log(len(fitted.forms))), memory) for f in kept]
     if best - fitted.left <= TABLE_PRICE * len(c.basis.terms):
         return laws
@@ -593,12 +600,25 @@ def _make_law(fitted: FittedLaw, form: FittedForm, price: float, memory: dict[st
         form.form.name,
         form.term,
         max(abs(form.size), 1e-300),
-        c.entry.unit,
+        _unit_of_size(c, form.form),
         {**shapes, **memory},
         price,
         form.form.signed,
         float(np.sign(form.size)) or 1.0,
     )
+
+
+def _unit_of_size(c: Candidate, form: Form) -> str:
+    """Unit of a form's size; that of the entry where an exponent is fitted, too."""
+    if form.scales == ("-",):
+        return c.entry.unit
+    out = c.entry.unit.replace(NO_UNIT, "1")
+    times = () if c.variable.times is None else ((c.variable.times.unit, 1.0),)
+    for unit, power in ((c.variable.unit, form.power), *times):
+        for name, own in () if unit == NO_UNIT or not power else powers_of(unit).items():
+            raised = "" if abs(own * power) == 1.0 else f"^{abs(own * power):g}"
+            out += f"{'/' if own * power > 0.0 else ' '}{name}{raised}"
+    return c.entry.unit if out in ("1", c.entry.unit) else to_si(out).unit
 
 
 def _repeating(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:

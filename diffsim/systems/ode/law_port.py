@@ -16,7 +16,7 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.core.expression import Expression, parse_expression, syntax_tree
-from diffsim.core.units import NO_UNIT, factor
+from diffsim.core.units import NO_UNIT, factor, to_si
 from diffsim.data.columns_beside import outputs_of
 from diffsim.data.study import Run
 from diffsim.identify.effect import Effect
@@ -76,7 +76,7 @@ class OdeLaws(LawPort):
 
     def _list_entries(self) -> Iterator[Entry]:
         motion, library = self.library.system.motion, self.library
-        places = library.places
+        places, units = library.places, self._units()
         for place, scale in places:
             yield Entry("force", place.name, place.unit, scale.force)
         mechanical = {n for p, _ in places for n in (p.position, p.velocity)}
@@ -84,7 +84,9 @@ class OdeLaws(LawPort):
             # the rate of a position is a velocity by definition
             if state in mechanical or text.strip() in motion.states:
                 continue
-            yield Entry("rate", state, "1/s", self._usual_rate(state))
+            known = units.get(state, NO_UNIT)
+            per_second = "1/s" if known == NO_UNIT else to_si(f"{known}/s").unit
+            yield Entry("rate", state, per_second, self._usual_rate(state))
         network = self.library.system.network
         formulas = (*network.rates.values(), *network.definitions.values())
         # names that rates, definitions and readings are made of

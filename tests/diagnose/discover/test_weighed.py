@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from diffsim.core.units import factor, to_si
 from diffsim.diagnose import diagnosis
-from diffsim.diagnose.discover import stage
+from diffsim.diagnose.discover import forms, stage
 from diffsim.diagnose.discover.screen import Candidate, bumps
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.records import CERTAIN, LIKELY
@@ -253,13 +254,18 @@ def test_the_simplest_near_form_is_weighed_beside_the_best():
     candidate = Candidate(entry, Variable("a", "a"), basis, 90.0, 90.0, 0.9, 1.0)
 
     def form(nats, term, **numbers):
-        kind = SimpleNamespace(name=term, signed=True)
+        kind = SimpleNamespace(name=term, signed=True, scales=(), power=0.0)
         return SimpleNamespace(form=kind, nats=nats, size=1.0, numbers=numbers, term=term)
 
     first, second = form(15.9, "first", at=(0.5, 0.1)), form(17.4, "second", at=(0.2, 0.1))
-    for behind, kept in ((2.0, ["first", "line"]), (20.0, ["first", "second"])):
-        forms = [first, second, form(15.9 + behind, "line")]
-        law = SimpleNamespace(candidate=candidate, forms=forms, left=0.0)
+    both = ["first", "second"]
+    for behind, explained, kept in (
+        (2.0, 90.0, ["first", "line"]),
+        (20.0, 90.0, both),
+        (100.0, 17e3, [*both, "line"]),  # of a resistance over its temperature
+    ):
+        near = [first, second, form(15.9 + behind, "line")]
+        law = SimpleNamespace(candidate=candidate, forms=near, left=0.0, nats=explained)
         assert [made.term for made in stage._laws_of(law, 0.0)] == kept  # type: ignore[arg-type]
 
 
@@ -353,3 +359,23 @@ def test_a_cause_is_certain_only_beyond_the_odds_of_a_law(listed, ahead, is_cert
         of_law=100.0 - diagnosis.ALONE_NATS - ahead,
     )
     assert any(row.status == CERTAIN for row in answer.frozen.causes) is is_certain
+
+
+@pytest.mark.parametrize(
+    ("entry", "of", "form", "unit"),
+    [
+        ("Pa/s", "Pa", forms.FORMS[0], "1/s"),  # a leak
+        ("-", "K", forms.FORMS[0], "1/K"),  # a resistance
+        ("N m", "rad/s", forms.FORMS_THROUGH_ZERO[2], "N m s^2/rad^2"),
+        ("K/s", "K", forms.FORMS[5], "K/s"),  # it saturates
+        ("N", "-", forms.FORMS[0], "N"),
+    ],
+)
+def test_the_size_of_a_law_has_the_unit_of_what_it_multiplies(entry, of, form, unit):
+    """That of a line was the unit of the place alone."""
+    at, variable = Entry("rate", "a", entry, 1.0), Variable("a", "a", of)
+    candidate = Candidate(at, variable, bumps(0.0, 1.0), 90.0, 90.0, 0.9, 1.0)
+    made = stage._unit_of_size(candidate, form)
+    assert to_si(made) == to_si(unit) or made == unit
+    twice = replace(candidate, variable=replace(variable, times=Variable("b", "b", "V")))
+    assert factor(stage._unit_of_size(twice, form), f"{unit.replace('-', '1')}/V") == 1.0
