@@ -277,9 +277,9 @@ class FittedForm:
     seen: Array = field(default_factory=lambda: np.zeros(0))
 
     def stands_for(self, other: FittedForm) -> bool:
-        """Whether the record tells no difference to another one, which is no better; of a size
-        alone, whether slopes tell none to one with further numbers."""
-        share = SAME_SHARE if other.numbers and not self.numbers else 0.0
+        """Whether the record tells no difference to another one, which is no better; of a line,
+        whether slopes tell none to one with further numbers."""
+        share = SAME_SHARE if other.numbers and self.form.name == "line" else 0.0
         same = max(SAME_NATS, 0.5 * share * float(np.sum(other.seen**2)))
         apart = 0.5 * float(np.sum((self.seen - other.seen) ** 2))
         return apart < same and self.nats < other.nats + same

@@ -126,7 +126,7 @@ def test_a_force_at_a_place_of_an_outside_simulator_is_found():
     best = laws.screened[0]
     assert (best.entry.words, best.variable.name) == ("force at hinge", "speed at hinge")
     law = laws.laws[0]
-    assert law.form == "threshold" and law.unit == "N m"
+    assert law.form == "threshold" and law.unit == "N m s/rad"
     block = made.laws.block(law)
     assert block["at"] == "force"
     extended = made.laws.setup_with([block])
