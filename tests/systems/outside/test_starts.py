@@ -39,7 +39,7 @@ def test_a_first_reading_is_of_each_run_and_as_far_off_as_is_stated(more):
 
 @pytest.mark.parametrize("given", [{}, {"value": 0.0, "first": "angle"}])
 def test_a_start_has_a_value_or_a_first_reading(given):
-    with pytest.raises(ValidationError, match="value.*first"):
+    with pytest.raises(ValidationError, match=r"value.*first"):
         StartQuantity(sd=0.1, per="run", **given)
 
 
