@@ -534,17 +534,8 @@ class Weigher:
         """Of slopes anywhere; arguments as of the attributes."""
         return cls(missing, j, Gaussian.of(j, missing), folds)
 
-    def gain(self, columns: Array) -> tuple[float, float]:
-        """Nats by which a law is better than none, averaged over its amplitude; the best one.
-
-        Args:
-            columns: Slopes by its factors, (N, k); of root mean square one.
-        """
-        gram, right = self.reduced(columns)
-        return _average(gram, right)
-
     def gains(self, columns: Array, counts: Sequence[int]) -> Iterator[tuple[float, float] | None]:
-        """``gain`` of several laws, each as if alone, and the size of its factors.
+        """Nats by which each of several laws is better than none, and the size of its factors.
 
         Args:
             columns: Slopes by the factors of each, side by side, (N, sum of ``counts``).
