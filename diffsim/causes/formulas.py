@@ -112,10 +112,6 @@ def _samples(run: Run, name: str) -> Array:
     return values if known.all() else np.interp(times, times[known], values[known])
 
 
-def _is_signal(run: Run, name: str) -> bool:
-    return name in run.command or name in run.columns
-
-
 @dataclass(frozen=True, eq=False)
 class Memory:
     """What a formula remembers."""
@@ -164,7 +160,7 @@ class Formula:
         for name in expression.names:
             if name in known:
                 out[name] = known[name]
-            elif grid is not None and _is_signal(run, name):
+            elif grid is not None and (name in run.command or name in run.columns):
                 out[name] = _read_at(torch.from_numpy(_samples(run, name)), run, grid)
             else:
                 out[name] = torch.tensor(constant_in(run, name), dtype=torch.float64)

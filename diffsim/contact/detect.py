@@ -101,7 +101,7 @@ def detect(
     if len(many) == 1:
         paths = step.paths(0)
         planes = _planes(step, 0, paths, step.entry(0, paths))
-    elif _is_one_graph(many):
+    elif torch.compiler.is_compiling() and all(one.shape.in_one_graph for one in many):
         planes = _stacked_planes(step)
     else:
         planes = _nearest_planes(step)
@@ -150,11 +150,6 @@ class _Step(NamedTuple):
     def of(self, own: Tensor) -> _Step:
         """The step of some points."""
         return self._replace(start=self.start[own], end=self.end[own], member=self.member[own])
-
-
-def _is_one_graph(obstacles: Sequence[Obstacle]) -> bool:
-    """Whether a graph of torch.compile is being made that can hold these obstacles."""
-    return torch.compiler.is_compiling() and all(one.shape.in_one_graph for one in obstacles)
 
 
 def _choice(depths: list[Tensor], entries: list[Tensor | None]) -> tuple[Tensor, Tensor]:

@@ -46,6 +46,7 @@ from diffsim.diagnose.checks.numerics import (
 from diffsim.diagnose.discover.answer import in_words, with_laws_said
 from diffsim.diagnose.discover.stage import Begin, FoundLaws, at_data_sheet, find_laws
 from diffsim.diagnose.inputs import Inputs
+from diffsim.diagnose.judge.band import BELOW_NOISE
 from diffsim.diagnose.judge.gain import Validation, validation_of
 from diffsim.diagnose.judge.judge import NAMES, Decision, Judgment, decision_of, judge
 from diffsim.diagnose.judge.preconditions import ENDED
@@ -61,7 +62,7 @@ from diffsim.diagnose.search.coarse import (
     corrected_at,
     renewed_at,
 )
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, screen
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, screen
 from diffsim.diagnose.search.fit import (
     MAX_RENEWALS,
     Case,
@@ -89,7 +90,7 @@ from diffsim.diagnose.search.simulations import NONE, Members, Simulations
 from diffsim.diagnose.search.store import Store, key_of
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
-from diffsim.identify.effort import DiagnosisSettings
+from diffsim.identify.effort import KEEP_NATS, DiagnosisSettings
 from diffsim.identify.linearization import linearization_at, residuals_by_run
 from diffsim.identify.model import SimModel
 from diffsim.identify.problem import PredictionError, Problem
@@ -101,7 +102,6 @@ ROOM_SHARE = 0.5  # of a budget that causes of the library may spend before laws
 ROOM_RECORDS = 960.0  # simulations that what is kept for laws must allow: a beam's took 170 CPU s
 LEAST_ROOM = 0.2  # of it, without which laws are not looked for
 MAX_AT_SETS = 6  # corrections at sets: each leaves at most 0.7 of the one before, mostly a third
-BELOW_NOISE = 0.5  # of its sd, left: two arms leave 0.25 to 0.4, 46 sealed cases 0.96 or more
 AS_GOOD = "a law that nobody listed explains as much"
 Begins = Sequence[Begin]
 Ends = Sequence[tuple[Members, Array]]  # sets with their ends, standardized coordinates

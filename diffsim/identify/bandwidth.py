@@ -8,10 +8,10 @@ import numpy as np
 from scipy import fft
 
 from diffsim.core.arrays import Array
+from diffsim.identify.effort import KEEP_NATS
 from diffsim.identify.problem import Problem
 
 FIRST = 4  # cosines of the narrowest band; each further one is twice as wide
-RISES = 4.0  # nats by which a wider band must be better: odds of 55 to 1
 
 
 def octaves_of(series: Array, stretch: float = 1.0) -> tuple[Array, Array]:
@@ -64,4 +64,4 @@ def band_nats(octaves: Sequence[tuple[Array, Array]]) -> Array:
 
 def num_cosines(nats: Array) -> int:
     """Cosines of the narrowest band that no wider one beats."""
-    return FIRST * 2 ** int(np.argmax(nats > nats.max() - RISES))
+    return FIRST * 2 ** int(np.argmax(nats > nats.max() - KEEP_NATS))

@@ -13,6 +13,7 @@ from diffsim.core.checked import checked
 from diffsim.identify.jacobian import Jacobian
 
 FIT_RTOL = 3e-4  # where a misfit is large no name explains it, and its last nats do not matter
+KEEP_NATS = 4.0  # odds of 55 to 1: what a cause, or a wider band of an unknown one, must add
 FIT_NATS = 0.02  # far below the 3 nats that separate two names
 
 

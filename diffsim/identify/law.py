@@ -26,6 +26,7 @@ SIZE = "size"
 LAWS = "laws"  # place of found laws in a study's frame
 #: shares of the longest run that memories are tried to last
 LASTING = (0.03, 0.1, 0.3, 1.0)
+FEWEST_PERIODS = 2.0  # over a range or a run: fewer are no repetition, but a trend
 FEWEST_VALUES = 4  # of what is constant over a run, for a law over it
 
 

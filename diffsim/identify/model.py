@@ -269,6 +269,8 @@ class SimModel:
     #: Base parameters that are the strengths of all drives: times these, every mass, inertia and
     #: loss, too, the motion is the same; (): unknown, or one is no parameter
     drives: tuple[str, ...] = ()
+    #: The body or vehicle of a scene as it is simulated; None: nothing is to be seen
+    _shape_of_scene: Callable[[Any], MovingShape | None] | None = None
 
     def __init__(
         self,
@@ -524,7 +526,10 @@ class SimModel:
 
         Arguments as for ``predict``; None where nothing is to be seen.
         """
-        return None
+        if self._shape_of_scene is None:
+            return None
+        with torch.no_grad():
+            return self._shape_of_scene(self.scene(run, q, sizes, numerics))
 
     def prepared_at(self, q: Tensor, runs: Sequence[Run] = ()) -> SimModel:
         """The model with whatever it prepares once prepared again at these base coordinates.

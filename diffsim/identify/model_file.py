@@ -43,11 +43,10 @@ from diffsim.identify.extended import ExtendedModel, extended_at
 from diffsim.identify.fitting import Fit, correlated
 from diffsim.identify.model import Parameter, SimModel
 from diffsim.identify.numerics import REFINEMENTS, Numerics, coarse
-from diffsim.identify.ranges import Range, range_of_number
+from diffsim.identify.ranges import SURE_SD, Range, range_of_number
 from diffsim.identify.setup import DiagnosisSetup
 
 MODEL_FILE = "extended_model.yaml"
-FARTHEST = 3.0  # standard deviations that a draw may be off
 _ENTRY_KEYS = ("value", "sd", "unit")
 
 
@@ -126,7 +125,7 @@ class SavedModel:
 
     def _normal(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Tensor:
         unit = torch.from_numpy(rng.standard_normal((count, len(names))))
-        return correlated(unit, names, self.correlation_of).clamp(-FARTHEST, FARTHEST)
+        return correlated(unit, names, self.correlation_of).clamp(-SURE_SD, SURE_SD)
 
     def framed(self, study: Study) -> Study:
         """A study of new runs, its causes as they were where the model was fitted."""

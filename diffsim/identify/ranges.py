@@ -22,6 +22,7 @@ from diffsim.identify.fitting import Fit, correlated
 NUM_DRAWS = 2**14  # evenly spread: ends are exact to about a hundredth of a standard deviation
 LEVEL = 0.9  # of every interval
 HALF_LEVEL = float(ndtri(0.5 * (1.0 + LEVEL)))  # half of a normal interval [sd]
+SURE_SD = 3.0  # standard deviations beyond which nothing is by chance
 Formula = Callable[[Mapping[str, Tensor]], Tensor]
 
 

@@ -13,11 +13,12 @@ from collections.abc import Iterable
 import numpy as np
 
 from diffsim.core.arrays import Array
+from diffsim.identify.ranges import SURE_SD
 
 SAMPLES = 20  # from the first one, by which a record moves at once or late
 LATE = (1.0, 2.0, 3.0)  # [samples] that are tried; half of one, a gain that is off can look like
 FEWEST_READINGS = 4  # of a channel: two are spent on its gain and start
-CLEAR = 9.0  # of chi2, three standard deviations, by which the record moves at once
+CLEAR = SURE_SD**2  # of chi2, by which the record moves at once
 
 
 def squares_left(records: Iterable[tuple[Array, Array]], sd: Array) -> Array:

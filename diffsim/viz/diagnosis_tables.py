@@ -23,7 +23,7 @@ from diffsim.diagnose.judge.records import (
 )
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.wording import component_words
-from diffsim.diagnose.search.search import FAR_OFF
+from diffsim.identify.ranges import SURE_SD
 from diffsim.viz.report import Table
 
 _OUT = (REFUTED, HIDDEN, UNJUDGED)  # statuses of causes that the answer does without
@@ -95,7 +95,7 @@ def own(rows: Sequence[OwnRow]) -> list[Table]:
         ],
         caption="Fitted to these runs for the extended model, by what the study declares unknown "
         "per run.",
-        emphasis=[i for i, row in enumerate(rows) if abs(row.pull) > FAR_OFF],
+        emphasis=[i for i, row in enumerate(rows) if abs(row.pull) > SURE_SD],
     )
     return [table]
 

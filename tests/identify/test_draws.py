@@ -7,8 +7,8 @@ import numpy as np
 import torch
 
 from diffsim.identify.model import Parameter
-from diffsim.identify.model_file import FARTHEST, SavedModel
-from diffsim.identify.ranges import Range, range_of_number
+from diffsim.identify.model_file import SavedModel
+from diffsim.identify.ranges import SURE_SD, Range, range_of_number
 
 
 def saved(**ranges: tuple[float, float]) -> SavedModel:
@@ -78,5 +78,5 @@ def test_what_the_file_does_not_know_is_drawn_from_its_prior() -> None:
 
 def test_the_farthest_draw_is_told() -> None:
     model = saved(delay=(0.01, 0.05))
-    most = float(range_of_number(model, "delay").drawn(torch.tensor(FARTHEST, dtype=torch.float64)))
+    most = float(range_of_number(model, "delay").drawn(torch.tensor(SURE_SD, dtype=torch.float64)))
     assert drawn(model, "delay").max() <= most

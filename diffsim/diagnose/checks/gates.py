@@ -27,6 +27,7 @@ from diffsim.diagnose.checks.noise import SCATTER_CHANCE, SPIKE, UNREPEATABLE
 from diffsim.identify import Fit
 from diffsim.identify.effort import SearchSettings
 from diffsim.identify.model import SimModel
+from diffsim.identify.ranges import SURE_SD
 
 BLOCK_OF = "block_of"  # fact of ``setup``: the recording that a run is a declared block of
 
@@ -181,7 +182,6 @@ COARSE, SCANS, LATE, LAWS = "coarse", "scan_budget", "refit_budget", "law_budget
 CORRECTED = "corrected"  # coarse steps, by finer ones at the answer itself, where that holds
 PLAIN = "plain_budget"
 CONTRADICTED = "contradicted"
-SURE_SD = 3.0  # of the sum of squares, that a fit leaves above noise
 MUCH_LEFT = 2.0  # noise sd, root mean square, that a fit leaves
 MUCH_UNSEEN = 3.0  # noise sd, root mean square, that unseen runs show
 UNSIMULABLE = "laws_in_simulation"

@@ -24,15 +24,17 @@ from diffsim.data.study import Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.identify.effect import touches
 from diffsim.identify.model import TOGETHER, SimModel
+from diffsim.identify.ranges import SURE_SD
 from diffsim.identify.setup import DiagnosisSetup
 
 RULE = "runs"
-ROWS, LEAST_ROWS = 1000, 8  # of a run, that are simulated; fewer tell nothing
+ROWS = 1000  # of a run, that are simulated
+MIN_SAMPLES = 8  # of a run or a window: fewer tell no motion
 MOST_RUNS = 12  # that are looked at
 MOST_STEPS = 1e6  # weighted: a sixteenth of a first answer, some four seconds
 STEPS = 5  # of the fit
 NUDGE = 0.01  # sd of a number, for slopes
-FAR_SQUARES = 9.0  # times the squares that the others leave: three times as far
+FAR_SQUARES = SURE_SD**2  # times the squares that the others leave: three times as far
 TOLD_SHARE = 0.25  # of a channel's squares, at most, that the others leave
 FAR_SHARE = 0.02  # of a channel's squares: less is no slip
 NEAR_SQUARES = 2.0  # times the squares of the others, or of the best change: explained as well
@@ -92,7 +94,7 @@ def run_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
     """
     if setup.study is not None or study.faults is not None:
         return
-    runs = [run.part(slice(ROWS)) for run in study.runs if len(run.time_s) >= LEAST_ROWS]
+    runs = [run.part(slice(ROWS)) for run in study.runs if len(run.time_s) >= MIN_SAMPLES]
     runs = runs[:MOST_RUNS]
     if len(runs) < 3 or _cost(setup.model, runs) > MOST_STEPS:
         return

@@ -21,7 +21,7 @@ from diffsim.data.shown import shown_step
 from diffsim.data.signal import scatter
 from diffsim.data.study import Channel, Run, Study
 from diffsim.data.study_check import Problem
-from diffsim.diagnose.checks.one_run import NUDGE
+from diffsim.diagnose.checks.one_run import MOST_RUNS, NUDGE
 from diffsim.identify.model import SimModel
 from diffsim.identify.setup import DiagnosisSetup
 
@@ -54,7 +54,7 @@ def start_problems(study: Study, setup: DiagnosisSetup) -> Iterator[Problem]:
     states = model.get("states")
     if model.get("system") != "ode" or not isinstance(states, dict):
         return
-    runs = [r for r in study.fit_runs if len(r.time_s) > MOST_ROWS][:12]
+    runs = [r for r in study.fit_runs if len(r.time_s) > MOST_ROWS][:MOST_RUNS]
     begins = [b for run in runs if (b := _begin(setup.model, study, run)) is not None]
     yield from _in_celsius(study.channels, begins)
     if len(begins) < 2:

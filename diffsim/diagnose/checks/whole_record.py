@@ -21,6 +21,7 @@ from diffsim.data.study_check import Problem
 from diffsim.diagnose.checks.one_run import NUDGE, run_problems
 from diffsim.diagnose.checks.starts import start_problems
 from diffsim.identify.model import SimModel
+from diffsim.identify.ranges import SURE_SD
 from diffsim.identify.setup import DiagnosisSetup
 
 RULE = "columns"
@@ -28,7 +29,6 @@ FAR_SHARE = 0.5  # of the squares of a channel, that the model leaves where it i
 NEAR_SHARE = 0.02  # of them, that it leaves with the right unit: a gain of that size is rare
 NEAR_HINTED = 0.15  # likewise where two channels come near at once, or a unit counts no turns
 RUNS, ROWS = 2, 600  # that are simulated, of the beginning
-FAR_SDS = 3.0  # of numbers: how far they may move
 FORMULAS = ("ode", "bench")  # systems of which a simulation is a moment's work
 
 
@@ -123,7 +123,7 @@ class _PlainModel:
 
     def numbers_explain(self, q: torch.Tensor) -> bool:
         """Whether the numbers of the model, moved as far as they may, bring it to half the way:
-        three steps of Gauss and Newton, each held within ``FAR_SDS``."""
+        three steps of Gauss and Newton, each held within ``SURE_SD``."""
         at, which = q.clone(), range(min(len(q), 40))  # numbers that are moved
         measured = np.concatenate([run.measured for run in self.runs])
         weight = 1.0 / np.maximum(np.nanstd(measured, axis=0), 1e-300)
@@ -142,7 +142,7 @@ class _PlainModel:
             step[: len(which)] = torch.from_numpy(found)
             # of a step: the nearest is taken
             tried = [
-                (at + share * step).clamp(q - FAR_SDS, q + FAR_SDS)
+                (at + share * step).clamp(q - SURE_SD, q + SURE_SD)
                 for share in (1.0, 0.3, 0.1, 0.03)
             ]
             at = min(tried, key=lambda x: float(self.left(x, self.runs).max()))

@@ -15,8 +15,8 @@ from diffsim.core.arrays import Array
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord
 from diffsim.diagnose.discover.screen import Candidate, Screen
-from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.identify.effect import PRIOR_WIDTH, Effect
+from diffsim.identify.effort import KEEP_NATS
 from diffsim.identify.gaussian import Gaussian
 
 MOST_PAIRED = 40  # laws of a screen, the best first, that are weighed beside every cause

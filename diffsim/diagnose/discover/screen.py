@@ -20,15 +20,15 @@ from diffsim.core.arrays import Array, IntArray
 from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.discover.follow import FollowedRecord, JointReach, Reach
 from diffsim.diagnose.discover.forms import Curve, LawMisfit
-from diffsim.diagnose.search.evidence import AMPLITUDES, KEEP_NATS
+from diffsim.diagnose.search.evidence import AMPLITUDES
 from diffsim.diagnose.search.fit import Progress
 from diffsim.identify import Fit, Problem
+from diffsim.identify.effort import KEEP_NATS
 from diffsim.identify.gaussian import Gaussian
-from diffsim.identify.law import VALUE, Entry, Variable
+from diffsim.identify.law import FEWEST_PERIODS, VALUE, Entry, Variable
 from diffsim.identify.setup import LawPort
 
 NUM_BUMPS = 11  # over the range of a variable, half overlapping
-FEWEST_PERIODS = 2.0  # over the range: fewer are no repetition, bumps follow them
 MOST_NUMBERS = 4000  # wave numbers that are tried
 MOST_WORK = 1e9  # wave numbers by samples, over all variables at all entries: some twenty seconds
 SLOW_QUANTILE = 0.25  # of the steps of a variable, which need two samples a period
@@ -534,17 +534,8 @@ class Weigher:
         """Of slopes anywhere; arguments as of the attributes."""
         return cls(missing, j, Gaussian.of(j, missing), folds)
 
-    def gain(self, columns: Array) -> tuple[float, float]:
-        """Nats by which a law is better than none, averaged over its amplitude; the best one.
-
-        Args:
-            columns: Slopes by its factors, (N, k); of root mean square one.
-        """
-        gram, right = self.reduced(columns)
-        return _average(gram, right)
-
     def gains(self, columns: Array, counts: Sequence[int]) -> Iterator[tuple[float, float] | None]:
-        """``gain`` of several laws, each as if alone, and the size of its factors.
+        """Nats by which each of several laws is better than none, and the size of its factors.
 
         Args:
             columns: Slopes by the factors of each, side by side, (N, sum of ``counts``).

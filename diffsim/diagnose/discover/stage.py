@@ -27,13 +27,13 @@ from diffsim.diagnose.discover.beside import CauseAlong, best_pairs, causes_alon
 from diffsim.diagnose.discover.follow import follow
 from diffsim.diagnose.discover.forms import FORM_PRIOR_SD, Curve, FittedForm, Form, fit_forms
 from diffsim.diagnose.discover.screen import ONE_TURN, Candidate, Screen, screen_laws
-from diffsim.diagnose.search.evidence import KEEP_NATS
 from diffsim.diagnose.search.fit import Progress
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import has_left_prior
 from diffsim.diagnose.search.weak_slopes import SHARES
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import PRIOR_WIDTH, Effect, coordinate_of
+from diffsim.identify.effort import KEEP_NATS
 from diffsim.identify.fitting import summary
 from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.law import Entry, Law, Shape

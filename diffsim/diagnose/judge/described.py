@@ -16,7 +16,7 @@ from diffsim.identify.model_file import SavedModel
 from diffsim.identify.setup import DiagnosisSetup
 
 KEY = "description"
-MOST_NAMES = 4  # of parameters in a message
+MOST_NAMES = 4  # of parameters or causes in a message; of more, how many they are
 _LIBRARY = "effects"  # causes that are weighed: those of the file are judged, whatever is offered
 _STILL = "gravity"
 

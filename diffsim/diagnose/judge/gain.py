@@ -26,9 +26,9 @@ from diffsim.diagnose.judge.left_out import (
     time_of_rows,
 )
 from diffsim.diagnose.judge.own_values import Frozen, held_out_residual
-from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Fit, Problem
 from diffsim.identify.problem import PredictionError
+from diffsim.identify.ranges import SURE_SD
 
 MIN_BLOCKS = 4  # fewer say nothing: three agree by chance
 MOST_BLOCKS = 256  # begin: shorter ones make no interval narrower that is worth its name
@@ -72,7 +72,7 @@ class Gain:
             return "withdrawn" if self._can_be_judged else "cannot be judged"
         if self.excess <= 0.0:
             return "nothing to gain"
-        is_sure = self.is_above_zero and self.farthest[0] <= FAR_OFF
+        is_sure = self.is_above_zero and self.farthest[0] <= SURE_SD
         return "confirmed" if is_sure else "not confirmed"
 
     @property
@@ -124,7 +124,7 @@ class Gain:
             what = "block of samples is" if self.num_blocks == 1 else "blocks of samples are"
             interval = f"{self.num_blocks} {what} too few for an interval"
         why = ""
-        if (far := self.farthest[0]) > FAR_OFF:
+        if (far := self.farthest[0]) > SURE_SD:
             why = f"; {self.farthest[1]} is {figure(far, 2)} standard deviations off in them"
         if self.is_below_noise:
             share = percent(float(np.sqrt(max(self.left, 0.0))))

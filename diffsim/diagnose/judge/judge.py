@@ -15,9 +15,10 @@ from diffsim.diagnose.judge.crosscheck import repeated_gate
 from diffsim.diagnose.judge.gain import Gain, SelectRuns, Validation, gain_over
 from diffsim.diagnose.judge.left_out import run_apart
 from diffsim.diagnose.judge.records import LEVEL
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.search import (
+    LEFT_SHEET_SD,
     fitted_exactly,
     fitted_to_end,
     refit,
@@ -25,11 +26,9 @@ from diffsim.diagnose.search.search import (
 )
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify.effect import is_of_run
+from diffsim.identify.effort import KEEP_NATS
 
 EXPLAINED = 0.8  # share of the misfit that a named set explains
-# sd off its data sheet that a number is where the fit leaves much: a tank with a float valve kept
-# "command offset", 82 % of the misfit, with an outlet 13 sd too wide and 34 noise sd left
-BENT_SD = 5.0
 NAMES = ("named", "ambiguous")
 MOST_TRIED = 6  # sets whose gain is asked beside an unknown cause, or in the place of members
 
@@ -101,7 +100,9 @@ def decide(
     blind = [h for h in nats if h.unknown is not None]
     strongest = max(blind, key=lambda h: nats[h], default=None)
     lead = -float("inf") if strongest is None else nats[strongest] - nats[best]
-    is_bent = chi2[best] > MUCH_LEFT**2 * num_free and (off or {}).get(best, 0.0) > BENT_SD
+    # a tank with a float valve kept "command offset", 82 % of the misfit, with an outlet 13 sd too
+    # wide and 34 noise sd left
+    is_bent = chi2[best] > MUCH_LEFT**2 * num_free and (off or {}).get(best, 0.0) > LEFT_SHEET_SD
     # significant beside the best set, and the set explains too little (or there is none)
     if lead >= KEEP_NATS and (not best.effects or explained < EXPLAINED or is_bent):
         return Decision("unknown", best.effects, (), strongest, explained)

@@ -32,8 +32,7 @@ from diffsim.identify.whitening import gram_of
 
 MAX_FOLDS = 8
 MEMORY = 10.0  # a block over the time in which the noise forgets
-MIN_FOLDS = 3  # blocks of one recording; fewer leave too little to fit
-LEAST_RUNS = 3  # of which one can be unlike the others
+MIN_FOLDS = 3  # runs, or blocks of one: of fewer none can be unlike the others
 DETERMINED = 0.9  # posterior sd over the prior's; above, the data hardly determine a parameter
 
 
@@ -237,7 +236,7 @@ def run_apart(fit: Fit, steps: float = np.inf) -> dict[str, float]:
     """
     problem = fit.problem
     missed = [float(np.mean(r**2)) if len(r) else 0.0 for r in problem.by_run(fit.residual)]
-    if len(missed) < LEAST_RUNS:
+    if len(missed) < MIN_FOLDS:
         return {}
     worst = int(np.argmax(missed))
     rows = _run_of_rows(problem) == worst

@@ -18,10 +18,10 @@ from diffsim.core.units import after_number, small_scale
 from diffsim.data.study import Run
 from diffsim.diagnose.search.gauss_newton import MAX_RADIUS, MAX_STEPS
 from diffsim.diagnose.search.optimum import quadratic_optimum
-from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.identify import Problem
 from diffsim.identify.effect import PRIOR_WIDTH
 from diffsim.identify.effort import FIT_NATS, FIT_RTOL
+from diffsim.identify.ranges import SURE_SD
 
 POOR = 0.25  # share of the promised gain, below which steps get shorter
 UNTOLD_PULL = 0.01  # prior sd; nearer to its prior nothing was said of a value
@@ -292,7 +292,7 @@ def own_words(rows: Sequence[OwnRow]) -> list[str]:
     """
     far: dict[str, list[OwnRow]] = {}
     for row in rows:
-        if abs(row.pull) > FAR_OFF:
+        if abs(row.pull) > SURE_SD:
             far.setdefault(row.name.partition("@")[0], []).append(row)
     return [
         f"Run {own[0].run} was fitted far from what the study states: {own[0].words}."

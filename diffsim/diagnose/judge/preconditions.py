@@ -30,19 +30,13 @@ from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.judge import NAMES, Judgment
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import SURE, BaseRow, ErrorRow
-from diffsim.diagnose.search.evidence import (
-    ALONE_NATS,
-    KEEP_NATS,
-    Hypothesis,
-    LaplaceEvidence,
-    unrealized,
-)
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, unrealized
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.gauss_newton import has_exact_slopes
-from diffsim.diagnose.search.search import FAR_OFF
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
-from diffsim.identify.effort import FIRST_STEPS
+from diffsim.identify.effort import FIRST_STEPS, KEEP_NATS
+from diffsim.identify.ranges import SURE_SD
 
 UNDONE = 3.0  # times as far as all causes together, that one moves the record
 TIMING = "timing"  # family of what is late
@@ -256,7 +250,7 @@ def why_unconfirmed(total: Gain) -> str:
     if total.status == "confirmed":
         return ""
     far, what = total.farthest
-    if far > FAR_OFF and total.is_above_zero:
+    if far > SURE_SD and total.is_above_zero:
         return f"the gain needs {what} {figure(far, 2)} standard deviations off"
     # beside an error that falls "no gain" would contradict itself
     return "the gain may be chance" if total.value > 0.0 else "no gain is confirmed"

@@ -32,8 +32,7 @@ LEVEL = ranges.LEVEL  # of every interval, and share of readings in the band of 
 HALF_LEVEL = ranges.HALF_LEVEL  # half of a normal interval [sd]
 #: Errors of a row, and half of its band
 ERRORS = ("before", "after", "noise", "band", "constant", "held", "without", "command")
-SKILL = 0.99  # of an error: what leaves more is alike, and no better
-UNTOLD_SHARE = 0.99  # of the prior sd: a parameter that is where its prior is
+ALIKE_SHARE = 0.99  # of an error or a prior sd: what leaves more of it is alike, and no better
 
 
 @checked(kinds_only=True)
@@ -178,7 +177,7 @@ class BaseRow:
     @property
     def is_told(self) -> bool:
         """Whether the recordings say anything of it: a shape of a cause that is absent is not."""
-        return abs(self.pull) > UNTOLD_PULL or self.sd < UNTOLD_SHARE * self.prior_sd
+        return abs(self.pull) > UNTOLD_PULL or self.sd < ALIKE_SHARE * self.prior_sd
 
     def as_read(self) -> BaseRow:
         """The same in the unit in which it is read."""
@@ -291,7 +290,7 @@ def no_skill_words(errors: Sequence[ErrorRow]) -> list[str]:
         said = [
             f"{what} would leave {figure(times * value)}{after_number(unit)}"
             for what, value in better.items()
-            if value is not None and value < SKILL * row.after
+            if value is not None and value < ALIKE_SHARE * row.after
         ]
         if said:
             out.append(

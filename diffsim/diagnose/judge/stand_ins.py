@@ -35,16 +35,11 @@ from diffsim.diagnose.judge.data_sheet import WRONG_SHEET_SD, pull_limit
 from diffsim.diagnose.judge.judge import NAMES, Decision
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.records import WRONG_DATA_SHEET
-from diffsim.diagnose.search.evidence import (
-    ALONE_NATS,
-    KEEP_NATS,
-    Hypothesis,
-    LaplaceEvidence,
-    unrealized,
-)
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, LaplaceEvidence, unrealized
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.simulations import Members
 from diffsim.identify import Fit
+from diffsim.identify.effort import KEEP_NATS
 
 OWN_STEP = "the model's own time step"
 SLOPES_REACH = 1.64  # posterior sd: within the 90 % interval slopes tell what is without a member

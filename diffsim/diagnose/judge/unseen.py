@@ -26,6 +26,7 @@ from diffsim.core.files import to_plain
 from diffsim.data.shown import shown_change
 from diffsim.data.study import Channel, Command, Run
 from diffsim.diagnose.checks.noise import choose_commands, without_spikes
+from diffsim.diagnose.checks.one_run import MIN_SAMPLES
 from diffsim.diagnose.judge.gain import Gain, compared
 from diffsim.diagnose.judge.own_values import Frozen, OwnRow, held_out_point, own_names, own_rows
 from diffsim.diagnose.judge.records import RATIOS, ErrorRow, OutsideRow, band_words
@@ -37,7 +38,6 @@ FAST = ("rate of", "frequency of")  # quantities that tell no distance of levels
 LEVEL = "level of"  # smallest and largest value alike: what lies between was passed through
 OF_ONE_RUN = re.compile(r"([_\- ]*(\d+|(?<=[_\- ])[a-z]))+$")  # what tells runs of a kind apart
 OWN_SPIKE_SHARE = 0.5  # of what is left of a sample, that a model itself may make of it there
-MIN_RATE_SAMPLES = 8  # samples; fewer have no rate and no frequency
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _of_signal(
         (f"{LEVEL} {name}", float(low), unit),
         (f"{LEVEL} {name}", float(high), unit),
     ]
-    if len(values) < MIN_RATE_SAMPLES or not high > low:
+    if len(values) < MIN_SAMPLES or not high > low:
         return out
     slope = np.diff(values) / np.diff(time_s)
     out.append(
@@ -476,7 +476,7 @@ def _error_rows(
         row = replace(
             row,
             constant=constant if np.isfinite(constant) else None,
-            held=held if len(run.time_s) >= MIN_RATE_SAMPLES else None,
+            held=held if len(run.time_s) >= MIN_SAMPLES else None,
             without=bare if num_fitted and np.isfinite(bare) else None,
         )
         if np.isfinite(wide := halves[:, own][valid]).all():

@@ -62,14 +62,14 @@ from diffsim.diagnose.say.next_run import next_run
 from diffsim.diagnose.say.report import Report
 from diffsim.diagnose.say.tables import cannot_see, effect_rows, hypothesis_rows, set_names
 from diffsim.diagnose.say.wording import BeforeTest, sentences
-from diffsim.diagnose.search.evidence import ALONE_NATS, KEEP_NATS, Hypothesis, Screen
+from diffsim.diagnose.search.evidence import ALONE_NATS, Hypothesis, Screen
 from diffsim.diagnose.search.fit import Null
 from diffsim.diagnose.search.fitted_sets import Search
 from diffsim.diagnose.search.search import refit, with_numerics
 from diffsim.diagnose.search.simulations import NONE, Center, Members
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
-from diffsim.identify.effort import FIRST_STEPS
+from diffsim.identify.effort import FIRST_STEPS, KEEP_NATS
 from diffsim.identify.unknown import UnknownForce
 
 

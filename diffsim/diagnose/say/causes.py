@@ -31,11 +31,12 @@ from diffsim.diagnose.judge.records import (
     Interval,
 )
 from diffsim.diagnose.judge.stand_ins import OWN_STEP
-from diffsim.diagnose.search.evidence import KEEP_NATS, VISIBLE, Hypothesis, Screen
+from diffsim.diagnose.search.evidence import VISIBLE, Hypothesis, Screen
 from diffsim.diagnose.search.scan import least_tried
 from diffsim.diagnose.search.simulations import NONE
 from diffsim.identify import Fit
 from diffsim.identify.effect import Effect
+from diffsim.identify.effort import KEEP_NATS
 from diffsim.identify.numerics import NumericalEffect
 
 PROBABLE = 0.8  # probability over all sets; what is left to one is possible

@@ -13,16 +13,17 @@ import numpy as np
 from diffsim.core.figures import figure
 from diffsim.core.units import after_number, small_scale
 from diffsim.diagnose.checks.gates import CONTRADICTED, LAWS
+from diffsim.diagnose.judge.described import MOST_NAMES
 from diffsim.diagnose.judge.gain import Gain
 from diffsim.diagnose.judge.own_values import words_of
 from diffsim.diagnose.judge.preconditions import ENDED, MAY_BE_ANOTHER, why_unconfirmed
 from diffsim.diagnose.judge.records import (
+    ALIKE_SHARE,
     CERTAIN,
     DATA_SHEET,
     EFFECT,
     LIKELY,
     ONE_LAW,
-    SKILL,
     CauseRow,
     ErrorRow,
     pooled_by_kind,
@@ -42,7 +43,6 @@ from diffsim.diagnose.say.wording import (
 )
 
 MAX_SIZED = 2  # causes whose sizes are said
-MAX_NAMES = 4  # causes that are said by name; of more, how many they are and the first
 MAX_OPEN = 9  # words for what cannot be told apart
 MAX_WORDS = 25
 NOT_CERTAIN = "Not certain:"
@@ -84,7 +84,7 @@ def headline(
     is_denied = False  # nothing is certain, and what is named leaves the unseen error as it was
     if errors and not failed and all(row.status != CERTAIN for row in effects_of(answer)):
         row = _quoted_kind(errors, True, gained)
-        is_denied = row.after > SKILL * row.before
+        is_denied = row.after > ALIKE_SHARE * row.before
     found = _say_findings(answer, laws, is_denied=is_denied)
     endings = _endings(answer, errors, failed, gained)
     # the longest words that fit with an ending: the error comes before details of the cause
@@ -141,7 +141,7 @@ def _by_kind(gains: Mapping[str, Gain]) -> list[str]:
             said[verb].append(f"{kind} ({most} of {len(own)})" if len(own) > 1 else kind)
     if not all(said.values()):
         return []
-    parts = [f"{verb} on {join_words(names[:MAX_NAMES])}" for verb, names in said.items()]
+    parts = [f"{verb} on {join_words(names[:MOST_NAMES])}" for verb, names in said.items()]
     return [f"{', '.join(parts)}."]
 
 
@@ -269,7 +269,7 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
     """Something without a name; what helps beside it; what unseen runs took back."""
     if answer.is_taken_back and answer.before_test is not None:
         taken = [row for row in effects_of(answer) if row.name in answer.before_test.statuses]
-        names = [_brief(row.words) for row in _by_share(taken, laws)[:MAX_NAMES]]
+        names = [_brief(row.words) for row in _by_share(taken, laws)[:MOST_NAMES]]
         what = join_words(names) or "What was named"
         verb = "are" if len(names) > 1 else "is"
         return [
@@ -281,7 +281,7 @@ def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:
         return [f"{run} contradicts the others, which leave noise alone"]
     helping = _by_share([row for row in effects_of(answer) if row.helps], laws)
     if helping and sum(row.removes or 0.0 for row in helping) > 0.5:
-        them = join_words([_brief(row.words) for row in helping[:MAX_NAMES]])
+        them = join_words([_brief(row.words) for row in helping[:MOST_NAMES]])
         return [
             f"Something without a name is missing beside {them}",
             "Something without a name is missing beside causes of the library",
@@ -301,7 +301,7 @@ def _open(answer: Answer, verb: str) -> list[str]:
         verb: Before "missing".
     """
     if pieces := [row for row in effects_of(answer) if ONE_LAW in row.rivals]:
-        them = join_words([_brief(row.words) for row in pieces[:MAX_NAMES]])
+        them = join_words([_brief(row.words) for row in pieces[:MOST_NAMES]])
         return [
             f"One law may act in place of {them}, which undo each other",
             "One law may act in place of causes that undo each other",
@@ -383,7 +383,7 @@ def _beside_shared(
     is_are = _VERBS[least].format("are" if len(names) > 1 else "is")
     missing = f"{verb if verb == _VERBS[PERHAPS] else is_are} missing"
     rest = dict.fromkeys((f"whether {more} is, too", "whether another cause is, too"))
-    said = [f"{join_words(names)} {missing}"] if len(names) <= MAX_NAMES else []
+    said = [f"{join_words(names)} {missing}"] if len(names) <= MOST_NAMES else []
     if len(names) > 1:
         said += [f"{_count(len(names))} causes, {names[0]} first, {missing}"]
     if off:
@@ -492,7 +492,7 @@ def _laws(effects: Sequence[CauseRow], laws: Collection[str], how: Mapping[str, 
     said = _without_sizes(own, how, is_set=False) + _count_causes(own, how, is_set=False)
     none = ("No cause of the library explains it: ", "No library cause explains it: ")
     marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in beside]
-    named = zip(marks[:MAX_NAMES], beside[:MAX_NAMES], strict=True)
+    named = zip(marks[:MOST_NAMES], beside[:MOST_NAMES], strict=True)
     names = join_words([f"{mark}{_brief(row.words)}" for mark, row in named])
     count = f"{max(marks, default='')}{_count(len(beside))}"  # perhaps, where one of them is
     also = [f", beside {names}", f", beside {count} more"] if beside else [""]
@@ -533,7 +533,7 @@ def _without_sizes(
         how: How sure each is, by name.
         is_set: Whether they remove little one by one.
     """
-    if len(effects) > MAX_NAMES:
+    if len(effects) > MOST_NAMES:
         return []
     alone = _say(effects, how, {}, together=" together" if is_set else "")
     is_cut = len(effects) == 1 and effects[0].words != _brief(effects[0].words)
@@ -629,13 +629,13 @@ def _on_unseen(
     besides = f", noise {noise}" if noise else ""
     if not changed:
         return [f"; the {where} is {before}{unit}{besides}", f"; {short} {before}{unit}{besides}"]
-    if row.after > SKILL * row.before:
+    if row.after > ALIKE_SHARE * row.before:
         verb = "stays at" if row.after <= 1.01 * row.before else f"rises from {before} to"
         return [
             f"{objects} the {where} {verb} {after}{unit}{besides}",
             f"{objects} {short} {verb} {after}{unit}{besides}",
         ]
-    if row.constant is not None and row.constant < SKILL * row.after:
+    if row.constant is not None and row.constant < ALIKE_SHARE * row.after:
         constant = _numbers(replace(row, before=row.constant))[0]
         of = f"{before} to {after}{unit}, a constant leaves {constant}{unit}"
         return [f"{objects} no skill: {where} {of}", f"; no skill: {short} {of}"]

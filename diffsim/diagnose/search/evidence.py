@@ -58,7 +58,6 @@ ROWS = 1 << 14  # of a record that are looked at at once
 REACH = 20.0  # scaled sizes
 FARTHER = 4.0
 NORMAL: Mapping[int, float] = MappingProxyType({})  # every base parameter by its data sheet
-KEEP_NATS = 4.0  # evidence that a member of a set, or an unknown cause, must add
 ALONE_NATS = 3.0  # lead over every rival that a set needs to be named alone
 TWINS = 0.995  # confounding from which two effects are the same to these data
 TIE_DIGITS = 6  # of nats: sets that agree so far rank alike, not as rounding has it

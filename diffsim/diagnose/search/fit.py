@@ -37,6 +37,7 @@ from diffsim.diagnose.checks.numerics import (
     numerics_gate,
     refine_within,
 )
+from diffsim.diagnose.checks.one_run import MIN_SAMPLES
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.scan import groups, num_points
 from diffsim.diagnose.search.store import Store
@@ -50,7 +51,6 @@ from diffsim.identify.numerics import Numerics
 from diffsim.identify.unknown import Unknown
 
 Array = NDArray[np.float64]
-MIN_SAMPLES = 8  # of a run in a window
 TABLE_SHARE = 0.25  # of a search, that slopes of all candidates may cost with refined settings
 HARD_START_CHI2 = 25.0  # chi2 per sample, from which a fit needs an easier start
 

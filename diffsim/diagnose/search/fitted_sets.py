@@ -12,7 +12,6 @@ from diffsim.core.errors import DiffsimError
 from diffsim.diagnose.checks.numerics import SetNumerics
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
-    KEEP_NATS,
     Hypothesis,
     LaplaceEvidence,
     SetPosterior,
@@ -24,7 +23,7 @@ from diffsim.diagnose.search.scan import masking_pairs
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
 from diffsim.identify.bandwidth import num_cosines_of
-from diffsim.identify.effort import SearchSettings
+from diffsim.identify.effort import KEEP_NATS, SearchSettings
 from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.model import slopes_are_simulated
 from diffsim.identify.unknown import Unknown

@@ -21,7 +21,6 @@ from diffsim.diagnose.checks.gates import leaves_more
 from diffsim.diagnose.checks.numerics import check_numerics_of_set
 from diffsim.diagnose.search.evidence import (
     ALONE_NATS,
-    KEEP_NATS,
     TIE_DIGITS,
     Hypothesis,
     families,
@@ -47,9 +46,10 @@ from diffsim.diagnose.search.scan import BORROWED
 from diffsim.diagnose.search.simulations import NONE, Center, Members, Simulations
 from diffsim.identify import Fit, Problem
 from diffsim.identify.effect import Effect
-from diffsim.identify.effort import FIT_NATS, FIT_RTOL
+from diffsim.identify.effort import FIT_NATS, FIT_RTOL, KEEP_NATS
 from diffsim.identify.linearization import Linearization, linearization_at
 from diffsim.identify.model import has_tangents, slopes_are_simulated
+from diffsim.identify.ranges import SURE_SD
 
 Array = NDArray[np.float64]
 PLACE = re.compile(r"_(of|at)_\w+$")  # where a cause acts, as its name says
@@ -63,7 +63,6 @@ MAX_ALONE = 8  # of these
 # profiles inside a drive, whose valley is 1 % wide, 13 so end at the noise, 11 by 1/4 and 1/2
 SHARES = tuple(2.0 ** (-0.5 * k) for k in range(6, 0, -1))
 LEFT_SHEET_SD = 5.0  # prior sd of a base parameter, from which a fit has left its data sheet
-FAR_OFF = 3.0  # the same, from which a value is no usual one, or a data sheet may be wrong
 
 
 def begin(null: Null, simulations: Simulations) -> Search:
@@ -303,7 +302,7 @@ def fitted_exactly(search: Search, members: Members) -> Search:
 def _leaves_sheets(fit: Fit) -> bool:
     """Whether a fit would say that a data sheet is wrong."""
     base = zip(fit.problem.model.base, fit.x, strict=False)
-    return any("@" not in p.name and abs(x) > FAR_OFF for p, x in base)
+    return any("@" not in p.name and abs(x) > SURE_SD for p, x in base)
 
 
 def _fitted_along_weak(

@@ -236,11 +236,7 @@ class FlowNetworkDescription(Description):
     meters: tuple[MeterKeys, ...] = Field(
         min_length=1, description="What each channel of the study measures"
     )
-    samples: Samples = Field(
-        "levels",
-        description="What the samples of a run are: `levels` of the commands, each by itself, or "
-        "one after the other in `time`: then what is late, lags or has play is a cause, too",
-    )
+    samples: Samples = "levels"
     nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
 
     @model_validator(mode="after")

@@ -199,11 +199,7 @@ class FlowDeviceKeys(Description):
     is_corrected: bool = Field(
         True, description="Whether resistances of a network are corrected by a finer grid once"
     )
-    samples: Samples = Field(
-        "levels",
-        description="What the samples of a run are: `levels` of the commands, each by itself, or "
-        "one after the other in `time`: then what is late, lags or has play is a cause, too",
-    )
+    samples: Samples = "levels"
     nuisances: FlowNuisanceKeys = Field(FlowNuisanceKeys(), description="Gains and zeros")
 
     @property

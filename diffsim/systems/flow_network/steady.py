@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from diffsim.causes.commands import CommandGroup
@@ -26,7 +27,13 @@ from diffsim.core.errors import ConvergenceError
 from diffsim.data.signal import looks_held
 from diffsim.data.study import Run, Study
 
-Samples = Literal["levels", "time"]
+Samples = Annotated[
+    Literal["levels", "time"],
+    Field(
+        description="What the samples of a run are: `levels` of the commands, each by itself, or "
+        "one after the other in `time`: then what is late, lags or has play is a cause, too",
+    ),
+]
 Parts = dict[str, dict[str, str]]
 DEVICE = "device"  # what plain magnitudes are of
 _ZERO = torch.zeros((), dtype=torch.float64)

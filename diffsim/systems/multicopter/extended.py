@@ -20,8 +20,8 @@ from torch import Tensor
 from diffsim.copter import Feedback, Fleet, Flight, FlightEffects, FlightState, Multicopter, fly
 from diffsim.copter.vehicle.effects import BodyDrag, MotorLag, RotorDrag
 from diffsim.core.checked import checked
-from diffsim.identify.model_file import FARTHEST, SavedModel, read_extended
-from diffsim.identify.ranges import range_of_number
+from diffsim.identify.model_file import SavedModel, read_extended
+from diffsim.identify.ranges import SURE_SD, range_of_number
 from diffsim.systems.multicopter.frames import FRAMES, RecordingFrames
 
 SYSTEM = "multicopter"  # name of the plain model in the file
@@ -115,7 +115,7 @@ class CopterSizes:
         if "delay" not in self.names:
             return 0.0
         return float(
-            range_of_number(self.saved, "delay").drawn(torch.tensor(FARTHEST, dtype=torch.float64))
+            range_of_number(self.saved, "delay").drawn(torch.tensor(SURE_SD, dtype=torch.float64))
         )
 
     def has_any(self, names: tuple[str, ...]) -> bool:

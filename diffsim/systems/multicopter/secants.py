@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-_MOVED = 1e-4  # over the spread: less says nothing
+NUDGE = 1e-4  # of the spread, for slopes: less says nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,5 +47,5 @@ class Secants:
         d, change = moved / self.spread, (moved + after - before) / self.spread
         square = d.square().sum(-1)[:, None, None]
         missed = change[..., None] - self.slope @ d[..., None]
-        update = missed * d[:, None] / square.clamp(min=_MOVED**2)
-        return replace(self, slope=self.slope + update * (square > _MOVED**2))
+        update = missed * d[:, None] / square.clamp(min=NUDGE**2)
+        return replace(self, slope=self.slope + update * (square > NUDGE**2))

@@ -16,13 +16,12 @@ from diffsim.copter import FlightState
 from diffsim.core.errors import ConvergenceError
 from diffsim.core.memo import Memo, memo_field
 from diffsim.core.rotation import body_rates_from_rpy_rates, quaternion_from_rpy
-from diffsim.systems.multicopter.secants import Secants
+from diffsim.systems.multicopter.secants import NUDGE, Secants
 
 RIGID = 12  # entries of the rigid body's state; thrusts held before the record follow
 # What is known of an initial state beyond its first guess: hardly anything.
 SPREAD = (0.3, 0.2, 1.0, 1.0)  # [m, rad, m/s, rad/s]
 PAST_SPREAD = 2.0  # of the thrusts before the record [N]
-_NUDGE = 1e-4  # of the spread
 _SMOOTH_S = 0.15  # over which position is differentiated
 MAX_STEPS = 12
 _LEAST_SHARE = 1e-3  # of a step
@@ -243,7 +242,7 @@ class Windows:
         if not len(rotors):
             return torch.zeros_like(self.held)
         tried = states.repeat(1 + len(rotors), 1, 1)
-        tried[1 + torch.arange(len(rotors)), 0, RIGID + rotors] += _NUDGE * self.past_spread
+        tried[1 + torch.arange(len(rotors)), 0, RIGID + rotors] += NUDGE * self.past_spread
         off = (predict(tried)[:, 0] - self.measured[0]) / self.sd
         cost = off.nan_to_num(0.0).square().flatten(1).sum(1)
         return torch.zeros_like(self.held).index_put((rotors,), cost[1:] < cost[0])
@@ -293,11 +292,11 @@ class Windows:
         """Tangents by central differences at changes from the guess, (num_windows, m)."""
         windows, length, channels = self.measured.shape
         spread = self.spread
-        nudges = torch.diag(_NUDGE * spread)
+        nudges = torch.diag(NUDGE * spread)
         offsets = torch.stack([nudges, -nudges], 1).flatten(0, 1)
         moved = self.guess + change + torch.cat([torch.zeros_like(nudges[:1]), offsets])[:, None]
         there = predict(moved).reshape(-1, windows, length * channels)
-        tangent = (there[1::2] - there[2::2]) / (2.0 * _NUDGE * spread[:, None, None])
+        tangent = (there[1::2] - there[2::2]) / (2.0 * NUDGE * spread[:, None, None])
         tangent = tangent.permute(1, 2, 0).contiguous()
         # thrusts before the record are those of the first window: what they leave of a slow lag in
         # the others is no work of the others' own

@@ -16,11 +16,11 @@ from torch import Tensor
 
 from diffsim.core.arrays import Array
 from diffsim.data.study import Run
+from diffsim.identify.law import FEWEST_PERIODS
 from diffsim.identify.model import SimModel
 from diffsim.systems.description import Quantity
 from diffsim.systems.ode.keys import Swing
 
-FEWEST_PERIODS = 2.0  # in a run: fewer are a trend
 PER_LENGTH = 4  # frequencies tried per inverse length of a run
 MOST_TRIED = 600
 SPREAD = 0.25  # of the inverse length of a run: how far off the best frequency tried may be

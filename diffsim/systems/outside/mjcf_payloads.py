@@ -34,7 +34,7 @@ def carriers_of(mujoco: Any, model: Any) -> dict[str, Carrier]:
     Args:
         model: MuJoCo's model.
     """
-    moving = [i for i in range(1, model.nbody) if _is_moving(model, i)]
+    moving = [i for i in range(1, model.nbody) if (int(model.body_weldid[i]) == i)]
     parents = {i: int(model.body_parentid[i]) for i in moving}
     # what is fixed to the world, such as a hand on a table, carries each by itself
     under = {i: int(model.body_weldid[p]) or p for i, p in parents.items()}
@@ -49,11 +49,6 @@ def carriers_of(mujoco: Any, model: Any) -> dict[str, Carrier]:
                 length = float(np.linalg.norm(end - joint)) or float(model.stat.meansize)
                 out[name] = Carrier(mass, length)
     return out if len(out) <= MAX_CARRIERS else {}
-
-
-def _is_moving(model: Any, i: int) -> bool:
-    """Whether a body has joints of its own; others are part of what they are fixed to."""
-    return int(model.body_weldid[i]) == i
 
 
 def _is_simple(model: Any, i: int) -> bool:

@@ -18,7 +18,6 @@ from diffsim.data.calibration import calibrate
 from diffsim.data.study import TIMELESS, Channel, Run, Study
 from diffsim.data.study_check import Problem
 from diffsim.data.table import read_numbers
-from diffsim.identify.effect import Effect
 from diffsim.identify.effort import DiagnosisSettings, SearchSettings
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import SimModel
@@ -340,24 +339,13 @@ class BallModel(SimModel):
     # impacts are found one after the other: a flight with five takes 11 ms of one busy core, a
     # strike 5 ms, and slopes a fifth for each number
     run_cost, step_cost = 1500.0, 10.0
+    _shape_of_scene = staticmethod(balls_simulated)
 
     def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
         """The balls where channels tell their positions."""
         scene = self.scene(run, self.at_prior())
         assert isinstance(scene, BallScene)
         return balls_measured(scene, channels)
-
-    def shape_at(
-        self,
-        run: Run,
-        q: Tensor,
-        sizes: Mapping[Effect, Tensor] | None = None,
-        numerics: Numerics | None = None,
-    ) -> MovingShape | None:
-        """The balls on their simulated paths."""
-        scene = self.scene(run, q, sizes, numerics)
-        assert isinstance(scene, BallScene)
-        return balls_simulated(scene)
 
 
 def _shorten_stage(stage: BallStage, clock: Array, run: Run) -> BallStage:

@@ -24,7 +24,6 @@ from diffsim.systems.rod.statics import RodStatics
 
 if TYPE_CHECKING:
     from diffsim.data.study import Run
-    from diffsim.identify.effect import Effect
     from diffsim.identify.shape import MovingShape
     from diffsim.systems.description import BaseParameters
     from diffsim.systems.rod.keys import RodKeys
@@ -176,6 +175,8 @@ class RodModel(SimModel):
         zeros: Numbers that causes alone change.
     """
 
+    _shape_of_scene = staticmethod(RodScene.skin)
+
     def __init__(
         self,
         given: RodKeys,
@@ -220,15 +221,3 @@ class RodModel(SimModel):
     def shape_of(self, run: Run, channels: Tensor) -> MovingShape | None:
         """Markers where channels tell all their coordinates."""
         return dots_of(self._layout(1.0), channels)
-
-    def shape_at(
-        self,
-        run: Run,
-        q: Tensor,
-        sizes: Mapping[Effect, Tensor] | None = None,
-        numerics: Numerics | None = None,
-    ) -> MovingShape | None:
-        """The skin of the rod in every pose."""
-        scene = self.scene(run, q, sizes, numerics)
-        assert isinstance(scene, RodScene)
-        return scene.skin()

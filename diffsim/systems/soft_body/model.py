@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,35 @@ if TYPE_CHECKING:
 NODE_COST = 4.0  # weighted steps of a node in a time step
 
 
+def surface_of(scene: Any) -> MovingShape | None:
+    """One more simulation of the scene, in which the nodes of the surface are observed.
+
+    Args:
+        scene: A run with its effects; what they change in cameras and channels is left out. Of what
+            is no ``SoftScene`` nothing is seen.
+    """
+    if not isinstance(scene, SoftScene):
+        return None
+    faces = surface_triangles(scene.body.mesh).faces
+    used, local = torch.unique(faces, return_inverse=True)
+
+    def observe(x: Tensor) -> Tensor:
+        return x[..., used, :].flatten(-2)
+
+    clocks = Instruments(scene.instruments.clocks)
+    bare = scene.changed(
+        observe=observe, place_maps=(), output_maps=(), rest_places=None, instruments=clocks
+    )
+    if isinstance(bare, PosedScene):
+        bare = replace(bare, kept=Memo(1))  # what is kept shows markers
+    places = bare.simulate().detach().numpy()
+    return MovingShape(
+        triangles=local.reshape(-1, 3).numpy(),
+        nodes_m=np.ascontiguousarray(places.reshape(len(places), -1, 3)),
+        closed=True,
+    )
+
+
 @checked_methods
 class SoftModel(SimModel):
     """A simulator whose ``build`` makes :class:`SoftScene`; arguments as for ``SimModel``.
@@ -51,6 +80,7 @@ class SoftModel(SimModel):
     dt_s: float = 0.0
     num_poses: int = 0
     mesh_power = 3.0
+    _shape_of_scene = staticmethod(surface_of)
 
     def cost(self, run: Run, numerics: Numerics | None = None) -> float:
         """Weighted steps of one prediction, see :meth:`SimModel.cost`."""
@@ -65,19 +95,6 @@ class SoftModel(SimModel):
     def simulate_scenes(self, scenes: Sequence[Any]) -> list[Tensor]:
         """Predictions of several scenes of one run, at once where only commands differ."""
         return simulate_together(scenes)
-
-    def shape_at(
-        self,
-        run: Run,
-        q: Tensor,
-        sizes: Mapping[Effect, Tensor] | None = None,
-        numerics: Numerics | None = None,
-    ) -> MovingShape | None:
-        """The body's surface at the sample times, without what cameras do to it."""
-        physical = {e: s for e, s in (sizes or {}).items() if not isinstance(e, NumericalEffect)}
-        with torch.no_grad():
-            scene = self.scene(run, q, physical, numerics)
-            return surface_of(scene) if isinstance(scene, SoftScene) else None
 
     def tangents(
         self,
@@ -171,29 +188,3 @@ def _build_owned_scene(
             scene = effect.act(scene, size, plain.run, plain.values.at(at.q))
             owners += [effect] * (len(scene.makers) - len(owners))
     return OwnedScene(scene, tuple(owners))
-
-
-def surface_of(scene: SoftScene) -> MovingShape:
-    """One more simulation of the scene, in which the nodes of the surface are observed.
-
-    Args:
-        scene: A run with its effects; what they change in cameras and channels is left out.
-    """
-    faces = surface_triangles(scene.body.mesh).faces
-    used, local = torch.unique(faces, return_inverse=True)
-
-    def observe(x: Tensor) -> Tensor:
-        return x[..., used, :].flatten(-2)
-
-    clocks = Instruments(scene.instruments.clocks)
-    bare = scene.changed(
-        observe=observe, place_maps=(), output_maps=(), rest_places=None, instruments=clocks
-    )
-    if isinstance(bare, PosedScene):
-        bare = replace(bare, kept=Memo(1))  # what is kept shows markers
-    places = bare.simulate().detach().numpy()
-    return MovingShape(
-        triangles=local.reshape(-1, 3).numpy(),
-        nodes_m=np.ascontiguousarray(places.reshape(len(places), -1, 3)),
-        closed=True,
-    )

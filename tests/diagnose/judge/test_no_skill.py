@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from diffsim.data.study import Channel
+from diffsim.diagnose.checks.one_run import MIN_SAMPLES
 from diffsim.diagnose.judge.records import ErrorRow, no_skill_words
-from diffsim.diagnose.judge.unseen import MIN_RATE_SAMPLES, constants_of, on_unseen
+from diffsim.diagnose.judge.unseen import constants_of, on_unseen
 from diffsim.diagnose.say.headline import judged_headline
 from diffsim.identify import fit
 from tests.diagnose import linear
@@ -36,10 +37,10 @@ def test_constant_and_first_reading_are_those_of_the_records():
     # files of before know no constant
     (before,) = on_unseen(at, at, [new], linear.CHANNELS, SD, {}, seed=0).errors
     assert before.constant is None and before.held == row.held
-    for length in (MIN_RATE_SAMPLES, MIN_RATE_SAMPLES - 1):
+    for length in (MIN_SAMPLES, MIN_SAMPLES - 1):
         short = replace(new, time_s=new.time_s[:length], measured=new.measured[:length])
         (row,) = on_unseen(at, at, [short], linear.CHANNELS, SD, {}, seed=0).errors
-        assert (row.held is None) == (length < MIN_RATE_SAMPLES)
+        assert (row.held is None) == (length < MIN_SAMPLES)
 
 
 def test_a_gain_that_is_worse_than_a_constant_is_said():

@@ -16,12 +16,13 @@ from diffsim.diagnose.judge.stand_ins import OWN_STEP, own_steps
 from diffsim.diagnose.search import coarse
 from diffsim.diagnose.search import search as searching
 from diffsim.diagnose.search.coarse import carried, corrected, renewed_at
-from diffsim.diagnose.search.evidence import KEEP_NATS, Hypothesis
+from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.diagnose.search.fit import Case, coarsen_first_look, null_fit
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.search import _center, _refit_promising, _refit_rivals, begin, refit
 from diffsim.diagnose.search.simulations import Simulations
 from diffsim.identify import DiagnosisSettings, Numerics, SearchSettings, SimModel, WhiteNoise
+from diffsim.identify.effort import KEEP_NATS
 from diffsim.identify.linearization import linearization_at, records_at
 from tests.diagnose import toy
 

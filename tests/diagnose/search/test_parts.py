@@ -9,11 +9,12 @@ import torch
 from diffsim.diagnose.judge.gain import validation_of
 from diffsim.diagnose.judge.judge import judge
 from diffsim.diagnose.search import search as searching
-from diffsim.diagnose.search.evidence import KEEP_NATS, Hypothesis
+from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.diagnose.search.fit import Case, null_fit
 from diffsim.diagnose.search.search import begin, fitted_to_end, refit
 from diffsim.diagnose.search.simulations import NONE, Simulations
 from diffsim.identify import DiagnosisSettings, SearchSettings, SimModel
+from diffsim.identify.effort import KEEP_NATS
 from tests.diagnose import toy
 
 BOTH, DELAY = frozenset({0, 1}), frozenset({0})

@@ -12,7 +12,7 @@ from diffsim.data.study import Study
 from diffsim.diagnose.checks.gates import budget_gates
 from diffsim.diagnose.checks.noise import noise_floor
 from diffsim.diagnose.search import fitted_sets as beside_unknowns
-from diffsim.diagnose.search.evidence import KEEP_NATS, Hypothesis
+from diffsim.diagnose.search.evidence import Hypothesis
 from diffsim.diagnose.search.fit import Case, Null
 from diffsim.diagnose.search.gauss_newton import gauss_newton
 from diffsim.diagnose.search.scan import (
@@ -35,6 +35,7 @@ from diffsim.diagnose.search.search import (
 from diffsim.diagnose.search.simulations import Simulations
 from diffsim.diagnose.search.store import Store
 from diffsim.identify import DiagnosisSettings, Effect, SearchSettings, UnknownDrift
+from diffsim.identify.effort import KEEP_NATS
 from diffsim.identify.fitting import summary
 from diffsim.identify.linearization import linearization_at
 from tests.diagnose import linear

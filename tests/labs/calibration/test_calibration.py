@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from diffsim.diagnose.judge import judge as judge_module
-from diffsim.diagnose.search import evidence
+from diffsim.identify import effort
 from labs.calibration import __main__ as command
 from labs.calibration import answers
 from labs.calibration.answers import changed, followed, store
@@ -45,11 +45,11 @@ def test_a_value_that_is_taken_at_import_is_told():
 
 def test_a_changed_threshold_reaches_all_that_import_it_and_comes_back():
     (threshold,) = (t for t in listed() if t.name == "KEEP_NATS")
-    before = evidence.KEEP_NATS
+    before = effort.KEEP_NATS
     with pytest.raises(RuntimeError, match="stop"), put(threshold, threshold.times(2.0)):
-        assert 2.0 * before == evidence.KEEP_NATS == judge_module.KEEP_NATS
+        assert 2.0 * before == effort.KEEP_NATS == judge_module.KEEP_NATS
         raise RuntimeError("stop")
-    assert before == evidence.KEEP_NATS == judge_module.KEEP_NATS
+    assert before == effort.KEEP_NATS == judge_module.KEEP_NATS
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_what_is_not_asked_cannot_change_the_answer(case):
 
 def test_an_answer_that_cannot_be_followed_is_asked_by_all(case, monkeypatch):
     def fail(item, made):
-        if isinstance(evidence.KEEP_NATS, Probe):
+        if isinstance(effort.KEEP_NATS, Probe):
             raise TypeError("must be real number, not Probe")
         return {"verdict": "none"}
 
@@ -123,11 +123,11 @@ def test_two_thresholds_are_followed_together():
 def test_thresholds_are_plain_again_afterwards():
     with probed() as noted:
         assert isinstance(judge_module.KEEP_NATS, Probe)
-        assert evidence.KEEP_NATS < 1e9 and not noted
-        assert not evidence.KEEP_NATS >= 5.0
-        assert noted == {"diagnose.search.evidence.KEEP_NATS_x2"}
-    assert judge_module.KEEP_NATS == evidence.KEEP_NATS == 4.0
-    assert isinstance(evidence.KEEP_NATS, float)
+        assert effort.KEEP_NATS < 1e9 and not noted
+        assert not effort.KEEP_NATS >= 5.0
+        assert noted == {"identify.effort.KEEP_NATS_x2"}
+    assert judge_module.KEEP_NATS == effort.KEEP_NATS == 4.0
+    assert isinstance(effort.KEEP_NATS, float)
 
 
 def test_a_stored_case_is_made_once(case, monkeypatch):
