@@ -86,12 +86,9 @@ class PortLaws(LawPort):
             yield Entry("force", name, place.unit, place.magnitudes["push"])
 
     @cached_property
-    def _signals(self) -> tuple[str, ...]:
-        return signals_of(self.study)
-
-    @cached_property
-    def _constants(self) -> tuple[str, ...]:
-        return constants_of(self.study)
+    def _named(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Signals, and what is constant over a run, that formulas may name."""
+        return signals_of(self.study), constants_of(self.study)
 
     @cached_property
     def _units(self) -> dict[str, str]:
@@ -115,7 +112,7 @@ class PortLaws(LawPort):
                 others = tuple(w for n, w in of_kind.items() if n != name)
                 if others:
                     yield Variable(name, name, self._units.get(name, "-"), at=others)
-        for name in self._signals:
+        for name in self._named[0]:
             at = (*readings, *(w for n, w in inputs.items() if n != name))
             yield from self._list_of(name, name, at)
         if self.plant.is_in_time and (readings or inputs):
@@ -158,7 +155,7 @@ class PortLaws(LawPort):
         """Names of what differs from run to run."""
         runs = self.study.fit_runs
         out = []
-        for name in self._constants:
+        for name in self._named[1]:
             values = {constant_in(run, name) for run in runs}
             if len(values) >= FEWEST_VALUES:
                 out.append(name)
@@ -244,8 +241,9 @@ class PortLaws(LawPort):
         return law_effect(name, entry, len(terms), typical, acts[entry.kind]())
 
     def _read(self, text: str, variable: Variable, more: Sequence[str] = ()) -> Formula:
-        known = (*OF_FORCES, "u", "t", *more, *self._constants)
-        names = (*known, *self._signals, *self.plant.channel_names)
+        signals, constants = self._named
+        known = (*OF_FORCES, "u", "t", *more, *constants)
+        names = (*known, *signals, *self.plant.channel_names)
         shapes = {n: ShapeKeys(value=v) for n, v in variable.numbers.items()}
         return parse_formula(text, names, {}, _memories_of(variable), shapes)
 
