@@ -20,6 +20,7 @@ from diffsim.core.checked import checked
 from diffsim.core.errors import DiffsimError
 from diffsim.core.memo import Aside
 from diffsim.core.record import Ended, Solve, announce, is_recording
+from diffsim.identify.gaussian import Gaussian
 from diffsim.identify.jacobian import Jacobian
 from diffsim.identify.model import Parameter
 from diffsim.identify.problem import Problem
@@ -98,6 +99,11 @@ class Fit:
             unit="nats",
             details=self.message,
         )
+
+    @property
+    def nats(self) -> float:
+        """Laplace evidence of all that was fitted, by the slopes at x."""
+        return Gaussian.of(self.jacobian, self.residual, self.x).nats
 
     @cached_property
     def covariance(self) -> Array:

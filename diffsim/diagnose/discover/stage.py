@@ -82,15 +82,11 @@ class FittedLaw:
     beside: frozenset[str] = frozenset()
 
     @property
-    def evidence(self) -> float:
-        """Evidence of all that is fitted."""
-        return _nats(self.fit)
-
-    @property
     def reach(self) -> float:
-        """The same by the best form, where slopes promise that it fits closer than bumps."""
+        """Evidence of all that is fitted, of the best form where slopes promise that it fits closer
+        than bumps."""
         closer = self.left - self.forms[0].nats if self.forms else 0.0
-        return self.evidence + max(closer, 0.0)
+        return self.fit.nats + max(closer, 0.0)
 
 
 class Begin(NamedTuple):
@@ -119,7 +115,7 @@ class FoundLaws:
     def most_nats(self) -> float:
         """Evidence of the best laws without a form that need no cause of the library beside them,
         less the price of their choice."""
-        alone = (f.evidence for f in self.fitted if not f.beside)
+        alone = (f.fit.nats for f in self.fitted if not f.beside)
         return max(alone, default=-np.inf) - _price(self.num_tried)
 
 
@@ -166,7 +162,7 @@ def find_laws(
     rounds: list[list[FittedLaw]] = []
     for fit in fits:
         every_fit = (f for fitted in rounds for f in fitted)
-        if any(f.evidence > _nats(fit) for f in every_fit if not f.beside):
+        if any(f.fit.nats > fit.nats for f in every_fit if not f.beside):
             break  # laws explain more than the plain model or the best set of causes does
         if not may_fit():
             break
@@ -185,8 +181,8 @@ def find_laws(
         laws = _without_twins(laws)[: before + most]
     laws = [replace(law, name=_name(laws, k)) for k, law in enumerate(laws)]
     fitted = [f for of_round in rounds for f in of_round]
-    first = sorted((f for of_round in rounds[:1] for f in of_round), key=lambda f: -f.evidence)
-    best = max(fitted, key=lambda f: f.evidence, default=None)
+    first = sorted((f for of_round in rounds[:1] for f in of_round), key=lambda f: -f.fit.nats)
+    best = max(fitted, key=lambda f: f.fit.nats, default=None)
     begins = _begins_at_each([best, *first], laws) if best is not None else ()
     beside = frozenset(name for f in fitted for name in f.beside)
     return FoundLaws(_best_of_each(every), tuple(fitted), tuple(laws), num_tried, begins, beside)
@@ -225,9 +221,9 @@ def _near_best(fitted: Sequence[FittedLaw]) -> list[FittedLaw]:
     """Laws about as good as the best by what the simulator says, or by what slopes promise of a
     form, and of a memory what it remembers, which a cause of the library may make as good; those
     first that are first by either."""
-    by_fit = sorted(fitted, key=lambda f: -f.evidence)
+    by_fit = sorted(fitted, key=lambda f: -f.fit.nats)
     by_form = sorted(fitted, key=lambda f: -f.reach)
-    near_by_fit = [f for f in by_fit if f.evidence > by_fit[0].evidence - BEHIND_NATS]
+    near_by_fit = [f for f in by_fit if f.fit.nats > by_fit[0].fit.nats - BEHIND_NATS]
     near_by_form = [f for f in by_form if f.reach > by_form[0].reach - BEHIND_NATS]
     near = {id(f): f for f in (*near_by_fit, *near_by_form)}
     best = [f.candidate for f in near.values()]
@@ -486,7 +482,7 @@ def _fit_law(
         return None
     u = np.concatenate(list(screen.values(candidate)))
     curve = _curve(ended, candidate, u[np.isfinite(u)], len(effect.components))
-    nats = _nats(ended) - _nats(before)
+    nats = ended.nats - before.nats
     by_run = tuple(_by_run(screen, candidate, every, right, asked))
     names = frozenset(e.name for e in problem.effects if e.family != "law")
     law = FittedLaw(candidate, ended, curve, nats, (), 0.0, by_run, beside=names)
@@ -530,11 +526,6 @@ def _by_run(
         factors = Gaussian.of(every[rows, -count:], left[rows]).mean
         points = np.linspace(float(np.nanmin(u)), float(np.nanmax(u)), NUM_POINTS)
         yield run.name, points, law.basis.values(points) @ factors * law.typical
-
-
-def _nats(fit: Fit) -> float:
-    """Laplace evidence of a fit."""
-    return Gaussian.of(fit.jacobian, fit.residual, fit.x).nats
 
 
 def _curve(fit: Fit, candidate: Candidate, u: Array, count: int) -> Curve:
