@@ -86,7 +86,7 @@ class PortLaws(LawPort):
             yield Entry("force", name, place.unit, place.magnitudes["push"])
 
     @cached_property
-    def _named(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    def _formula_names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Signals, and what is constant over a run, that formulas may name."""
         return signals_of(self.study), constants_of(self.study)
 
@@ -112,7 +112,7 @@ class PortLaws(LawPort):
                 others = tuple(w for n, w in of_kind.items() if n != name)
                 if others:
                     yield Variable(name, name, self._units.get(name, "-"), at=others)
-        for name in self._named[0]:
+        for name in self._formula_names[0]:
             at = (*readings, *(w for n, w in inputs.items() if n != name))
             yield from self._list_of(name, name, at)
         if self.plant.is_in_time and (readings or inputs):
@@ -155,7 +155,7 @@ class PortLaws(LawPort):
         """Names of what differs from run to run."""
         runs = self.study.fit_runs
         out = []
-        for name in self._named[1]:
+        for name in self._formula_names[1]:
             values = {constant_in(run, name) for run in runs}
             if len(values) >= FEWEST_VALUES:
                 out.append(name)
@@ -241,7 +241,7 @@ class PortLaws(LawPort):
         return law_effect(name, entry, len(terms), typical, acts[entry.kind]())
 
     def _read(self, text: str, variable: Variable, more: Sequence[str] = ()) -> Formula:
-        signals, constants = self._named
+        signals, constants = self._formula_names
         known = (*OF_FORCES, "u", "t", *more, *constants)
         names = (*known, *signals, *self.plant.channel_names)
         shapes = {n: ShapeKeys(value=v) for n, v in variable.numbers.items()}
