@@ -473,7 +473,7 @@ def _answer(
     screened = screen(search.plain.evidence)
     case.progress("gain", 0.88, "unseen runs")
     select = search.null.case.study.select_runs
-    validation = validation_of(search.fit_of(NONE), select)
+    validation = validation_of(search.fit_of(NONE), select, case.settings.plain_steps)
     num_unscanned = len(search.simulations.scans_late)
     plain = search.null.fit
     late = tuple(budget_gates(num_unscanned, search.num_late, search.settings, plain))

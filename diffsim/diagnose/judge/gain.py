@@ -327,16 +327,17 @@ class LeftOut:
         )
 
 
-def validation_of(plain: Fit, select: Sequence[Run]) -> Validation | None:
+def validation_of(plain: Fit, select: Sequence[Run], steps: float = np.inf) -> Validation | None:
     """Select runs if there are any, else fit runs left out; None where they are too few.
 
     Args:
         select: Runs with use: select.
+        steps: Weighted steps that each fit may take that is repeated in full.
     """
     if select:
         return SelectRuns(select)
     folds = folds_of(plain)
-    return None if folds is None else LeftOut(plain.problem, folds)
+    return None if folds is None else LeftOut(plain.problem, folds, Repeats(steps=steps))
 
 
 def gain_over(validation: Validation, without: Fit, best: Fit, seed: int) -> Gain | None:

@@ -169,9 +169,10 @@ def memory_s(problem: Problem) -> float:
 
 @dataclass
 class Repeats:
-    """How many fits may still be repeated in full."""
+    """How many fits may still be repeated in full, and the weighted steps that each may take."""
 
     left: int = 4
+    steps: float = np.inf
 
 
 def moved(fit: Fit, kept: Mask) -> Array:
@@ -207,17 +208,19 @@ def _without(fit: Fit, fold: Fold, repeats: Repeats) -> Array:
     worse = found is None or 0.5 * (found @ found - predicted @ predicted) > ALONE_NATS
     if worse and repeats.left > 0:
         repeats.left -= 1
-        again = _refit_without(fit, fold, x)
+        again = _refit_without(fit, fold, x, repeats.steps)
         if again is not None and (found is None or again @ again < found @ found):
             found = again
     return predicted if found is None else found
 
 
-def _refit_without(fit: Fit, fold: Fold, x: Array) -> Array | None:
-    """Residual of the part after a full fit to the rest; None if that cannot be simulated."""
+def _refit_without(fit: Fit, fold: Fold, x: Array, steps: float) -> Array | None:
+    """Residual of the part after a fit to the rest, of so many weighted steps; None if that cannot
+    be simulated."""
     problem = replace(fit.problem, runs=kept_runs(fit.problem, fold))
+    until = problem.model.simulations.steps + steps
     try:
-        rest, _ = gauss_newton(problem, linearization_at(problem, x))
+        rest, _ = gauss_newton(problem, linearization_at(problem, x), until=until)
         return _simulate_part(fit, fold, rest.x)
     except DiffsimError:
         return None
