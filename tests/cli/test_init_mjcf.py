@@ -232,7 +232,9 @@ TIE = '<equality><joint joint1="left_1" joint2="{}"/></equality>'
         ("position", "right_1", {"left_2", "right_1"}, True),  # one arm pulls at the other
     ],
 )
-def test_what_moves_nothing_recorded_is_not_fitted(tmp_path, capsys, servo, tied, held, is_tied):
+def test_what_drives_without_a_command_hold_is_not_fitted(
+    tmp_path, capsys, servo, tied, held, is_tied
+):
     gain, more = "kp" if servo == "position" else "gear", TIE.format(tied) if tied else ""
     (tmp_path / "arms.xml").write_text(ARMS.format(servo=servo, gain=gain, more=more))
     for run in "ab":
@@ -247,7 +249,18 @@ def test_what_moves_nothing_recorded_is_not_fitted(tmp_path, capsys, servo, tied
     bodies = {name.split(".")[1] for name in stated if name.startswith("body.")}
     assert bodies == {"left", "left_hand"} | ({"right"} if is_tied else set())
     said = capsys.readouterr().out
-    assert "joints that move nothing recorded stay as in the file: " in said
+    assert "joints of drives without a recorded command stay as in the file: " in said
+
+
+def test_where_columns_say_nothing_of_joints_all_numbers_stay_open(tmp_path):
+    (tmp_path / "arms.xml").write_text(ARMS.format(servo="position", gain="kp", more=""))
+    for run in "ab":
+        table = np.c_[TIME, np.sin(TIME + ord(run)), np.sin(2.0 * TIME + ord(run))]
+        header = "time_s,encoder_rad,resolver_rad"
+        np.savetxt(tmp_path / f"{run}.csv", table, delimiter=",", header=header, comments="")
+    init(tmp_path)
+    stated = yaml.safe_load((tmp_path / "study.yaml").read_text())["model"]["parameters"]
+    assert {"body.right.mass", "joint.left_2.damping", "actuator.right_1.kp"} <= stated.keys()
 
 
 def test_a_joint_without_a_sensor_is_told_by_its_path(tmp_path):

@@ -174,7 +174,7 @@ def laws(folder: Path) -> dict[str, Any]:
     return {
         "screened": [(c.entry.words, c.variable.name, c.score, c.share) for c in found.screened],
         "fitted": [
-            (f.nats, f.evidence, f.reach, f.curve.u, f.curve.values, f.curve.sd, f.by_run)
+            (f.nats, f.fit.nats, f.reach, f.curve.u, f.curve.values, f.curve.sd, f.by_run)
             for f in found.fitted
         ],
         "laws": found.laws,

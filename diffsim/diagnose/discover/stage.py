@@ -603,13 +603,16 @@ def _unit_of_size(c: Candidate, form: Form) -> str:
     """Unit of a form's size; that of the entry where an exponent is fitted, too."""
     if form.scales == ("-",):
         return c.entry.unit
-    out = c.entry.unit.replace(NO_UNIT, "1")
+    out = "1" if c.entry.unit == NO_UNIT else c.entry.unit
     times = () if c.variable.times is None else ((c.variable.times.unit, 1.0),)
-    for unit, power in ((c.variable.unit, form.power), *times):
-        for name, own in () if unit == NO_UNIT or not power else powers_of(unit).items():
-            raised = "" if abs(own * power) == 1.0 else f"^{abs(own * power):g}"
-            out += f"{'/' if own * power > 0.0 else ' '}{name}{raised}"
-    return c.entry.unit if out in ("1", c.entry.unit) else to_si(out).unit
+    try:
+        for unit, power in ((c.variable.unit, form.power), *times):
+            for name, own in () if unit == NO_UNIT or not power else powers_of(unit).items():
+                raised = "" if abs(own * power) == 1.0 else f"^{abs(own * power):g}"
+                out += f"{'/' if own * power > 0.0 else ' '}{name}{raised}"
+        return c.entry.unit if out in ("1", c.entry.unit) else to_si(out).unit
+    except ValueError:  # a unit of the user's own, which nobody else can put together
+        return c.entry.unit
 
 
 def _repeating(fitted: FittedLaw, price: float, memory: dict[str, Shape]) -> Law:

@@ -544,8 +544,9 @@ def _refit_siblings(search: Search, center: Center, until: float) -> Search:
     near = [s for s in several if search.nats(Hypothesis(s)) >= least]
     siblings: dict[Members, Array | None] = {}
     if best == center.members:
-        seen = screen(center.evidence)
+        seen, open_ = screen(center.evidence), set(search.neighbors(best))
         pairs = [(i, k) for i in sorted(best) for k in twins_of(effects, seen, i) if k not in best]
+        pairs = [(i, k) for i, k in pairs if (best - {i}) | {k} in open_]
         siblings = {(best - {i}) | {k}: _with_twin(search, center, i, k) for i, k in pairs}
     for members in near:
         siblings = dict.fromkeys(_kinked_siblings(effects, members)) | siblings

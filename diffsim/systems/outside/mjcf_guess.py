@@ -20,6 +20,7 @@ from diffsim.data.guess import Guess, GuessedColumn
 from diffsim.data.names import spelled
 from diffsim.systems.outside.mjcf import Mjcf
 from diffsim.systems.outside.mjcf_wiring import JOINT, JOINT_SENSORS
+from diffsim.systems.outside.starts import BEGIN
 
 MAX_FILES = 50  # of the folders beside recordings, that are looked into
 MAX_XML_BYTES = 5_000_000  # of a file that is looked into
@@ -30,7 +31,7 @@ LIMIT_PERCENT = 10  # of a largest force: 0.7 of what a maker states is a findin
 SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no surprise
 SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same without a drive
 SMALLEST_SD = 1e-4  # of a start [rad or m]
-BEGIN, SURE_SD = 8, 5.0  # samples that tell how fast a run begins; sd from which it moves
+SURE_SD = 5.0  # sd from which a run begins in motion
 SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
 #: Entries of a free joint's place and orientation by what loggers call them
 _PLACE = re.compile(r"(?:(?:p|pos|position|base|root)_?)?([xyz])(?:_m|_mm|_cm)?")
@@ -161,7 +162,7 @@ def guess_model(path: Path, stated: str, guess: Guess) -> GuessedModel:
         "simulator": SIMULATOR,
         "commands_are": "held",
         "options": options,
-        "parameters": _parameters(simulator, channels, commands, made),
+        "parameters": _parameters(simulator, channels, commands, guess, made),
         "start": _starts(simulator, channels, guess),
         "hooks": _without_empty(
             {
@@ -363,13 +364,18 @@ def _joint_of(plain: Any, actuator: int) -> str:
 
 
 def _parameters(
-    simulator: Any, channels: Mapping[str, str], commands: Mapping[str, str], made: GuessedModel
+    simulator: Any,
+    channels: Mapping[str, str],
+    commands: Mapping[str, str],
+    guess: Guess,
+    made: GuessedModel,
 ) -> dict[str, Any]:
     """Masses of what moves; damping, dry friction and armature that are stated; gains of servos and
-    largest forces, which with damping make the speed that a drive keeps. Numbers of parts that
-    cannot move what was recorded stay as the file has them: each is one more to be fitted."""
+    largest forces, which with damping make the speed that a drive keeps. Numbers of what drives
+    without a recorded command hold stay as the file has them: each is one more to be fitted."""
     plain = simulator.plain
-    trees, held = _trees_recorded(simulator, channels, commands), _joints_held(simulator, commands)
+    trees = _trees_recorded(simulator, channels, commands, guess)
+    held = _joints_held(simulator, commands)
     held -= {JOINT.sub(r"\1", _joint_shown(simulator, shown)) for shown in channels.values()}
     out: dict[str, Any] = {}
     for i in range(1, plain.nbody):
@@ -410,9 +416,8 @@ def _parameters(
     kept = {plain.joint(i).name for i in joints}
     left = [n for i in range(plain.njnt) if (n := plain.joint(i).name) and n not in kept]
     if left:
-        made.said.append(
-            f"joints that move nothing recorded stay as in the file: {list_first(left)}"
-        )
+        them = list_first(left)
+        made.said.append(f"joints of drives without a recorded command stay as in the file: {them}")
     return out
 
 
@@ -424,31 +429,39 @@ def _tree_of(plain: Any, body: int) -> int:
 
 
 def _trees_recorded(
-    simulator: Any, channels: Mapping[str, str], commands: Mapping[str, str]
+    simulator: Any, channels: Mapping[str, str], commands: Mapping[str, str], guess: Guess
 ) -> set[int]:
-    """Kinematic trees with a joint that is shown or driven; all of them where a channel or a
-    command is of no joint, or where constraints tie parts of the model."""
+    """Kinematic trees but those of other robots: with drives, none of them commanded, and without a
+    joint that is shown. All where a channel or a command is of no known joint, or where constraints
+    tie parts of the model."""
     plain, find = simulator.plain, simulator.numbers.find
     every = set(map(int, plain.dof_treeid))
     shown = [JOINT.fullmatch(_joint_shown(simulator, name)) for name in channels.values()]
-    driven = [_joint_of(plain, find("actuator", name, "")) for name in commands.values()]
-    if plain.ntendon or _ties_trees(simulator) or not all(shown) or not all(driven):
+    numbers = [find("actuator", name, "") for name in commands.values()]
+    driven = [_joint_of(plain, i) for i in numbers or range(plain.nu)]  # by their order: all
+    is_open = len(channels) < len(guess.those("channel")) or plain.ntendon
+    if is_open or _ties_trees(simulator) or not all(shown) or not all(driven):
         return every
-    joints = [*(found[1] for found in shown if found), *driven]
-    bodies = (int(plain.jnt_bodyid[find("joint", name, "")]) for name in joints)
-    return {_tree_of(plain, body) for body in bodies}
+
+    def tree_of(name: str) -> int:
+        return _tree_of(plain, int(plain.jnt_bodyid[find("joint", name, "")]))
+
+    with_drives = {_joint_of(plain, i) for i in range(plain.nu)} - {""}
+    told = {tree_of(name) for name in (*(found[1] for found in shown if found), *driven)}
+    return every - ({tree_of(name) for name in with_drives} - told)
 
 
 def _ties_trees(simulator: Any) -> bool:
     """Whether an equality constraint acts between kinematic trees, or on what has none."""
     plain, m = simulator.plain, simulator.mujoco
+    kinds = getattr(plain, "eq_objtype", None)  # an older MuJoCo ties bodies alone
     for i in range(plain.neq):
         bodies: Callable[[int], int]
         if int(plain.eq_type[i]) == int(m.mjtEq.mjEQ_JOINT):
             bodies = plain.jnt_bodyid.__getitem__
-        elif int(plain.eq_objtype[i]) == int(m.mjtObj.mjOBJ_BODY):
+        elif kinds is None or int(kinds[i]) == int(m.mjtObj.mjOBJ_BODY):
             bodies = int
-        elif int(plain.eq_objtype[i]) == int(m.mjtObj.mjOBJ_SITE):
+        elif int(kinds[i]) == int(m.mjtObj.mjOBJ_SITE):
             bodies = plain.site_bodyid.__getitem__
         else:
             return True
@@ -459,8 +472,11 @@ def _ties_trees(simulator: Any) -> bool:
 
 
 def _joints_held(simulator: Any, commands: Mapping[str, str]) -> set[str]:
-    """Joints that a position servo holds, as none of its commands was recorded."""
+    """Joints that a position servo holds, as none of its commands was recorded; none where commands
+    drive actuators by their order."""
     plain = simulator.plain
+    if not commands:
+        return set()
     idle = [i for i in range(plain.nu) if plain.actuator(i).name not in commands.values()]
     gain, bias = plain.actuator_gainprm, plain.actuator_biasprm
     return {_joint_of(plain, i) for i in idle if 0.0 < gain[i, 0] == -bias[i, 1]} - {""}
@@ -504,6 +520,7 @@ def _starts(simulator: Any, channels: Mapping[str, str], guess: Guess) -> dict[s
     out: dict[str, Any] = {}
     for joint, shown, courses, clocks, noise in _positions(simulator, channels, guess):
         first = np.array([course[np.isfinite(course)][0] for course in courses])
+        # an offset of the sensor is as likely as a start elsewhere: no narrower than starts differ
         sd = max(3.0 * noise, 2.0 * float(np.abs(first - first.mean()).max()), SMALLEST_SD)
         name, bracket, entry = joint.partition("[")
         path = f"joint.{name}.start{bracket}{entry}"

@@ -31,6 +31,9 @@ class StartQuantity(Quantity):
         return self
 
 
+BEGIN = 8  # samples of a run that tell where and how fast it begins
+
+
 def with_first_readings(
     base: Sequence[Parameter], starts: Mapping[str, Quantity], study: Study
 ) -> tuple[Parameter, ...]:
@@ -39,16 +42,18 @@ def with_first_readings(
     Args:
         base: Base parameters, a start of each run called "NAME@RUN".
         starts: Quantities by name.
-        study: Recorded runs; of one that never read the channel it is 0.
+        study: Recorded runs; one whose first samples lack the channel begins as the others in the
+            mean.
     """
     names = [channel.name for channel in study.channels]
-    firsts = {key: q.first for key, q in starts.items() if isinstance(q, StartQuantity) and q.first}
-    found = {}
-    for key, channel in firsts.items():
-        for run in study.runs:
-            seen = run.measured[:, names.index(channel)]
-            if (known := np.isfinite(seen)).any():
-                found[f"{key}@{run.name}"] = float(seen[known][0])
+    found: dict[str, float] = {}
+    for key, q in starts.items():
+        if not isinstance(q, StartQuantity) or q.first is None:
+            continue
+        begins = {run.name: run.measured[:BEGIN, names.index(q.first)] for run in study.runs}
+        read = {n: float(b[np.isfinite(b)][0]) for n, b in begins.items() if np.isfinite(b).any()}
+        usual = float(np.mean(list(read.values()))) if read else q.value
+        found |= {f"{key}@{name}": read.get(name, usual) for name in begins}
     return tuple(
         replace(p, value=min(max(found[p.name], p.lower), p.upper)) if p.name in found else p
         for p in base

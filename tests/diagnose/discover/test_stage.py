@@ -277,7 +277,7 @@ def test_damping_that_falls_with_a_recorded_temperature_is_found():
     # a form that slopes promise to be closer than bumps counts by what it gains
     for gained in (3.0, -3.0):
         promised = replace(fitted, left=fitted.forms[0].nats + gained)
-        assert promised.reach - fitted.evidence == pytest.approx(max(gained, 0.0), abs=1e-9)
+        assert promised.reach - fitted.fit.nats == pytest.approx(max(gained, 0.0), abs=1e-9)
 
 
 def stiffer_when_warm(angle, speed, temp):

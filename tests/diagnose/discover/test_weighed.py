@@ -310,7 +310,8 @@ def _law(evidence, reach=None, name="speed", memory="", of=""):
     variable = SimpleNamespace(name=name, memory=memory, of=of)
     candidate = SimpleNamespace(variable=variable, entry="entry")
     reach = evidence if reach is None else reach
-    return SimpleNamespace(evidence=evidence, reach=reach, candidate=candidate)
+    fit = SimpleNamespace(nats=evidence)
+    return SimpleNamespace(fit=fit, reach=reach, candidate=candidate)
 
 
 @pytest.fixture(scope="module")
