@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from types import FrameType
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells count
+INSTALLED = frozenset(("site-packages", "dist-packages"))  # folders of packages
+SWALLOWING = ("torch", "trimesh")  # wherever they are installed
 
 
 def terminate_as_interrupt() -> None:
@@ -26,11 +28,14 @@ def terminate_as_interrupt() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """As Python answers Ctrl-C; while PyTorch's modules run for the first time, which swallow some
-    exceptions, the process ends: no work has begun."""
+    """As Python answers Ctrl-C; while modules of packages run for the first time, some of which
+    swallow all exceptions (PyTorch, trimesh), the process ends."""
     while frame is not None:
-        name = str(frame.f_globals.get("__name__"))
-        if frame.f_code.co_name == "<module>" and name.partition(".")[0] == "torch":
+        package = str(frame.f_globals.get("__name__")).partition(".")[0]
+        is_installed = package in SWALLOWING or not INSTALLED.isdisjoint(
+            frame.f_code.co_filename.split(os.sep)
+        )
+        if frame.f_code.co_name == "<module>" and is_installed:
             end_while_loading(number, frame)
         frame = frame.f_back
     raise KeyboardInterrupt

@@ -62,15 +62,19 @@ try:
 except BaseException:
     pass
 '''
-exec(compile(swallows, "it", "exec"), {{"__name__": "{module}", "signal": signal}})
+exec(compile(swallows, "{file}", "exec"), {{"__name__": "{module}", "signal": signal}})
 print("went on")
 """
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_it_is_heard_while_a_package_loads_that_swallows_exceptions(name):
-    for module, expected in (("torch.optional", 130), ("elsewhere", 0)):
-        code = LOADING.format(name=name, module=module)
+    for module, file, expected in (
+        ("torch.optional", "it", 130),
+        ("elsewhere", "/lib/site-packages/elsewhere/it.py", 130),
+        ("elsewhere", "it", 0),
+    ):
+        code = LOADING.format(name=name, module=module, file=file)
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
         assert done.returncode == expected, done.stderr
         assert ("interrupted" in done.stderr) != ("went on" in done.stdout)
