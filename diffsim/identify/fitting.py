@@ -100,7 +100,7 @@ class Fit:
             details=self.message,
         )
 
-    @property
+    @cached_property
     def nats(self) -> float:
         """Laplace evidence of all that was fitted, by the slopes at x."""
         return Gaussian.of(self.jacobian, self.residual, self.x).nats

@@ -31,7 +31,7 @@ LIMIT_PERCENT = 10  # of a largest force: 0.7 of what a maker states is a findin
 SHARE_OF_DRIVE = 0.05  # of what a drive pushes with: a force that would be no surprise
 SHARE_OF_WEIGHT = 0.01  # [m] times the weight that a joint carries: the same without a drive
 SMALLEST_SD = 1e-4  # of a start [rad or m]
-SURE_SD = 5.0  # sd from which a run begins in motion
+MOVING_SD = 5.0  # sd from which a run begins in motion
 SIMULATOR = "diffsim.systems.outside.mjcf:Mjcf"
 #: Entries of a free joint's place and orientation by what loggers call them
 _PLACE = re.compile(r"(?:(?:p|pos|position|base|root)_?)?([xyz])(?:_m|_mm|_cm)?")
@@ -542,7 +542,7 @@ def _first_rate(courses: Sequence[Array], clocks: Sequence[Array], noise: float)
         powers = np.vander(time, 3, increasing=True)  # it may speed up from rest
         is_told = len(time) == BEGIN and np.isfinite(powers).all() and np.isfinite(seen).all()
         if is_told and np.linalg.matrix_rank(powers) == powers.shape[1]:
-            inverse, least = np.linalg.pinv(powers)[1], SURE_SD * max(noise, SMALLEST_SD)
+            inverse, least = np.linalg.pinv(powers)[1], MOVING_SD * max(noise, SMALLEST_SD)
             rate, sd = abs(float(inverse @ seen)), float(np.linalg.norm(inverse))
             rests = np.ptp(seen[: BEGIN // 2]) <= least  # it may set off a little later
             if rate > sd * least and not rests:
