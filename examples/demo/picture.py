@@ -63,9 +63,10 @@ def beam(study: BeamStudy, results: dict[str, Any], *, narrow: bool = False) -> 
     above = "above" if narrow else "left"
     below = "\nbelow" if narrow else "right"
     red = "\nred" if narrow else "red"
+    size = (9 if words else 11) if narrow else 16  # the longer title is as wide as a phone
     figure.text(0.03, 0.955 if narrow else 0.93, f"{words}A silicone beam with a "
                 f"{1e3 * trial.tip_load_mass_kg:.0f} g weight, released",
-                fontsize=11 if narrow else 16, color=INK, fontweight="bold")  # fmt: skip
+                fontsize=size, color=INK, fontweight="bold")  # fmt: skip
     figure.text(0.03, 0.945 if narrow else 0.885,
                 f"{above}: simulated {1e3 * lowest:.0f} ms after release; {red}: the "
                 f"tip markers and their measured path.  {below}: tip height on a recording "
