@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby, product
 from types import MappingProxyType
@@ -489,16 +489,23 @@ def _laws(effects: Sequence[CauseRow], laws: Collection[str], how: Mapping[str, 
     total = sum(row.removes or 0.0 for row in effects)
     beside = [row for row in effects if row not in own and (row.removes or 0.0) > SMALL * total]
     how = {row.name: PERHAPS for row in effects} | dict(how)
-    said = _without_sizes(own, how, is_set=False) + _count_causes(own, how, is_set=False)
+    said = _without_sizes(own, how, is_set=False)
+    said += _count_causes(own, how, is_set=False, several="laws")
     none = ("No cause of the library explains it: ", "No library cause explains it: ")
-    marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in beside]
-    named = zip(marks[:MOST_NAMES], beside[:MOST_NAMES], strict=True)
-    names = join_words([f"{mark}{_brief(row.words)}" for mark, row in named])
-    count = f"{max(marks, default='')}{_count(len(beside))}"  # perhaps, where one of them is
-    also = [f", beside {names}", f", beside {count} more"] if beside else [""]
+    also = [f", beside {names}" for names in _some_named(beside, how)] or [""]
     return [f"{n}{text}" for text in said for n in none if not beside] + [
         capital(f"{text}{end}") for end in dict.fromkeys((*also, "")) for text in said
     ]
+
+
+def _some_named(rows: Sequence[CauseRow], how: Mapping[str, str]) -> Iterator[str]:
+    """Names of causes, then of fewer of them, each time with how many more there are."""
+    marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in rows]
+    names = [f"{mark}{_brief(row.words)}" for mark, row in zip(marks, rows, strict=True)]
+    for k in range(min(len(rows), MOST_NAMES), -1, -1):
+        more = f"{max(marks[k:], default='')}{_count(len(rows) - k)} more"  # perhaps, where one is
+        if rows:
+            yield join_words([*names[:k], *([more] if k < len(rows) else [])])
 
 
 def _num_small(effects: Sequence[CauseRow], total: float) -> int:
@@ -541,14 +548,18 @@ def _without_sizes(
 
 
 def _count_causes(
-    effects: Sequence[CauseRow], how: Mapping[str, str], *, is_set: bool
+    effects: Sequence[CauseRow], how: Mapping[str, str], *, is_set: bool, several: str = "causes"
 ) -> list[str]:
-    """How many causes there are, and which one removes most."""
+    """How many causes there are, and which one removes most.
+
+    Args:
+        several: What they are, as a plural.
+    """
     if len(effects) < 2:
         return []
     sure = [row for row in effects if how.get(row.name, PERHAPS) != PERHAPS]
     up_to = "up to " if 0 < len(sure) < len(effects) else ""
-    causes = f"{up_to}{_count(len(effects))} causes{' together' if is_set else ''}"
+    causes = f"{up_to}{_count(len(effects))} {several}{' together' if is_set else ''}"
     least = max((how.get(r.name, PERHAPS) for r in sure or effects), key=tuple(_VERBS).index)
     is_missing = f"{_VERBS[least].format('are')} missing"
     first = _brief((sure or effects)[0].words)

@@ -238,6 +238,30 @@ def test_causes_beside_a_law_are_counted_as_what_may_be():
     assert ", beside perhaps three more: " in said("named", [law, *held], laws=[law.name])
 
 
+def test_causes_beside_laws_are_named_as_far_as_words_last():
+    """A stand of rotors: two laws with long names, beside three causes that have short ones, were
+    "two causes, beside perhaps three more", without a single name."""
+    long = "an error of the reading of thrust that depends on a product of two variables"
+    laws = [
+        cause(
+            f"law_{k}", words=f"{long} {k}", removes=0.6, status="cannot be told from", helps=True
+        )
+        for k in range(2)
+    ]
+    held = [
+        cause(name, words=words, removes=removes, status="likely")
+        for name, words, removes in (
+            ("exponent", "exponent of thrust", 0.2),
+            ("torque", "exponent of torque", 0.1),
+            ("loss", "loss of thrust at the low end of speeds", 0.09),
+        )
+    ]
+    text = said("named", [*laws, *held], laws=[law.name for law in laws])
+    assert text.startswith(
+        "Two laws may be missing, beside exponent of thrust, exponent of torque and one more: "
+    )
+
+
 def test_causes_left_open_are_counted_by_what_they_remove():
     """The small ones are none, wherever they stand."""
     open_ones = [
