@@ -46,6 +46,7 @@ COMMANDS = (
 )
 WRITTEN = re.compile(r"```(python|yaml|sh)\n(.*?)```", re.S)
 INSTALLS = "!pip install"  # the environment stands already
+UPLOADED = "diffsim_robot-installed.whl"  # the wheel that a notebook asks for: installed, too
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
@@ -121,6 +122,7 @@ def main() -> int:
         if options.only is None or page.name in options.only:
             folder = here / page.stem
             folder.mkdir(parents=True)
+            (folder / UPLOADED).touch()
             (folder / "page.py").write_text(script(page), encoding="utf-8")
             passed.append(passes(page.name, [sys.executable, "page.py"], folder))
     if options.only is None or "commands" in options.only:
