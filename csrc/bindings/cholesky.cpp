@@ -33,10 +33,9 @@ class SparseFactor {
     factor_.solve(in(b), out(x), num_rhs, workspace_, pool);
   }
 
-  void solve_among(Address among, std::int64_t count, Address b, Address x, int num_rhs,
-                   int num_threads) {
+  void inverse_among(Address among, std::int64_t count, Address inverse, int num_threads) {
     ThreadPool pool(num_threads);
-    factor_.solve_among(in_index(among), count, in(b), out(x), num_rhs, workspace_, pool);
+    factor_.inverse_among(in_index(among), count, out(inverse), workspace_, pool);
   }
 
   const CholeskyFactor& factor() const { return factor_; }
@@ -66,7 +65,7 @@ void bind_cholesky(nb::module_& m) {
              return nb::make_tuple(failed.first, failed.second);
            })
       .def("solve", &SparseFactor::solve, nb::call_guard<nb::gil_scoped_release>())
-      .def("solve_among", &SparseFactor::solve_among, nb::call_guard<nb::gil_scoped_release>())
+      .def("inverse_among", &SparseFactor::inverse_among, nb::call_guard<nb::gil_scoped_release>())
       .def_prop_ro("usable", [](const SparseFactor& s) { return s.factor().usable(); })
       .def_prop_ro("nnz", [](const SparseFactor& s) { return s.factor().nnz(); })
       .def_prop_ro("bytes", [](const SparseFactor& s) { return s.factor().bytes(); })

@@ -16,7 +16,7 @@ class SparseFactor:
         indices: CSR columns with the diagonal, (nnz,) int64, contiguous.
         coords: Node positions, (num_nodes, 3) float64, contiguous, or None.
         block: Unknowns per node.
-        single: Store the factor in float32.
+        single: Compute and store the factor in float32.
     """
 
     def __init__(
@@ -37,18 +37,11 @@ class SparseFactor:
         self._core.solve(b.data_ptr(), x.data_ptr(), b.shape[1], num_threads)
         return x
 
-    def solve_among(self, among: Tensor, b: Tensor, num_threads: int) -> Tensor:
-        """A^-1 b at unknowns (count,) int64 alone, where b is zero at all others.
-
-        Returns:
-            (count, num_rhs).
-        """
-        x = torch.empty_like(b)
-        address = among.data_ptr()
-        self._core.solve_among(
-            address, len(among), b.data_ptr(), x.data_ptr(), b.shape[1], num_threads
-        )
-        return x[among]
+    def inverse_among(self, among: Tensor, num_threads: int) -> Tensor:
+        """Rows and columns of A^-1 at unknowns (count,) int64, (count, count)."""
+        inverse = torch.empty(len(among), len(among), dtype=torch.float64)
+        self._core.inverse_among(among.data_ptr(), len(among), inverse.data_ptr(), num_threads)
+        return inverse
 
     @property
     def usable(self) -> bool:

@@ -45,8 +45,9 @@ class SparseCholesky:
             Better and faster ordering than from the graph alone; None: from the graph alone.
         block: Unknowns per node, 1 to 6; unknown ``i`` belongs to node ``i // block``. Blocks that
             hold a nonzero are stored in full.
-        precision: "float64", or "float32" to store L at half the memory, which gives solutions
-            with relative errors of about 1e-6 times the condition number: for preconditioners.
+        precision: "float64", or "float32" to compute and store L so, at half the time and memory:
+            relative errors of about 1e-6 times the condition number, for preconditioners. Where
+            single precision breaks down, float64 computes what float32 stores.
         num_threads: Worker threads of every call.
 
     Raises:

@@ -95,9 +95,19 @@ void gmres(VectorOps& ops) {
     diagonal[i] = 2.0 + 0.01 * static_cast<double>(i);
   const Tridiagonal sheared{diagonal, 0.9, -0.7};
   const Vector b = ramp(diagonal.size());
-  KrylovResult r = diffsim::flexible_gmres<double>(sheared, identity, b, x, 1e-9, 1000, 60, ops);
+  KrylovResult r =
+      diffsim::flexible_gmres<double>(sheared, identity, b, x, false, 1e-9, 1000, 60, ops);
   require(r.converged && residual(sheared, x, b) < 2e-9, "gmres solves an unsymmetric matrix");
   require(std::abs(r.residual_norm - residual(sheared, x, b)) < 1e-12, "and knows its residual");
+  // From near the answer it takes fewer iterations; a guess worse than zero is not taken.
+  const int cold = r.num_iters;
+  for (double& value : x) value *= 1.0 + 1e-6;
+  r = diffsim::flexible_gmres<double>(sheared, identity, b, x, true, 1e-9, 1000, 60, ops);
+  require(r.converged && residual(sheared, x, b) < 2e-9, "gmres begins at a guess");
+  require(2 * r.num_iters < cold, "and gains by it");
+  for (double& value : x) value *= -9.0;
+  r = diffsim::flexible_gmres<double>(sheared, identity, b, x, true, 1e-9, 1000, 60, ops);
+  require(r.converged && r.num_iters == cold, "and leaves one that is worse than none");
   // A preconditioner that rounds to single precision, and by another share at every call.
   int calls = 0;
   const auto varying = [&](const Vector& in, Vector& out) {
@@ -106,7 +116,7 @@ void gmres(VectorOps& ops) {
     for (std::size_t i = 0; i < in.size(); ++i)
       out[i] = static_cast<double>(static_cast<float>(share * in[i] / diagonal[i]));
   };
-  r = diffsim::flexible_gmres<float>(sheared, varying, b, x, 1e-9, 1000, 60, ops);
+  r = diffsim::flexible_gmres<float>(sheared, varying, b, x, false, 1e-9, 1000, 60, ops);
   require(r.converged && residual(sheared, x, b) < 2e-9, "and bears a preconditioner that varies");
   require(std::abs(r.residual_norm - residual(sheared, x, b)) < 1e-12, "whose residual it knows");
   // A cyclic shift: nothing is gained before the last iteration, so restarts gain nothing at all.
@@ -116,7 +126,7 @@ void gmres(VectorOps& ops) {
   };
   Vector first(100, 0.0);
   first[0] = 1.0;
-  r = diffsim::flexible_gmres<double>(shift, identity, first, x, 1e-9, 1000, 60, ops);
+  r = diffsim::flexible_gmres<double>(shift, identity, first, x, false, 1e-9, 1000, 60, ops);
   require(!r.converged && r.num_iters <= 60, "restarts that gain nothing end");
 }
 

@@ -51,22 +51,23 @@ class CholeskyWorkspace {
   AlignedBuffer<double> buffer_;
 };
 
-/// How the factor is stored; the factorization itself always runs in float64.
-enum class FactorPrecision { kFloat64, kFloat32 };
+/// How a factor is computed and stored: kRounded computes in float64 and stores float32, kFloat32
+/// does both in float32, and goes over to kRounded where that breaks down.
+enum class FactorPrecision { kFloat64, kRounded, kFloat32 };
 
 /// Memory of a factor. Fresh pages are cleared by the system when they are first written, which for
 /// a large factor takes a fifth of the factorization: hand them from one factor to the next.
 struct CholeskyMemory {
   AlignedBuffer<double> factor;
   AlignedBuffer<float> factor32;
-  AlignedBuffer<double> fronts;
+  AlignedBuffer<std::byte> fronts;            // of what the factor is computed in
   std::vector<AlignedBuffer<double>> panels;  // of supernodes that wait to be rounded
 };
 
 class CholeskyFactor {
  public:
-  /// @param precision kFloat32 halves the memory that a solve streams and gives about 1e-6 relative
-  ///        accuracy: for use as a preconditioner
+  /// @param precision float32 halves the memory that a solve streams, computed so the time of a
+  ///        factorization, too, for more of an error: for use as a preconditioner
   /// @param memory what another factor left, or nothing; grows where it is too small
   explicit CholeskyFactor(std::shared_ptr<const CholeskySymbolic> symbolic,
                           FactorPrecision precision = FactorPrecision::kFloat64,
@@ -84,12 +85,13 @@ class CholeskyFactor {
   void solve(const double* b, double* x, int num_rhs, CholeskyWorkspace& ws,
              ThreadPool& pool) const;
 
-  /// The same at some unknowns alone, where b is zero at all others: of L only those parts are read
-  /// that lie between them and the root of the elimination tree. Other entries of x are not written
-  /// or undefined.
-  /// @param among  (count,) the unknowns, in any order
-  void solve_among(const std::int64_t* among, std::int64_t count, const double* b, double* x,
-                   int num_rhs, CholeskyWorkspace& ws, ThreadPool& pool) const;
+  /// Rows and columns of A^-1 at some unknowns. With B the columns of the identity there it is
+  /// (L^-1 B)' (L^-1 B): half a solve, which reads of L only what lies between an unknown and the
+  /// root of the elimination tree.
+  /// @param among    (count,) the unknowns, none twice, in any order
+  /// @param inverse  (count, count)
+  void inverse_among(const std::int64_t* among, std::int64_t count, double* inverse,
+                     CholeskyWorkspace& ws, ThreadPool& pool) const;
 
   /// Frees the memory kept for the next refactor.
   void release_refactor_memory();
@@ -106,10 +108,13 @@ class CholeskyFactor {
  private:
   template <typename T>
   struct Solver;
+  template <typename T>
   struct Refactor;
-  /// @param used  nonzero where a supernode takes part, or nullptr: all do
-  void solve_with(const std::uint8_t* used, const double* b, double* x, int num_rhs,
-                  CholeskyWorkspace& ws, ThreadPool& pool) const;
+  template <typename T>
+  void refactor_in(const double* values, ThreadPool& pool);
+  template <typename T>
+  void inverse_among_in(const T* factor, const std::int64_t* among, std::int64_t count,
+                        double* inverse, CholeskyWorkspace& ws, ThreadPool& pool) const;
 
   std::shared_ptr<const CholeskySymbolic> symbolic_;
   FactorPrecision precision_;

@@ -21,24 +21,27 @@ void for_each(ThreadPool* pool, std::int64_t count, F&& f) {
 }  // namespace
 
 /// Triangular diagonal tiles of the panels of one block, before they are replaced by inverses.
-struct Front::Diagonals {
-  alignas(64) double lower[kBlockPanels][kTile * kTile];
-  double reciprocal[kBlockPanels][kTile];
+template <typename T>
+struct Front<T>::Diagonals {
+  alignas(64) T lower[kBlockPanels][kTile * kTile];
+  T reciprocal[kBlockPanels][kTile];
 };
 
-void Front::set_zero(ThreadPool* pool) const {
-  constexpr std::int64_t kChunk = 1 << 17;  // doubles, 1 MiB
-  const auto clear = [&](double* begin, std::int64_t size) {
+template <typename T>
+void Front<T>::set_zero(ThreadPool* pool) const {
+  constexpr std::int64_t kChunk = (1 << 20) / sizeof(T);
+  const auto clear = [&](T* begin, std::int64_t size) {
     for_each(pool, (size + kChunk - 1) / kChunk, [&](std::int64_t task) {
       const std::int64_t first = task * kChunk;
-      std::memset(begin + first, 0, sizeof(double) * std::min(kChunk, size - first));
+      std::memset(begin + first, 0, sizeof(T) * std::min(kChunk, size - first));
     });
   };
   clear(own_, node_.factor_size());
   clear(update_, triangle_size(tiles_ - panels_));
 }
 
-void Front::add(const Front& child, const int* map, const int* offset, ThreadPool* pool) const {
+template <typename T>
+void Front<T>::add(const Front& child, const int* map, const int* offset, ThreadPool* pool) const {
   const int rows = child.node_.num_rows;
   for_each(pool, tiles_of(rows), [&](std::int64_t panel) {
     const int begin = static_cast<int>(panel) * kTile;
@@ -46,13 +49,14 @@ void Front::add(const Front& child, const int* map, const int* offset, ThreadPoo
   });
 }
 
-void Front::add_column(const Front& child, int c, const int* map, const int* offset) const {
+template <typename T>
+void Front<T>::add_column(const Front& child, int c, const int* map, const int* offset) const {
   const int rows = child.node_.num_rows;
   const int col = map[c], p = col / kTile, stride = width(p) * kTile;
-  double* const target = tile(p, p) + (col % kTile) * kTile - std::int64_t{p} * stride;
+  T* const target = tile(p, p) + (col % kTile) * kTile - std::int64_t{p} * stride;
   const int source_panel = child.panels_ + c / kTile;
   const int begin = c / kTile * kTile;  // row of the first source tile
-  const double* source = child.tile(source_panel, source_panel) + (c % kTile) * kTile;
+  const T* source = child.tile(source_panel, source_panel) + (c % kTile) * kTile;
   if (stride != kTile * kTile) {  // the narrow last panel
     for (int r = c; r < rows; ++r) {
       target[map[r] / kTile * stride + map[r] % kTile] +=
@@ -73,9 +77,10 @@ void Front::add_column(const Front& child, int c, const int* map, const int* off
   for (int k = 0; r + k < rows; ++k) target[offset[r + k]] += source[k];
 }
 
-void Front::multiply(int i, int count, int p, int q0, int q1) const {
+template <typename T>
+void Front<T>::multiply(int i, int count, int p, int q0, int q1) const {
   const int full = std::min(q1, node_.num_cols / kTile);
-  tiles::PanelRun run{};
+  tiles::PanelRun<T> run{};
   run.num_full = std::max(0, full - q0);
   run.step = std::ptrdiff_t{tiles_ - q0 - 1} * kTile * kTile;
   run.left = tile(i, q0);
@@ -85,7 +90,7 @@ void Front::multiply(int i, int count, int p, int q0, int q1) const {
     run.last_right = tile(p, q1 - 1);
     run.last_width = width(q1 - 1);
   }
-  double* c = tile(i, p);
+  T* c = tile(i, p);
   const int w = width(p);
   if (count == 1) {
     tiles::multiply<1>(c, w, run);
@@ -96,14 +101,17 @@ void Front::multiply(int i, int count, int p, int q0, int q1) const {
   }
 }
 
-FailedPivot Front::factor_block(int p0, int p1, const double* floor, Diagonals& diagonals) const {
+template <typename T>
+FailedPivot Front<T>::factor_block(int p0, int p1, const double* floor,
+                                   Diagonals& diagonals) const {
+  constexpr int kRowTiles = tiles::Blocking<T>::kRowTiles;
   for (int p = p0; p < p1; ++p) {
     if (p > p0) {
-      for (int i = p; i < p1; i += tiles::kRowTiles) {
-        multiply(i, std::min(tiles::kRowTiles, p1 - i), p, p0, p);
+      for (int i = p; i < p1; i += kRowTiles) {
+        multiply(i, std::min(kRowTiles, p1 - i), p, p0, p);
       }
     }
-    double* const diagonal = tile(p, p);
+    T* const diagonal = tile(p, p);
     const int w = width(p);
     FailedPivot failed;
     const int column = tiles::factor_diagonal(diagonal, w, floor + p * kTile, &failed.value);
@@ -111,9 +119,9 @@ FailedPivot Front::factor_block(int p0, int p1, const double* floor, Diagonals& 
       failed.column = p * kTile + column;
       return failed;
     }
-    double* const lower = diagonals.lower[p - p0];
-    std::memcpy(lower, diagonal, sizeof(double) * kTile * w);
-    for (int k = 0; k < w; ++k) diagonals.reciprocal[p - p0][k] = 1.0 / lower[k * kTile + k];
+    T* const lower = diagonals.lower[p - p0];
+    std::memcpy(lower, diagonal, sizeof(T) * kTile * w);
+    for (int k = 0; k < w; ++k) diagonals.reciprocal[p - p0][k] = T{1} / lower[k * kTile + k];
     tiles::invert_lower(lower, w, diagonal);
     for (int i = p + 1; i < p1; ++i) {
       tiles::solve_right<1>(tile(i, p), w, lower, diagonals.reciprocal[p - p0]);
@@ -122,11 +130,12 @@ FailedPivot Front::factor_block(int p0, int p1, const double* floor, Diagonals& 
   return {};
 }
 
-void Front::solve_rows(int i, int count, int p0, int p1, const Diagonals& diagonals) const {
+template <typename T>
+void Front<T>::solve_rows(int i, int count, int p0, int p1, const Diagonals& diagonals) const {
   for (int p = p0; p < p1; ++p) {
     if (p > p0) multiply(i, count, p, p0, p);
-    const double* lower = diagonals.lower[p - p0];
-    const double* reciprocal = diagonals.reciprocal[p - p0];
+    const T* lower = diagonals.lower[p - p0];
+    const T* reciprocal = diagonals.reciprocal[p - p0];
     if (count == 3) {
       tiles::solve_right<3>(tile(i, p), width(p), lower, reciprocal);
     } else {
@@ -137,22 +146,25 @@ void Front::solve_rows(int i, int count, int p0, int p1, const Diagonals& diagon
   }
 }
 
-void Front::update_rows(int i, int count, int c0, int c1, int p0, int p1) const {
+template <typename T>
+void Front<T>::update_rows(int i, int count, int c0, int c1, int p0, int p1) const {
   for (int p = c0; p < std::min(c1, i + count); ++p) {
     const int first = std::max(i, p);
     multiply(first, i + count - first, p, p0, p1);
   }
 }
 
-FailedPivot Front::factor(const double* floor, ThreadPool* pool) const {
+template <typename T>
+FailedPivot Front<T>::factor(const double* floor, ThreadPool* pool) const {
+  constexpr int kRowTiles = tiles::Blocking<T>::kRowTiles;
   Diagonals diagonals;
   for (int p0 = 0; p0 < panels_; p0 += kBlockPanels) {
     const int p1 = std::min(panels_, p0 + kBlockPanels);
     const FailedPivot failed = factor_block(p0, p1, floor, diagonals);
     if (failed.column >= 0) return failed;
-    const int groups = (tiles_ - p1 + tiles::kRowTiles - 1) / tiles::kRowTiles;
-    const auto row = [&](std::int64_t g) { return p1 + static_cast<int>(g) * tiles::kRowTiles; };
-    const auto count = [&](int i) { return std::min(tiles::kRowTiles, tiles_ - i); };
+    const int groups = (tiles_ - p1 + kRowTiles - 1) / kRowTiles;
+    const auto row = [&](std::int64_t g) { return p1 + static_cast<int>(g) * kRowTiles; };
+    const auto count = [&](int i) { return std::min(kRowTiles, tiles_ - i); };
     const auto solve = [&](std::int64_t g) {
       solve_rows(row(g), count(row(g)), p0, p1, diagonals);
     };
@@ -171,5 +183,8 @@ FailedPivot Front::factor(const double* floor, ThreadPool* pool) const {
   }
   return {};
 }
+
+template class Front<double>;
+template class Front<float>;
 
 }  // namespace diffsim

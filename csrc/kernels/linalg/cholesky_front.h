@@ -15,10 +15,12 @@ struct FailedPivot {
 };
 
 /// The front of a supernode: tiles (i, p) with i >= p, over own panels and update panels alike.
+/// @tparam T  double or float, what it computes in
+template <typename T>
 class Front {
  public:
   /// @param own  its panels of L; may be null where the update matrix alone is read
-  Front(const CholeskySupernode& node, double* own, double* fronts)
+  Front(const CholeskySupernode& node, T* own, T* fronts)
       : node_(node),
         own_(own),
         update_(fronts + node.update),
@@ -28,12 +30,12 @@ class Front {
   int panels() const { return panels_; }
   int tiles() const { return tiles_; }
   int width(int p) const { return p < panels_ ? node_.width(p) : kTile; }
-  double* tile(int i, int p) const {
+  T* tile(int i, int p) const {
     if (p < panels_) return own_ + node_.panel(p) + (i - p) * kTile * node_.width(p);
     const std::int64_t q = p - panels_, below = tiles_ - panels_;
     return update_ + (q * below - q * (q - 1) / 2 + (i - p)) * kTile * kTile;
   }
-  double& at(int row, int col) const {
+  T& at(int row, int col) const {
     return tile(row / kTile, col / kTile)[(col % kTile) * kTile + row % kTile];
   }
 
@@ -59,8 +61,8 @@ class Front {
   void multiply(int i, int count, int p, int q0, int q1) const;
 
   const CholeskySupernode& node_;
-  double* own_;
-  double* update_;
+  T* own_;
+  T* update_;
   int panels_, tiles_;
 };
 

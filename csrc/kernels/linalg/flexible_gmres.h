@@ -86,23 +86,32 @@ class GmresCycle {
   std::vector<double> H_, cs_, sn_, g_;
 };
 
-/// Preconditioned from the right, restarted, for any A; x starts from zero. Corrections are kept
-/// and applied as kept, so the residual norm is that of b - A x itself. (Preconditioning their sum
-/// instead, as plain GMRES does, leaves what rounding of the preconditioner makes of large
-/// coefficients that cancel.)
+/// Preconditioned from the right, restarted, for any A; x is the initial guess if `warm` and closer
+/// than zero by its residual, else it starts from zero. Corrections are kept and applied as kept,
+/// so the residual norm is that of b - A x itself. (Preconditioning their sum instead, as plain
+/// GMRES does, leaves what rounding of the preconditioner makes of large coefficients that cancel.)
 /// @tparam Kept         float or double, what corrections are kept in
 /// @param apply         apply(in, out): out = A in
 /// @param precondition  precondition(in, out): out about A^-1 in
 /// @param restart       directions after which it begins anew; memory grows with those taken
-/// @param gives_up      gives_up(iterations, norm of the residual): whether to leave it there
+/// @param gives_up      gives_up(iterations, residual over the first one): whether to leave it
+/// there
 template <typename Kept, typename Apply, typename Precondition>
 KrylovResult flexible_gmres(Apply&& apply, Precondition&& precondition, const Vector& b, Vector& x,
-                            double tolerance, int max_iters, int restart, VectorOps& ops,
+                            bool warm, double tolerance, int max_iters, int restart, VectorOps& ops,
                             const std::function<bool(int, double)>& gives_up = {}) {
   const std::size_t n = b.size();
   KrylovResult result;
-  x.assign(n, 0.0);
-  Vector r = b, z(n);
+  Vector r(n), z(n);
+  if (warm) {
+    apply(x, r);
+    for (std::size_t i = 0; i < n; ++i) r[i] = b[i] - r[i];
+  }
+  if (!warm || !(ops.norm(r) < ops.norm(b))) {
+    x.assign(n, 0.0);
+    r = b;
+  }
+  const double start = ops.norm(r);
   GmresCycle cycle(restart, n);
   std::vector<std::vector<Kept>> corrections;
   while (true) {
@@ -121,7 +130,7 @@ KrylovResult flexible_gmres(Apply&& apply, Precondition&& precondition, const Ve
       apply(z, cycle.image());
       done = cycle.take(0.7 * tolerance, ops);
       ++result.num_iters;
-      if (!done && gives_up && gives_up(result.num_iters, cycle.residual_norm())) {
+      if (!done && gives_up && gives_up(result.num_iters, cycle.residual_norm() / start)) {
         max_iters = result.num_iters;
         done = true;
       }

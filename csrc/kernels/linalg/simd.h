@@ -10,6 +10,10 @@ constexpr int kLanes = kNativeLanes;
 typedef double Vec __attribute__((vector_size(kLanes * sizeof(double)), may_alias));
 typedef float FloatVec __attribute__((vector_size(kLanes * sizeof(float)), may_alias));
 
+/// Eight floats, or as many of them as a register holds: rows of a column of a tile.
+constexpr int kFloatLanes = kNativeBytes >= 32 ? 8 : 4;
+typedef float FloatRows __attribute__((vector_size(kFloatLanes * sizeof(float)), may_alias));
+
 /// Loads and stores need alignment to the register.
 inline Vec load(const double* p) { return *reinterpret_cast<const Vec*>(p); }
 inline Vec load(const float* p) {

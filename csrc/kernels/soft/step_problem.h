@@ -91,13 +91,13 @@ class StepProblem {
   /// @param precision  of the factor as it is stored, the same every time
   bool factorize(const std::function<void(double*)>& edit = {},
                  FactorPrecision precision = FactorPrecision::kFloat64);
-  /// The same for what only preconditions or approximates: where it is large it is rounded.
+  /// The same for what only preconditions or approximates: a large one is of single precision.
   bool factorize_roughly(const std::function<void(double*)>& edit = {});
   void solve_factorized(const Vector& r, Vector& z);
   /// In place, (size(), count) row-major.
   void solve_factorized_many(double* columns, int count);
-  /// The same at some nodes alone, where the columns are zero at all others.
-  void solve_factorized_among(const std::vector<std::int64_t>& nodes, double* columns, int count);
+  /// Rows and columns of H^-1 at some nodes, (3 count, 3 count), from its factor.
+  void inverse_among(const std::vector<std::int64_t>& nodes, double* inverse);
 
   int num_solves = 0;
   int num_factorizations = 0;

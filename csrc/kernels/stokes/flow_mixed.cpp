@@ -161,7 +161,7 @@ KrylovResult FlowMixed<D>::solve(const double* f, const double* g, double* v, do
   KrylovResult result =
       flexible_gmres<float>([&](const Vector& in, Vector& out) { apply(in, out, pool); },
                             [&](const Vector& in, Vector& out) { precondition(in, out, pool); }, b,
-                            x, rtol * size, max_iters, kRestart, ops);
+                            x, false, rtol * size, max_iters, kRestart, ops);
   result.residual_norm = size > 0.0 ? result.residual_norm / size : 0.0;
   for (std::size_t i = 0; i < num_velocities; ++i)
     if (!fixed_[i]) v[nodes[i / D] * D + static_cast<std::int64_t>(i % D)] = x[i];

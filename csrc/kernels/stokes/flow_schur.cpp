@@ -211,7 +211,7 @@ std::unique_ptr<CholeskyFactor> FlowSchur<D>::factorize(const Groups& groups, Pa
   }
   auto factor = std::make_unique<CholeskyFactor>(
       analyze_cholesky(n, indptr.data(), indices.data(), groups.coords.data(), P, nullptr, true),
-      FactorPrecision::kFloat32);
+      FactorPrecision::kRounded);
   factor->refactor(values.data(), pool);
   factor->release_refactor_memory();
   return factor;

@@ -11,22 +11,22 @@ constexpr double kLargestResidual = 0.5;
 // Of one linear solve. What needs more gets a factor of the tangent, where the method allows one.
 constexpr std::size_t kMaxKrylovIterations = 2000;
 
-/// q of ContactSolve::solve; one on which iterations do not converge gets a factor of the tangent,
-/// where the method allows one. A tangent that is not positive definite is clamped: conjugate
-/// gradients meet its negative curvature, GMRES stalls far from the answer. It is not factored
-/// where GMRES met negative curvature, too.
+/// q of ContactSolve::solve, with its first guess; one on which iterations do not converge gets a
+/// factor of the tangent, where the method allows one, and goes on from where they ended. A tangent
+/// that is not positive definite is clamped: conjugate gradients meet its negative curvature, GMRES
+/// stalls far from the answer. It is not factored where GMRES met negative curvature, too.
 /// @return whether H is clamped now
 bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double tolerance,
-                  bool is_clamped, Vector& q) {
+                  bool is_clamped, bool is_guess, Vector& q) {
   const int limit =
       static_cast<int>(std::min<std::size_t>(p.objective.size(), kMaxKrylovIterations));
   const bool may_factor = p.options.method == StepMethod::kAuto;
   const auto solve_factored = [&] {
     p.solve.use_tangent();
     p.solve.statuses_changed();
-    return p.solve.solve(rhs, tolerance, limit, q);
+    return p.solve.solve(rhs, tolerance, limit, true, q);
   };
-  KrylovResult result = p.solve.solve(rhs, tolerance, limit, q);
+  KrylovResult result = p.solve.solve(rhs, tolerance, limit, is_guess, q);
   if (!result.converged && !result.negative_curvature && may_factor) result = solve_factored();
   // Conjugate gradients end at negative curvature, GMRES may go on to an answer.
   const bool has_ended = result.negative_curvature && !p.space.any_sliding_friction();
@@ -36,15 +36,20 @@ bool solve_linear(ContactProblem& p, const Vector& x, const Vector& rhs, double 
     is_clamped = true;
     p.objective.assemble(x, true);
     p.solve.matrix_changed(true);
-    result = p.solve.solve(rhs, tolerance, limit, q);
+    result = p.solve.solve(rhs, tolerance, limit, true, q);
   }
   if (!result.converged && !is_usable && may_factor) solve_factored();
   return is_clamped;
 }
 
-/// The direction on the statuses as they are.
+/// The direction on the statuses as they are; the one before is where the linear solve begins.
 void solve_on_statuses(ContactProblem& p, const ContactIterate& at,
                        const DirectionAccuracy& accuracy, ContactDirection& d) {
+  const bool is_guess = !d.within.empty();
+  if (is_guess) {
+    p.objective.ops().add(1.0, d.onto, d.within);
+    p.space.project(d.within);
+  }
   Vector rhs;
   p.space.correction(at.x, d.onto);
   p.objective.multiply(d.onto, rhs);
@@ -53,14 +58,14 @@ void solve_on_statuses(ContactProblem& p, const ContactIterate& at,
   d.rhs_norm = p.objective.ops().norm(rhs);
   const double enough = std::min(kLargestResidual * d.rhs_norm, accuracy.enough);
   d.is_clamped = solve_linear(p, at.x, rhs, std::max(accuracy.forcing * d.rhs_norm, enough),
-                              d.is_clamped, d.within);
+                              d.is_clamped, is_guess, d.within);
 }
 
 }  // namespace
 
 ContactDirection contact_direction(ContactProblem& problem, const ContactIterate& at,
-                                   const DirectionAccuracy& accuracy, bool is_clamped) {
-  ContactDirection d{{}, {}, 0.0, false, is_clamped};
+                                   const DirectionAccuracy& accuracy, ContactDirection before) {
+  ContactDirection d = std::move(before);
   for (int trial = 0; trial < kMaxReversals; ++trial) {
     solve_on_statuses(problem, at, accuracy, d);
     if (!problem.statuses.stop_reversed(at.x, d.within)) break;

@@ -17,12 +17,16 @@ struct ContactDirection {
   double rhs_norm;    // what is left to solve on the constraints [N]
   bool is_corrected;  // `onto` is not zero
   bool is_clamped;    // H was made positive definite
+
+  /// None yet: nothing but the H that it will be of.
+  static ContactDirection none(bool is_clamped) { return {{}, {}, 0.0, false, is_clamped}; }
 };
 
 /// Solves for the free unknowns with H as assembled at x. Friction that would push a node backwards
 /// stops it instead, which changes its status; H is clamped where it shows negative curvature.
-/// @param is_clamped  whether the assembled H is clamped
+/// @param before  from the same x, looser or on other statuses, and whether the assembled H is
+///                clamped; or nothing but the latter
 ContactDirection contact_direction(ContactProblem& problem, const ContactIterate& at,
-                                   const DirectionAccuracy& accuracy, bool is_clamped);
+                                   const DirectionAccuracy& accuracy, ContactDirection before);
 
 }  // namespace diffsim

@@ -14,8 +14,6 @@ using Vec3 = Eigen::Vector3d;
 constexpr double kConeEdge = 1.0 - 1e-9;
 // The dense operator has (3 k)^2 entries: 160 MB for so many contacts.
 constexpr std::size_t kMaxRelaxed = 1500;
-// Contacts whose columns of the inverse are solved for at once: a pass over the factor serves all.
-constexpr std::size_t kTogether = 8;
 // Relaxations of a resolution, and those that a factor of the tangent serves: an old one costs a
 // tenth of a new one (ball that lands, 177k DoF: 0.2 for 2.0 s) and comes nearly as far.
 constexpr int kMaxRelaxations = 32, kRelaxationsPerFactor = 4;
@@ -44,23 +42,11 @@ void move_relaxed(StepProblem& objective, const ContactSpace& space, const Vecto
 /// W[3 i + b, 3 j + a] = H^-1 between contacts i and j, from the factor of H.
 Eigen::MatrixXd inverse_between(StepProblem& problem, const ContactSpace& space,
                                 const std::vector<std::size_t>& contacts) {
-  const std::size_t m = contacts.size();
   std::vector<std::int64_t> nodes;
   for (const std::size_t k : contacts) nodes.push_back(static_cast<std::int64_t>(space.node(k)));
-  Eigen::MatrixXd W(3 * m, 3 * m);
-  Vector columns;  // (size, 3 count) row-major
-  for (std::size_t first = 0; first < m; first += kTogether) {
-    const std::size_t width = 3 * std::min(kTogether, m - first);
-    columns.assign(problem.size() * width, 0.0);
-    for (std::size_t c = 0; c < width; ++c)
-      columns[(3 * space.node(contacts[first + c / 3]) + c % 3) * width + c] = 1.0;
-    problem.solve_factorized_among(nodes, columns.data(), static_cast<int>(width));
-    for (std::size_t i = 0; i < m; ++i)
-      for (std::size_t b = 0; b < 3; ++b)
-        for (std::size_t c = 0; c < width; ++c)
-          W(static_cast<Eigen::Index>(3 * i + b), static_cast<Eigen::Index>(3 * first + c)) =
-              columns[(3 * space.node(contacts[i]) + b) * width + c];
-  }
+  const Eigen::Index size = static_cast<Eigen::Index>(3 * contacts.size());
+  Eigen::MatrixXd W(size, size);  // symmetric: by rows and by columns the same
+  problem.inverse_among(nodes, W.data());
   return W;
 }
 

@@ -84,7 +84,7 @@ void ContactSolve::precondition(const Vector& in, Vector& out) {
 
 template <typename Apply>
 KrylovResult ContactSolve::iterate(Apply&& apply, const Vector& r, double tolerance, int max_iters,
-                                   Vector& q) {
+                                   bool is_guess, Vector& q) {
   prepare();
   const auto precondition = [this](const Vector& in, Vector& out) { this->precondition(in, out); };
   // Where the tangent has no factor, being indefinite, iterations are all that is left.
@@ -92,14 +92,16 @@ KrylovResult ContactSolve::iterate(Apply&& apply, const Vector& r, double tolera
     max_iters = std::min(max_iters, std::max(patience() + 1 - spent_, 1));
   KrylovResult result;
   if (space_.any_sliding_friction()) {
-    const double norm = problem_.ops().norm(r);
     bool is_given_up = false;
     is_indefinite_ = false;
     const auto gives_up = [&](int iterations, double left) {
-      return is_given_up = is_hopeless(iterations, left / norm);
+      return is_given_up = is_hopeless(iterations, left);
     };
-    result = flexible_gmres<double>(apply, precondition, r, q, tolerance, max_iters, kRestart,
-                                    problem_.ops(), gives_up);
+    // Few iterations from a guess leave its rigid motion, of which a residual says little where a
+    // small body is stiff; there they cost next to nothing.
+    const bool is_warm = is_guess && problem_.by_multigrid();
+    result = flexible_gmres<double>(apply, precondition, r, q, is_warm, tolerance, max_iters,
+                                    kRestart, problem_.ops(), gives_up);
     result.negative_curvature = is_given_up && is_indefinite_;
   } else {
     result = conjugate_gradients(apply, precondition, r, q, false, tolerance, max_iters, krylov_,
@@ -131,9 +133,10 @@ void ContactSolve::apply(const Vector& in, Vector& out) {
   space_.add_slip_stiffness(in, out);
 }
 
-KrylovResult ContactSolve::solve(const Vector& r, double tolerance, int max_iters, Vector& q) {
+KrylovResult ContactSolve::solve(const Vector& r, double tolerance, int max_iters, bool is_guess,
+                                 Vector& q) {
   const auto apply = [this](const Vector& in, Vector& out) { this->apply(in, out); };
-  return iterate(apply, r, tolerance, max_iters, q);
+  return iterate(apply, r, tolerance, max_iters, is_guess, q);
 }
 
 void ContactSolve::apply_transposed(const Vector& in, Vector& out) {
@@ -150,7 +153,7 @@ KrylovResult ContactSolve::solve_answer(const Vector& x, LinearSide side, const 
     side == LinearSide::kTransposed ? apply_transposed(in, image) : this->apply(in, image);
   };
   at_answer_ = true;
-  const KrylovResult first = iterate(apply, r, tolerance, max_iters, out);
+  const KrylovResult first = iterate(apply, r, tolerance, max_iters, false, out);
   if (first.converged) return first;
   // Indefinite, or too hard for this preconditioner. That of the clamped tangent is definite.
   problem_.assemble(x, true);
@@ -158,8 +161,8 @@ KrylovResult ContactSolve::solve_answer(const Vector& x, LinearSide side, const 
   if (!preconditioner_.prepare_tangent()) preconditioner_.prepare_base();
   problem_.assemble(x, false);
   const auto precondition = [this](const Vector& in, Vector& z) { this->precondition(in, z); };
-  KrylovResult again = flexible_gmres<double>(apply, precondition, r, out, tolerance, max_iters,
-                                              kRestart, problem_.ops());
+  KrylovResult again = flexible_gmres<double>(apply, precondition, r, out, false, tolerance,
+                                              max_iters, kRestart, problem_.ops());
   again.num_iters += first.num_iters;
   return again;
 }

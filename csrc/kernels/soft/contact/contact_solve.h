@@ -36,7 +36,8 @@ class ContactSolve {
   }
 
   /// q in the range of P with [P H + mu t (n . H) + D] q = r, r in the range of P.
-  KrylovResult solve(const Vector& r, double tolerance, int max_iters, Vector& q);
+  /// @param is_guess  whether q is a first guess, in the range of P: GMRES may begin there
+  KrylovResult solve(const Vector& r, double tolerance, int max_iters, bool is_guess, Vector& q);
   /// The same, or its transpose: p with P H (p + mu (t . p) n) + D p = r, at an answer x of a step,
   /// where H may be indefinite: what fails is solved again on a factor of the clamped tangent.
   KrylovResult solve_answer(const Vector& x, LinearSide side, const Vector& r, double tolerance,
@@ -58,14 +59,15 @@ class ContactSolve {
   void multiply(const Vector& in, Vector& out);
   /// Whether iterations are those of GMRES on multigrid.
   bool may_give_up() const;
-  /// Whether so many iterations on multigrid left so much of a right-hand side that no answer is
+  /// Whether so many iterations on multigrid left so much of the first residual that no answer is
   /// near: those on an indefinite or a clamped H either soon converge or never.
   bool is_hopeless(int iterations, double left) const;
   void apply(const Vector& in, Vector& out);
   void apply_transposed(const Vector& in, Vector& out);
   void precondition(const Vector& in, Vector& out);
   template <typename Apply>
-  KrylovResult iterate(Apply&& apply, const Vector& r, double tolerance, int max_iters, Vector& q);
+  KrylovResult iterate(Apply&& apply, const Vector& r, double tolerance, int max_iters,
+                       bool is_guess, Vector& q);
 
   StepProblem& problem_;
   const ConstantSystem& system_;

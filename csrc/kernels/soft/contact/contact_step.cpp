@@ -64,7 +64,7 @@ bool is_beyond_guess(ContactProblem& p, const Vector& end) {
 /// the statuses that the linearized problem gives them: most of all it lets many go.
 ContactDirection first_direction(ContactProblem& p, const ContactIterate& at,
                                  const DirectionAccuracy& accuracy, bool is_clamped) {
-  ContactDirection d = contact_direction(p, at, accuracy, is_clamped);
+  ContactDirection d = contact_direction(p, at, accuracy, ContactDirection::none(is_clamped));
   const DirectionAccuracy loose{std::max(accuracy.forcing, kChangingForcing), accuracy.enough};
   VectorOps& ops = p.objective.ops();
   Vector force;
@@ -80,7 +80,7 @@ ContactDirection first_direction(ContactProblem& p, const ContactIterate& at,
     p.statuses.update(end, force);
     p.statuses.update_slip(at.x, at.gradient);
     p.solve.statuses_changed();
-    d = contact_direction(p, at, loose, d.is_clamped);
+    d = contact_direction(p, at, loose, std::move(d));
   }
   p.statuses.begin();
   return d;
@@ -106,13 +106,15 @@ NewtonStep newton_step(ContactProblem& p, double forcing, bool changed, double t
   const double enough = on_multigrid ? kEnoughOnMultigrid : kEnoughOfTolerance;
   if (on_multigrid) forcing = std::min(forcing, changed ? kChangingForcing : kMultigridForcing);
   const DirectionAccuracy accuracy{forcing, enough * tolerance};
-  const ContactDirection loose = is_first ? first_direction(p, at, accuracy, is_clamped)
-                                          : contact_direction(p, at, accuracy, is_clamped);
+  const ContactDirection loose =
+      is_first ? first_direction(p, at, accuracy, is_clamped)
+               : contact_direction(p, at, accuracy, ContactDirection::none(is_clamped));
   const SearchResult first = search_along(p, loose, forcing > kTightForcing, at);
   if (first != SearchResult::kAscends)
     return {first == SearchResult::kDescended, loose.is_clamped,
             loose.is_clamped || first == SearchResult::kFailed};
-  const ContactDirection tight = contact_direction(p, at, {kTightForcing, 0.0}, loose.is_clamped);
+  const ContactDirection tight =
+      contact_direction(p, at, {kTightForcing, 0.0}, ContactDirection::none(loose.is_clamped));
   const SearchResult second = search_along(p, tight, false, at);
   return {second == SearchResult::kDescended, tight.is_clamped,
           tight.is_clamped || second == SearchResult::kFailed};
