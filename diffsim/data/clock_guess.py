@@ -10,11 +10,11 @@ import numpy as np
 
 from diffsim.core.arrays import Array, IntArray
 from diffsim.core.units import to_si
-from diffsim.data.names import CLOCK, COUNTER, PERIOD, RATE, TIME, TRIAL, may_be_time, unit_of_clock
+from diffsim.data.names import CLOCK, COUNTER, PERIOD, RATE, TRIAL, may_be_time, unit_of_clock
 from diffsim.data.stamps import filled
 from diffsim.data.study_check import LATE
 from diffsim.data.table import Table
-from diffsim.data.table_guess import PLACE, Column
+from diffsim.data.table_guess import PLACE, TIME, Column
 
 _FEWEST_ROWS = 5  # of a run, on average
 _NUMBERED = 20  # rows from which on whole steps of one are no command

@@ -16,12 +16,12 @@ from diffsim.core.arrays import Array
 from diffsim.core.expression import CONSTANTS, FUNCTIONS
 from diffsim.core.units import to_si
 from diffsim.data.formula import CLOCK
-from diffsim.data.names import COUNTER, TIME, may_be_time
+from diffsim.data.names import COUNTER, may_be_time
 from diffsim.data.run_samples import RunSamples, in_si, unfilled
 from diffsim.data.study import Column, Run, Study
 from diffsim.data.study_schema import Source
 from diffsim.data.table import Rows
-from diffsim.data.table_guess import column_of
+from diffsim.data.table_guess import TIME, column_of
 
 _WORDS = {CLOCK, "nan", *CONSTANTS, *FUNCTIONS, *kwlist}  # of formulas: no names of columns
 _AS_IS = Source()  # as the file has it

@@ -8,11 +8,11 @@ from functools import cached_property
 from pathlib import Path
 
 from diffsim.data.formats import SUFFIXES, json_records, lerobot, parts_of
-from diffsim.data.names import TIME, may_be_time
+from diffsim.data.names import may_be_time
 from diffsim.data.run_plan import split_numbers
 from diffsim.data.side_by_side import runs_beside
 from diffsim.data.table import Table
-from diffsim.data.table_guess import TABLES, TableLayout, column_of, layout_of
+from diffsim.data.table_guess import TABLES, TIME, TableLayout, column_of, layout_of
 
 JSON = (".json", ".jsonl")
 LOGS = (".ulg", ".mcap", ".bag", ".db3")

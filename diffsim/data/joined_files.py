@@ -19,8 +19,8 @@ import yaml
 
 from diffsim.data.clock_guess import guess_clock, is_late, seconds_of
 from diffsim.data.folder_tables import FoundTable
-from diffsim.data.names import IDLE, STATE, TIME, has_role, is_asked, may_be_time, unit_of_clock
-from diffsim.data.table_guess import Column, column_of
+from diffsim.data.names import IDLE, STATE, has_role, is_asked, may_be_time, unit_of_clock
+from diffsim.data.table_guess import TIME, Column, column_of
 
 _MARK = re.compile(r"[_\-. ]+")
 _MEETS = 0.5  # of the shorter record: clocks of one run overlap by more

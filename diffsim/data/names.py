@@ -11,12 +11,8 @@ import re
 from dataclasses import replace
 
 from diffsim.core.units import to_si
-from diffsim.data.table_guess import Column, column_of
+from diffsim.data.table_guess import TIME, Column, column_of
 
-TIME = re.compile(
-    r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|время|seconds|elapsed|clock)(_|$)",
-    re.I,
-)
 #: What a file states of its clock beside the samples: rows a second, or seconds between two rows.
 RATE = re.compile(
     r"(^|[._ ])(fs|fps|hz|(sample|sampling|recording|control|action|loop|frame)s?[_ ]?"

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from collections import Counter
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 
 from diffsim.core.units import to_si
@@ -43,6 +43,8 @@ _ENDINGS = {
     "mV": "mV", "V": "V", "mA": "mA", "W": "W", "kg": "kg", "px": "px", "ml": "ml",
     "degC": "degC", "percent": "%", "mps2": "m/s^2", "mps": "m/s", "kmh": "km/h", "kph": "km/h",
     "degps": "deg/s",
+    "kg_s": "kg/s", "l_s": "l/s", "lpm": "l/min", "LPM": "l/min", "kW": "kW", "Ah": "A h",
+    "mAh": "mA h", "ohm": "ohm", "Ohm": "ohm", "kOhm": "kohm", "mOhm": "mohm",
     "mV_V": "mV/V", "km_h": "km/h", "uL_min": "uL/min", "mL_min": "mL/min", "L_min": "L/min",
 }  # fmt: skip
 _LISTED = sorted(_ENDINGS, key=len, reverse=True)
@@ -61,6 +63,14 @@ _TURNS = re.compile(
     r"|^((motor|wheel|rotor|fan|pump|engine)[_ ]?)?speed",
     re.IGNORECASE,
 )
+#: Name of a clock.
+TIME = re.compile(
+    r"^(t|time|timestamp|stamp|zeit|zeitstempel|temps|tiempo|время|seconds|elapsed|clock)(_|$)",
+    re.I,
+)
+_REMARK = "#% \t"  # what a line of remarks begins with
+#: A name of a remark, with its unit: t F, t [s] F [N]
+_SAID = re.compile(r"[^\s,;\[(]+(?:\s*[\[(][^\])]*[\])])?")
 _PER_MINUTE = ("1/min", "1/Min", "min^-1", "min-1", "min⁻¹")
 
 
@@ -121,6 +131,7 @@ def layout_of(path: Path) -> TableLayout | None:
     if is_bare or (len(above) > 1 and is_part):  # as of motion capture: bodies above their axes
         return _lines_as_names([rows[i] for i in above], above[-1] + 1, first + 1)
     units = [*(rows[above[1]] if len(above) > 1 else []), *[""] * len(names)]
+    units[0] = units[0].lstrip(_REMARK)  # both lines may be remarks, as numpy writes them
     cells = [*rows[first], *[""] * len(names)]  # lists, "[0.1, 0.2]", are a column for each entry
     columns = (
         column_of(name, unit)
@@ -234,6 +245,8 @@ def _without_header(rows: list[list[str]]) -> TableLayout | None:
     first = above[-1] + 1 if above else 0
     if len(rows) - first < FEWEST_ROWS:
         return None
+    if said := _names_in_remarks(rows[:first], width):
+        return TableLayout(0, first + 1, tuple(said))
     names = [PLACE.format(k) for k in range(1, 1 + width)]
     columns = [Column(name, name, None, False) for name in names]
     head = _drop_empty_end(rows[first - 1]) if first else []
@@ -242,6 +255,21 @@ def _without_header(rows: list[list[str]]) -> TableLayout | None:
         at = width - len(head) if _count_rows([row[0] for row in rows[first:]]) else 0
         columns[at : at + len(head)] = [column_of(name) for name in head]
     return TableLayout(0, first + 1, tuple(columns), has_names=False)
+
+
+def _names_in_remarks(above: list[list[str]], width: int) -> list[Column]:
+    """Columns as the remarks right above the numbers name them, divided otherwise than these: numpy
+    writes ``# t F x`` above tabs; below them units may stand."""
+    lines = [" ".join(row) for row in above]
+    remarks = list(takewhile(lambda line: line[:1] in ("#", "%"), reversed(lines)))[:2]
+    said = [_SAID.findall(line.lstrip(_REMARK)) for line in remarks]
+    said = [cells if len(cells) == width and _are_names(cells, width) else [] for cells in said]
+    if len(said) == 2 and all(said) and _are_units(said[0]):
+        found = [[column_of(*pair) for pair in zip(said[1], said[0], strict=True)]]
+    else:
+        found = [[column_of(name) for name in cells] for cells in said if not _names_twice(cells)]
+    # a sentence of as many words names no clock
+    return next((one for one in found if any(TIME.match(c.base) for c in one)), [])
 
 
 def _count_rows(cells: list[str]) -> bool:

@@ -514,3 +514,23 @@ def test_an_actuator_of_a_tendon_drives_no_joint():
       <actuator><motor name="pull" tendon="t"/><motor name="turn" joint="a"/></actuator></mujoco>"""
     plain = mujoco.MjModel.from_xml_string(text)
     assert [_joint_of(plain, i) for i in range(2)] == ["", "a"]
+
+
+def test_columns_need_not_repeat_a_word_that_all_joints_share(tmp_path):
+    """Of a bimanual arm's repository none was told by columns right_joint1 and not openarm_..."""
+    arms = ARMS.format(servo="position", gain="kp", more="")
+    arms = arms.replace('"left_', '"bot_left_').replace('"right_', '"bot_right_')
+    (tmp_path / "arms.xml").write_text(arms)
+    puck = '<body name="puck"><joint name="puck" type="slide"/><geom size="1"/></body>'
+    scene = f'<mujoco><include file="arms.xml"/><worldbody>{puck}</worldbody></mujoco>'
+    for name in ("desk", "shelf"):
+        (tmp_path / f"{name}.xml").write_text(scene)
+    for run in "ab":
+        goal = np.sin(TIME + ord(run))
+        header = "time_s,left_1_pos_rad,left_1_goal_rad"
+        table = np.c_[TIME, 0.9 * goal, goal]
+        np.savetxt(tmp_path / f"{run}.csv", table, delimiter=",", header=header, comments="")
+    init(tmp_path)
+    stated = yaml.safe_load((tmp_path / "study.yaml").read_text())["model"]
+    assert stated["options"]["model"] == "arms.xml"
+    assert stated["options"]["channels"] == {"left_1_pos_rad": "joint.bot_left_1.position"}

@@ -423,3 +423,41 @@ def test_what_begins_elsewhere_repeats_nothing(tmp_path, capsys):
         write(tmp_path / f"{name}.csv", "time_s,torque_Nm,angle_rad", columns)
     assert init(tmp_path) == 0
     assert "repeats, by equal commands: c of a\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("units", [["", "", ""], ["s", "N", "mm"]])
+@pytest.mark.parametrize("mark", ["\t", ","])
+def test_names_in_remarks_of_numpy_are_names(tmp_path, capsys, mark, units):
+    """numpy's ``header="t F x"`` above tabs was a file without names; a remark of as many words
+    beside it names nothing."""
+    time = 0.02 * np.arange(len(T))
+    for k, name in enumerate("abc"):
+        rows = np.column_stack([time, np.sin(time + k), 3.0 * np.cos(time + k) + noisy(k)])
+        header = "t F x\n" + (" ".join(units) if all(units) else "run of Monday")
+        np.savetxt(tmp_path / f"{name}.dat", rows, delimiter=mark, header=header, fmt="%.5f")
+    assert init(tmp_path) == 0
+    study = load_study(tmp_path)
+    assert [c.name for c in study.channels] == (["x"] if all(units) else ["F", "x"])
+    assert study.channels[-1].unit == ("m" if all(units) else "-")
+    assert study.fit_runs[0].time_s[1] == pytest.approx(0.02)
+
+
+def test_a_sentence_above_the_numbers_names_no_columns(tmp_path):
+    """ "measured in the lab today" has as many words as the file columns."""
+    time = 0.02 * np.arange(len(T))
+    for k, name in enumerate("abc"):
+        rows = np.column_stack([time, *(np.sin(time + k + i) + noisy(k + i) for i in range(4))])
+        header = "measured in the lab today"
+        np.savetxt(tmp_path / f"{name}.dat", rows, delimiter="\t", header=header, fmt="%.5f")
+    init(tmp_path)
+    assert "lab" not in (tmp_path / "study.yaml").read_text()
+
+
+def test_liters_a_minute_are_a_flow(tmp_path):
+    time = 0.02 * np.arange(len(T))
+    for k, name in enumerate("abc"):
+        moved = [np.cos(time + k) + noisy(k), np.sin(time) + noisy(k + 9)]
+        columns = [time, 4.0 * np.sin(time + k) + noisy(k + 3), *moved]
+        write(tmp_path / f"{name}.csv", "t,q_lpm,x_mm,p_bar", columns)
+    init(tmp_path)
+    assert load_study(tmp_path).channels[0].unit == "m^3/s"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from diffsim.data.record.signals import FEW, Record, Samples, Signal
 from diffsim.data.signal import COMMAND_JUMP, GAP
 from diffsim.data.stamps import JUMP
 from diffsim.data.study import Run
+from diffsim.data.table import Table
 
 NEVER = 1e7  # usual steps: no run pauses that long
 LEAST_MOVED = 0.1  # of a command's range, in a gap
@@ -197,10 +199,13 @@ def find_drift(record: Record) -> Iterator[Finding]:
     for run in record.study.runs:
         if len(run.files) < 2 or run.use == "test":
             continue
+        first = _columns_of_first(run)
         for command, channel in list(product(record.commands, record.channels))[:MOST_PAIRS]:
             y, u = channel.of_run(run.name), command.of_run(run.name)
-            if y is not None and u is not None and len(y) > 8 * TAPS and u.range > 0.0:
-                found.append(_drift(y, u))
+            sign = _of_further(first, command, channel)
+            if sign and y is not None and u is not None and len(y) > 8 * TAPS and u.range > 0.0:
+                drift = _drift(y, u)
+                found.append(None if drift is None else sign * drift)
     drifts = np.array([drift for drift in found if drift is not None])
     if len(drifts) < max(2, 0.4 * len(found)):
         return
@@ -214,6 +219,26 @@ def find_drift(record: Record) -> Iterator[Finding]:
         f"`defaults: {{stamps: {{drift: {middle:.4g}}}}}` sets further files' clock right",
         True,
     )
+
+
+def _columns_of_first(run: Run) -> Sequence[str]:
+    """Columns of a run's first file, whose clock stays; none where it is no table by itself."""
+    try:
+        return Table(Path(run.files[0]), "run").header
+    except ValueError:
+        return ()
+
+
+def _of_further(first: Sequence[str], command: Signal, channel: Signal) -> int:
+    """1 where the command is of a further file of the run, -1 where the channel alone is, 0 where
+    both are of the first one.
+
+    Args:
+        first: Columns of the first file.
+    """
+    if command.column not in first:
+        return 1
+    return 0 if channel.column in first else -1
 
 
 def _drift(y: Samples, u: Samples) -> float | None:

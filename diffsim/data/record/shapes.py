@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -25,6 +25,9 @@ UNANSWERED = 10.0  # such leaps, beyond which no command is the reason
 ALONE = 4.0  # largest changes around, beyond which a sample lies off both sides
 SPIKY = ("m/s^2", "rad/s^2", "N", "N m", "A", "V", "W")  # SI units of what an impact makes jump
 PLACES = ("m", "rad", "-", None, "K", "Pa")  # SI units of what cannot jump and stay
+# of the least jump of a meter that cuts off, within which all begin or end where readings end: a
+# turbine's cut-off had 0.04 of it, markers that slip from rest and back in one run are no meter
+NEAR_AN_END = 0.1
 SMALL = 0.1  # of the range of a command: a goal so near is none
 HELD = 0.8  # share of rows in which a command of goals keeps its value
 REACTION = 5  # rows after which a channel moves to a new goal, at most
@@ -560,8 +563,16 @@ def _rate_of(samples: Samples) -> tuple[str, int] | None:
 def find_lasting(record: Record) -> Iterator[Finding]:
     """Places that jump and stay: a marker that slipped, or was taken for another."""
     for signal in record.channels:
-        for samples in signal.runs if signal.unit not in SPIKY else ():
-            rows = [k for k in _lasting(samples, signal) if _is_alone(record, signal, samples, k)]
+        jumps = {
+            samples.run: [
+                k for k in _lasting(samples, signal) if _is_alone(record, signal, samples, k)
+            ]
+            for samples in (signal.runs if signal.unit not in SPIKY else ())
+        }
+        if _cuts_off(signal, jumps):
+            continue
+        for samples in (samples for samples in signal.runs if samples.run in jumps):
+            rows = jumps[samples.run]
             if rows and (stop := _comes_free(record, signal, samples)) is not None:
                 rows = [k for k in rows if k not in (stop[0] - 1, stop[1])]
             if not 0 < len(rows) <= 3:
@@ -578,6 +589,26 @@ def find_lasting(record: Record) -> Iterator[Finding]:
                 f"}}` in run {samples.run} moves it back, `until_s: {time:.6g}` ends before",
                 signal.unit in PLACES,
             )
+
+
+def _cuts_off(signal: Signal, jumps: Mapping[str, Sequence[int]]) -> bool:
+    """Whether jumps of several runs, up and down, all begin or end where the readings end: a meter
+    that reads nothing below some value; of a place they are a marker's, there and back."""
+    if signal.unit in ("m", "rad"):
+        return False
+    sizes, aside, ends = [], [], np.array([signal.low, signal.high])
+    for samples in (s for s in signal.runs if jumps.get(s.run)):
+        for k in jumps[samples.run]:
+            sides = (
+                np.median(samples.values[k - 4 : k + 1]),
+                np.median(samples.values[k + 1 : k + 6]),
+            )
+            sizes.append(sides[1] - sides[0])
+            aside.append([min(abs(end - side) for side in sides) for end in ends])
+    is_both = bool(sizes) and min(sizes) < 0.0 < max(sizes)
+    is_of_all = sum(bool(rows) for rows in jumps.values()) > 1
+    near = NEAR_AN_END * float(np.min(np.abs(sizes))) if sizes else 0.0
+    return bool(is_both and is_of_all and (np.array(aside) < near).all(0).any())
 
 
 def _comes_free(record: Record, signal: Signal, samples: Samples) -> tuple[int, int] | None:

@@ -112,13 +112,12 @@ def _num_shown(
         seen.add(here := left.pop())
         left += [part for part in parts[here] if part in roots and part not in seen]
     held = [node for one in seen for node in roots[one].children]
-    names = [
-        [_words(node.attributes["name"]) for node in nodes if "name" in node.attributes]
-        for nodes in (
-            [n for top in held for n in _below(top) if n.tag == "joint"],
-            [n for top in held if top.tag == "actuator" for n in top.children],
-        )
-    ]
+    kinds = (
+        [n for top in held for n in _below(top) if n.tag == "joint"],
+        [n for top in held if top.tag == "actuator" for n in top.children],
+    )
+    called_so = ([n.attributes["name"] for n in nodes if "name" in n.attributes] for nodes in kinds)
+    names = [_telling({name: _words(name) for name in names}).values() for names in called_so]
     return sum(any(words <= own for words in kind if words) for kind in names for own in called)
 
 
