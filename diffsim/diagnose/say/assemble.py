@@ -29,7 +29,12 @@ from diffsim.diagnose.judge.apart import apart_in_fit
 from diffsim.diagnose.judge.averaging import averaged, widening
 from diffsim.diagnose.judge.band import band_of
 from diffsim.diagnose.judge.crosscheck import repeated_gate
-from diffsim.diagnose.judge.data_sheet import base_rows, misfit_unheld, ranges_of_answer
+from diffsim.diagnose.judge.data_sheet import (
+    base_rows,
+    misfit_unheld,
+    ranges_of_answer,
+    told_away,
+)
 from diffsim.diagnose.judge.gain import Gain, Validation
 from diffsim.diagnose.judge.judge import EXPLAINED, NAMES, Judgment
 from diffsim.diagnose.judge.own_values import own_words, unmet_by
@@ -155,6 +160,7 @@ def report_of(
         if row.status in (CERTAIN, LIKELY) or (row.probability is not None and row.rivals)
     ]
     beside = None if decision.beside is None else decision.beside.unknown
+    is_little_left = best.chi2 <= MUCH_LEFT**2 * best.num_samples
     case.progress("judged", 1.0, verdict.replace("_", " "))
     return Report(
         verdict=verdict,
@@ -167,6 +173,7 @@ def report_of(
         best_names=set_names(Hypothesis(decision.best), effects, ()),
         beside="" if beside is None or search is None else search.unknowns[beside].name,
         bent=bent,
+        away=told_away(base, case.model.base) if is_little_left else (),
         plain_twin=_plain_twin(null.fit, best) if members else (),
         drives=case.model.drives,
         is_full=case.settings.plain_steps > FIRST_STEPS,

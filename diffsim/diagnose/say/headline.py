@@ -38,6 +38,7 @@ from diffsim.diagnose.say.wording import (
     opened,
     plain_name,
     size_range,
+    times_words,
     twin_words,
     wrong_sheets,
 )
@@ -262,7 +263,12 @@ def _say_findings(answer: Answer, laws: Collection[str], *, is_denied: bool = Fa
     ]
     if named:
         return _missing(answer, named, laws, is_open=is_denied)
-    return ["Nothing is missing that these runs could show"]
+    nothing = "Nothing is missing that these runs could show"
+    if not answer.away:
+        return [nothing]
+    first = answer.away[0]
+    said = f"{first.words} is fitted at {times_words(first)} times what is stated"
+    return [f"{nothing}; {said}", f"Nothing is missing; {said}", nothing]
 
 
 def _unknown(answer: Answer, laws: Collection[str]) -> list[str]:

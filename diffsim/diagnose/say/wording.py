@@ -96,6 +96,8 @@ class Answer:
     before_test: BeforeTest | None = None  # what the test runs changed; None: nothing
     # base parameters off their data sheets, where what is left may have bent them
     bent: tuple[BaseRow, ...] = ()
+    # numbers that are told away from what is stated, though no findings
+    away: tuple[BaseRow, ...] = ()
     # base parameters of the plain model, off their data sheets, that explain the fitted runs as
     # well as the best set does; empty where they do not
     plain_twin: tuple[BaseRow, ...] = ()
@@ -410,9 +412,18 @@ def data_sheets(answer: Answer) -> list[str]:
         off = "are off their data sheets" if len(answer.bent) > 1 else "is off its data sheet"
         left = f"{figure(answer.left, 2)} times the noise"
         out.append(f"{capital(bent)} {off}: no finding while {left} is left.")
+    if answer.away:
+        times = "; ".join(f"{r.words} {times_words(r)}" for r in answer.away[:MOST_LISTED])
+        out.append(f"Fitted within what the study allows: {times} times what it states.")
     if twin := twin_words(answer):
         out.append(f"{capital(twin)}: only these data sheets decide.")
     return [*out, *together]
+
+
+def times_words(row: BaseRow) -> str:
+    """A fitted number over what is stated, with its interval: "0.60 (0.58 to 0.62)"."""
+    low, value, high = (v / row.prior_value for v in (row.low, row.value, row.high))
+    return f"{figure(value)} ({ends(Interval(value, low, high))})"
 
 
 def twin_words(answer: Answer) -> str:

@@ -536,3 +536,23 @@ def test_a_number_that_the_rest_may_bend_is_no_finding():
     assert said in data_sheets(answer)
     two = replace(answer, bent=(row("inertia"), row("damping")))
     assert data_sheets(two)[0].startswith("Inertia and damping are off their data sheets")
+
+
+def test_a_gain_that_a_guessed_width_allows_is_said_and_is_no_finding():
+    """A drive with 0.6 times the file's gain was "nothing is missing", 20 % being a guess."""
+
+    def row(name, value, half, pull, **more):
+        ends = (value, 0.6 * half, value - half, value + half, 230.0, 46.0, pull, 3.5)
+        return BaseRow(name, name.replace("_", " "), "N m/rad", *ends, **more)
+
+    told, further = row("kp_of_joint2", 138.0, 4.0, -2.55), row("kp_of_joint4", 690.0, 9.0, 5.5)
+    decision = SimpleNamespace(beside=None, forms={}, best=frozenset())
+    answer = Answer("none", decision, (), (), (), None, away=(told,))
+    assert headline(answer, [FELL]) == (
+        "Nothing is missing; kp of joint2 is fitted at 0.6 (0.58 to 0.62) times what is stated; "
+        "unseen error 72.4 um, noise 1 um."
+    )
+    assert data_sheets(replace(answer, away=(told, further)))[0] == (
+        "Fitted within what the study allows: kp of joint2 0.6 (0.58 to 0.62); kp of joint4 3 "
+        "(2.96 to 3.04) times what it states."
+    )
