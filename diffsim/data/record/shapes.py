@@ -562,16 +562,16 @@ def _rate_of(samples: Samples) -> tuple[str, int] | None:
 
 def find_lasting(record: Record) -> Iterator[Finding]:
     """Places that jump and stay: a marker that slipped, or was taken for another."""
-    for signal in record.channels:
+    for signal in (s for s in record.channels if s.unit not in SPIKY):
         jumps = {
             samples.run: [
                 k for k in _lasting(samples, signal) if _is_alone(record, signal, samples, k)
             ]
-            for samples in (signal.runs if signal.unit not in SPIKY else ())
+            for samples in signal.runs
         }
         if _cuts_off(signal, jumps):
             continue
-        for samples in (samples for samples in signal.runs if samples.run in jumps):
+        for samples in signal.runs:
             rows = jumps[samples.run]
             if rows and (stop := _comes_free(record, signal, samples)) is not None:
                 rows = [k for k in rows if k not in (stop[0] - 1, stop[1])]

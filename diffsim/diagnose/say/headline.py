@@ -498,20 +498,19 @@ def _laws(effects: Sequence[CauseRow], laws: Collection[str], how: Mapping[str, 
     said = _without_sizes(own, how, is_set=False)
     said += _count_causes(own, how, is_set=False, several="laws")
     none = ("No cause of the library explains it: ", "No library cause explains it: ")
-    also = [f", beside {names}" for names in _some_named(beside, how)] or [""]
+    also = [f", beside {names}" for names in _some_named(beside, how)] if beside else []
     return [f"{n}{text}" for text in said for n in none if not beside] + [
         capital(f"{text}{end}") for end in dict.fromkeys((*also, "")) for text in said
     ]
 
 
 def _some_named(rows: Sequence[CauseRow], how: Mapping[str, str]) -> Iterator[str]:
-    """Names of causes, then of fewer of them, each time with how many more there are."""
+    """Names of causes, one at least, then of fewer, each time with how many more there are."""
     marks = [f"{PERHAPS} " if how[row.name] == PERHAPS else "" for row in rows]
     names = [f"{mark}{_brief(row.words)}" for mark, row in zip(marks, rows, strict=True)]
     for k in range(min(len(rows), MOST_NAMES), -1, -1):
         more = f"{max(marks[k:], default='')}{_count(len(rows) - k)} more"  # perhaps, where one is
-        if rows:
-            yield join_words([*names[:k], *([more] if k < len(rows) else [])])
+        yield join_words([*names[:k], *([more] if k < len(rows) else [])])
 
 
 def _num_small(effects: Sequence[CauseRow], total: float) -> int:
